@@ -1,10 +1,10 @@
-//! Puts the commit into `--version`: from the environment (packagers), else from git, else none. `-dirty` says that what
-//! the program is made of differs from the commit.
+//! Adds the commit to `--version`: from the environment (packagers), otherwise from git, otherwise none. `-dirty` means that the
+//! sources of the program differ from the commit.
 
 use std::path::PathBuf;
 use std::process::Command;
 
-/// What the program is made of, from the top of the repository. Tests and documents do not make it another one.
+/// Sources of the program, from the top of the repository. Tests and documents do not change it.
 const PARTS: [&str; 9] = [
     "Cargo.toml",
     "Cargo.lock",
@@ -40,7 +40,7 @@ fn commit() -> Option<String> {
     Some(if git(&question).is_some() { format!("{head}-dirty") } else { head })
 }
 
-/// The parts that there are: a change in one of them can make the commit dirty, or clean again.
+/// Returns the existing parts: a change in one of them can make the commit dirty, or clean again.
 fn parts() -> Vec<PathBuf> {
     let top = PathBuf::from("../..");
     let crates = std::fs::read_dir(top.join("daemon")).into_iter().flatten().filter_map(Result::ok);

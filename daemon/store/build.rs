@@ -1,4 +1,4 @@
-//! The migrations are compiled in: build again when one is added.
+//! Rebuilds the crate when a migration is added: they are compiled in.
 
 fn main() {
     println!("cargo:rerun-if-changed=../../migrations");

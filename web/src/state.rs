@@ -2,7 +2,7 @@
 
 use std::sync::{Arc, PoisonError};
 
-use peernet_aggregator::{Aggregator, Picture};
+use peernet_aggregator::{Aggregator, LiveState};
 use peernet_clock::{LogThrottle, MonoTime, SharedClock, Span, WallTime};
 use peernet_store::{IncidentRow, Store, StoreError};
 use tokio::sync::Mutex;
@@ -59,7 +59,7 @@ impl AppState {
     }
 
     /// The live picture, now.
-    pub(crate) fn picture(&self) -> Arc<Picture> {
+    pub(crate) fn picture(&self) -> Arc<LiveState> {
         Arc::clone(&self.aggregator.live().borrow())
     }
 

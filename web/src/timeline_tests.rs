@@ -35,10 +35,10 @@ fn offloaded(ahead: Span, judge: impl Fn(Span, Span) -> OneWayDelay) -> Iteratio
         pass(4);
     }
     let down = there.depart(stage::DOWNLOAD, cloud_stamp(&cloud));
-    let growth = there.into_growth().expect("it came from elsewhere");
+    let delta = there.into_tree_delta().expect("it came from elsewhere");
     pass(1);
     let mut tree = sent;
-    tree.absorb(growth).expect("it fits");
+    tree.absorb(delta).expect("it fits");
     let back = peernet_clock::Clock::wall(&*edge);
     for (id, truth) in [(up, Span::from_millis(20)), (down, Span::from_millis(1))] {
         if let Some(Measure::Transit(transit)) = tree.measure_mut(id) {

@@ -1,4 +1,7 @@
-//! Starting and stopping.
+//! Starts and stops the agent.
+//!
+//! Start order: lock of the state directory, files in it, spool, event queue, threads, ports, then the tasks. Steps
+//! that can fail come before the first task. Stop order: pipelines, then serving, then the outbox.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -26,10 +29,10 @@ use crate::host::{EventSinks, Host};
 use crate::identity::{StateLock, host_id, host_secret};
 use crate::incidents::{IncidentContext, Incidents};
 use crate::io::IoThreads;
-use crate::link::{Cloud, Links, Near, ProbeSettings};
+use crate::link::{Cloud, LinkContext, Links, ProbeSettings};
 use crate::live::{Display, LiveStatistics};
 use crate::observed::ObservedPipelines;
-use crate::outbox::{LiveSources, Outbox, Sources};
+use crate::outbox::{LiveSources, Outbox, OutboxContext};
 use crate::pipeline::PipelineContext;
 use crate::runs::Runs;
 use crate::serve::{ServeContext, ServeEndpoints, Served};
@@ -40,7 +43,7 @@ use crate::{host_clock, pipeline, serve, telemetry};
 #[derive(Debug)]
 pub enum Agent {}
 
-/// An agent that has started.
+/// A started agent.
 #[derive(Debug)]
 pub struct Running {
     host: Host,
@@ -52,7 +55,7 @@ pub struct Running {
     parts: Parts,
 }
 
-/// What of an agent has an end.
+/// The parts of an agent that have to be ended.
 #[derive(Debug)]
 struct Parts {
     tasks: Tasks,
@@ -63,23 +66,23 @@ struct Parts {
 }
 
 impl Agent {
-    /// Everything that can be found wrong with a configuration without starting it: names, files, folders,
+    /// Returns everything that can be found wrong with a configuration without starting it: names, files, folders,
     /// models, the port. Blocks while it reads them.
     pub fn check(config: &AgentConfig, clock: &SharedClock) -> Vec<Problem> {
         check(config, clock)
     }
 
-    /// What is not wrong, but may surprise, such as a limit that the warm-up uses up.
+    /// Returns remarks about settings that are valid but may surprise, such as a limit that the warm-up uses up.
     pub fn remarks(config: &AgentConfig) -> Vec<Problem> {
         remarks(config)
     }
 
-    /// Starts the agent of a program of this version, for people: takes its port, begins its pipelines. It runs until
-    /// `stop` is cancelled; then [`Running::join`] sees it to its end.
+    /// Starts the agent: opens its ports and starts its pipelines. `version` is the program's version as shown to
+    /// people. The agent runs until `stop` is cancelled; then [`Running::join`] completes the stop.
     ///
     /// # Errors
-    /// One of [`StartError`]: of the host's name, its state directory, spool, keys, threads or ports. Nothing was started
-    /// then. A pipeline that cannot start is no error: it is reported, and the others run.
+    /// [`StartError`] when the host's name, its state directory, spool, keys, threads or ports cannot be used;
+    /// nothing was started then. A pipeline that cannot start is not an error: it is reported, and the others run.
     pub async fn start(
         config: AgentConfig,
         version: &'static str,
@@ -89,9 +92,9 @@ impl Agent {
         start(config, version, clock, stop, None).await
     }
 
-    /// As [`start`](Self::start), for a program that runs an agent in the foreground: each event also goes to `tap`,
-    /// with or without an aggregator. Measuring does not wait for the program: what does not fit is counted
-    /// ([`Running::untapped`]).
+    /// Starts the agent as [`start`](Self::start) does, for a program that runs it in the foreground: each event also
+    /// goes to `tap`, with or without an aggregator. Measuring does not wait for the program: events that do not fit
+    /// into `tap` are counted ([`Running::events_missed_by_tap`]).
     ///
     /// # Errors
     /// Those of [`start`](Self::start).
@@ -114,9 +117,11 @@ async fn start(
     tap: Option<EventTap>,
 ) -> Result<Running, StartError> {
     let name = config.agent.host_name()?;
+    // Locked before anything is read: two agents with one state directory would have the same host id.
     let state = StateLock::take(&config.agent.state_dir)?;
     close_to_others(&config);
-    // All that is read from the state directory is read before anything starts: what fails here leaves nothing half begun.
+    // Everything in the state directory is read before anything starts, so that a failure leaves nothing half
+    // started.
     let id = host_id(&config.agent.state_dir)?;
     let secret =
         config.agent.aggregator.as_ref().map(|_| host_secret(&config.agent.state_dir)).transpose()?;
@@ -124,23 +129,24 @@ async fn start(
     let probes = ProbeSettings::read(&config.probes, &config.clock)?;
     let spool = crate::outbox::open_spool(&config, id, &clock).await?;
     let counter = spool.as_ref().map(|spool| spool.counter.clone()).unwrap_or_default();
-    let (event_queue, exit) = crate::event_queue::entrance(&config.agent, &clock, counter);
+    let (event_queue, receiver) = crate::event_queue::create(&config.agent, &clock, counter);
     let event_queue = event_queue.tapped(tap.clone());
     let incidents = Incidents::new(Arc::clone(&clock), event_queue.clone());
     let bank = Arc::new(bank(&config, &clock, fingerprints.clone(), incidents.clone()));
-    let (publish_clock, host_clock) = watch::channel(host_clock::not_asked_yet(&clock));
-    let near = Near {
+    let (publish_clock, host_clock) = watch::channel(host_clock::initial_state(&clock));
+    let link_context = LinkContext {
         name: name.clone(),
         clock: Arc::clone(&clock),
         own: host_clock.clone(),
         event_queue: event_queue.clone(),
         incidents: incidents.clone(),
     };
-    let links = Links::new(near, &config.clock, probes.clone());
+    let links = Links::new(link_context, &config.clock, probes.clone());
     let inspection = Arc::new(InspectionSettings::of(&config));
     let host = Host { id, name, version, clock };
     let events = EventSinks { event_queue, incidents, runs: Runs::default() };
     let io = IoThreads::start(config.agent.io_threads).map_err(StartError::Threads)?;
+    // On the I/O threads, because a socket belongs to the runtime on which it was opened.
     let endpoints = io.within(ServeEndpoints::open(&config, &probes, &host)).await?;
     let serves = endpoints.as_ref().map(ServeEndpoints::addresses).unwrap_or_default();
     for address in &serves {
@@ -172,12 +178,12 @@ async fn start(
             serve::run(endpoints, context, count, ended)
         });
     }
-    let outbox = match (exit, spool, secret, &config.agent.aggregator) {
-        (Some(exit), Some(spool), Some(secret), Some(address)) => {
+    let outbox = match (receiver, spool, secret, &config.agent.aggregator) {
+        (Some(receiver), Some(spool), Some(secret), Some(address)) => {
             let identity = (describe(&host, &bank, &serves), secret);
             let (clock, live) = (SharedClock::clone(&host.clock), live.clone());
-            let sources = Sources { clock, incidents: events.incidents, runs: events.runs, live };
-            let outbox = Outbox::start(&config, address.clone(), exit, spool, identity, sources);
+            let sources = OutboxContext { clock, incidents: events.incidents, runs: events.runs, live };
+            let outbox = Outbox::start(&config, address.clone(), receiver, spool, identity, sources);
             watch_outbox(&mut tasks, &outbox);
             Some(outbox)
         }
@@ -189,7 +195,7 @@ async fn start(
     Ok(Running { host, bank, live, serves, served, tap, parts })
 }
 
-/// Starts the tasks that watch this host's clocks and its hardware. Returns the figures of the hardware.
+/// Starts the tasks that watch this host's clocks and its hardware. Returns the receiver of the hardware's metrics.
 fn start_observing_host(
     tasks: &mut Tasks,
     config: &AgentConfig,
@@ -212,7 +218,8 @@ fn start_observing_host(
     metrics
 }
 
-/// Starts to serve peers on those threads, until the pipelines have ended: they may compute on this very host.
+/// Starts to serve peers on the runtime `threads`. Serving ends only when this agent's pipelines have ended, because
+/// they may use a model that this host serves.
 fn start_serving<F, E>(
     tasks: &mut Tasks,
     threads: &Handle,
@@ -233,7 +240,7 @@ fn start_serving<F, E>(
     tasks.keep_or_fail(threads, "serve", serving);
 }
 
-/// Ends the tasks when the outbox has ended. It outlives them when they are stopped.
+/// Makes an unexpected end of the outbox end the other tasks. On a regular stop the outbox outlives them.
 fn watch_outbox(tasks: &mut Tasks, outbox: &Outbox) {
     let (ended, stop) = (outbox.ended(), tasks.stop());
     tasks.keep(&Handle::current(), "outbox", async move {
@@ -241,7 +248,8 @@ fn watch_outbox(tasks: &mut Tasks, outbox: &Outbox) {
     });
 }
 
-/// Takes away what others may do with the agent's files: those of earlier builds, and those that `peernet` just made.
+/// Restricts the permissions of the agent's files to owner and group: also of files that earlier releases or
+/// `peernet` created.
 fn close_to_others(config: &AgentConfig) {
     let folder = &config.agent.state_dir;
     let mut changed = peernet_permissions::close_folder(folder, &["host-id", "lock"]);
@@ -250,73 +258,77 @@ fn close_to_others(config: &AgentConfig) {
 }
 
 impl Running {
-    /// The host's name.
+    /// Returns the host's name.
     pub const fn name(&self) -> &Slug {
         &self.host.name
     }
 
-    /// What the host tells of itself. Reads its hardware and the folders of models: not for every second.
+    /// Returns the description of the host for the aggregator. Reads its hardware and the folders of models: too slow
+    /// for once a second.
     pub fn description(&self) -> HostDescription {
         describe(&self.host, &self.bank, &self.serves)
     }
 
-    /// Where peers may ask for models, with the real ports; empty where they may not.
+    /// Returns the addresses at which peers may ask for models, with the real ports; empty without `[serve]`.
     pub fn serves(&self) -> &[Address] {
         &self.serves
     }
 
-    /// What peers were sent so far.
+    /// Returns the counts of answers that peers were sent so far.
     pub fn served(&self) -> watch::Receiver<Served> {
         self.served.clone()
     }
 
-    /// Who serves a pipeline, or served it last.
-    pub fn served_by(&self, pipeline: &Slug) -> Option<Cloud> {
-        self.live.links.served_by(pipeline)
+    /// Returns the cloud that serves a pipeline, or that served it last.
+    pub fn serving_cloud(&self, pipeline: &Slug) -> Option<Cloud> {
+        self.live.links.serving_cloud(pipeline)
     }
 
-    /// Since when a pipeline waits for its sensor, to be set up or to give a sample; `None` when it does not.
-    pub fn senses_since(&self, pipeline: &Slug) -> Option<MonoTime> {
-        self.live.live_statistics.senses_since(pipeline)
+    /// Returns the time since which a pipeline waits for its sensor to be set up or to give a sample; `None` if it
+    /// does not wait.
+    pub fn sensor_busy_since(&self, pipeline: &Slug) -> Option<MonoTime> {
+        self.live.live_statistics.sensor_busy_since(pipeline)
     }
 
-    /// Loads one of this host's models now: what is wrong with it shows at once, and its first peer does not wait for it.
+    /// Loads one of this host's models now, so that an error shows at once and the first peer does not wait for the
+    /// model.
     pub fn load(&self, model: &Slug) -> JoinHandle<Result<(), LoadError>> {
         let (bank, model) = (Arc::clone(&self.bank), model.clone());
         tokio::task::spawn_blocking(move || bank.load(&model, None).map(drop))
     }
 
-    /// Events that did not fit into the tap of [`Agent::start_observed`].
-    pub fn untapped(&self) -> u64 {
+    /// Returns the number of events that did not fit into the tap of [`Agent::start_observed`].
+    pub fn events_missed_by_tap(&self) -> u64 {
         self.tap.as_ref().map_or(0, EventTap::missed)
     }
 
-    /// What the agent shows of itself now: every pipeline with the seconds that the aggregator has not seen
-    /// yet, its links and its clock, the host's figures, the accounting of events.
+    /// Returns the current live update: every pipeline with the seconds that the aggregator does not have yet, the
+    /// links, the clock, the host's metrics and the counts of events.
     pub fn live(&self) -> LiveUpdate {
         let accounting = self.parts.outbox.as_ref().map(Outbox::accounting).unwrap_or_default();
         self.live.update(self.host.id, self.host.clock.wall(), accounting).0
     }
 
-    /// Waits for the end: that of a task, which is a failure, or the token's. Then pipelines finish what is
-    /// under way, runs end, the outbox hands over what it holds, all within the configured time.
+    /// Waits until the token is cancelled or a task fails, then stops the agent: pipelines finish the iterations in
+    /// flight, runs end, and the outbox sends what it holds, all within the configured time.
     ///
     /// # Errors
-    /// When a task ended that should not have.
+    /// When a task ended before it was stopped.
     pub async fn join(self) -> Result<(), Failure> {
         let Self { bank, parts, .. } = self;
         let Parts { tasks, outbox, io: _io, stop_timeout, _state } = parts;
         let stop = tasks.stop();
-        let told = stop.clone();
+        let stopped = stop.clone();
+        // The time for stopping counts from the request, however long the tasks take to end.
         let began = tokio::spawn(async move {
-            told.cancelled().await;
+            stopped.cancelled().await;
             Instant::now()
         });
         let ended = tasks.join().await;
         stop.cancel();
         let now = Instant::now();
         let began = began.await.unwrap_or(now);
-        // Whatever the iterations under way took, what they leave behind gets its time.
+        // The outbox gets at least a quarter of the time, however long the iterations in flight took.
         let deadline = (began + stop_timeout).max(now + stop_timeout / 4);
         let stored = async {
             match outbox {
@@ -324,13 +336,15 @@ impl Running {
                 None => Ok(()),
             }
         };
+        // Models end while the outbox delivers: both may take long, and they are independent.
         let (stored, unloaded) = tokio::join!(stored, unload(bank, deadline - now));
-        // That the outbox ended is a failure of the tasks, too; it alone says why. Theirs is in the log.
+        // If the outbox ended unexpectedly, `tasks` reports it as well. Only the outbox's own result has the reason,
+        // so it comes first; the error of `tasks` was logged.
         stored.and(ended).and(unloaded)
     }
 }
 
-/// Ends the threads of the models; one that computes or loads for longer than `patience` is left to itself.
+/// Ends the threads of the models. A thread that computes or loads for longer than `patience` is abandoned.
 async fn unload(bank: Arc<Bank>, patience: Duration) -> Result<(), Failure> {
     let unloading = tokio::task::spawn_blocking(move || bank.shutdown_within(patience));
     let left = unloading.await.map_err(|error| Failure { part: "models".to_owned(), cause: error.into() })?;
@@ -365,11 +379,11 @@ fn start_pipelines(
     config: &AgentConfig,
     context: &PipelineContext,
 ) -> LiveStatistics {
-    // Half of the time to stop is for what is under way, the other half for handing it over.
+    // Half of the time for stopping is for the iterations in flight, the other half for sending their events.
     let patience = config.agent.stop_timeout() / 2;
     let start = |pipeline: &PipelineConfig| {
         let placement = pipeline::intended(&pipeline.placement);
-        let display = Arc::new(Display::new(pipeline.name.clone(), pipeline.load_in_words(), placement));
+        let display = Arc::new(Display::new(pipeline.name.clone(), pipeline.load_text(), placement));
         match pipeline.start {
             StartMode::Boot => {
                 let (config, shown) = (Arc::new(pipeline.clone()), Arc::clone(&display));

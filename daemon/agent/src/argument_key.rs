@@ -1,4 +1,4 @@
-//! Secret key of the fingerprints that replace the arguments of programs, which may be secret themselves.
+//! The secret key of the fingerprints that replace the arguments of programs, because arguments may be secret.
 
 use std::fs;
 use std::io;
@@ -9,10 +9,10 @@ use uuid::Uuid;
 
 use crate::identity::{IdentityError, cannot, kept_value};
 
-/// Name of the file in the state folder.
+/// Name of the key's file in the state directory.
 const FILE: &str = "argument-key";
 
-/// Length of a key, bytes.
+/// Length of a key in bytes.
 const BYTES: usize = 32;
 
 /// Returns the key in `folder`; creates key and folder if they do not exist yet.
@@ -23,11 +23,11 @@ pub fn argument_key(folder: &Path) -> Result<FingerprintKey, IdentityError> {
     kept_value(folder, FILE, read_key, || hexadecimal(&random_key())).map(FingerprintKey::new)
 }
 
-/// Copies the key of the state folder `from` to the state folder `to`, unless that has one, so that the fingerprints of both
-/// agents can be compared.
+/// Copies the key of the state directory `from` to the state directory `to`, unless `to` has a key, so that the
+/// fingerprints of both agents can be compared.
 ///
 /// # Errors
-/// As [`argument_key`].
+/// Those of [`argument_key`].
 pub fn share_argument_key(from: &Path, to: &Path) -> Result<(), IdentityError> {
     let key = kept_value(from, FILE, read_key, || hexadecimal(&random_key()))?;
     kept_value(to, FILE, read_key, || hexadecimal(&key)).map(drop)
@@ -44,7 +44,7 @@ fn hexadecimal(key: &[u8; BYTES]) -> String {
     key.iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
-/// Reads the key in a folder; `None` if there is none.
+/// Reads the key in a folder; `None` if it has no key.
 fn read_key(folder: &Path) -> Result<Option<[u8; BYTES]>, IdentityError> {
     let path = folder.join(FILE);
     let no_key = || {

@@ -1,4 +1,4 @@
-//! Everything that can be found wrong with a configuration before anything starts.
+//! Checks a configuration before anything starts.
 
 mod spool;
 mod time;
@@ -24,33 +24,33 @@ use crate::config::{
 };
 use crate::identity::{existing_id, existing_secret};
 
-/// Most events that may wait for the aggregator.
+/// Largest number of events that may wait for the aggregator.
 const MAX_QUEUE_EVENTS: u64 = 10_000_000;
-/// Most bytes that they may take: 16 GiB.
+/// Largest number of bytes that these events may take: 16 GiB.
 const MAX_QUEUE_BYTES: u64 = 16 << 30;
-/// Most nodes in a batch.
+/// Largest number of nodes in a batch.
 const MAX_BATCH_NODES: u64 = 1_000_000;
-/// Most bytes in a batch, well below the largest message that the aggregator takes.
+/// Largest number of bytes in a batch; well below the largest message that the aggregator accepts.
 const MAX_BATCH_BYTES: u64 = 2 << 20;
-/// Longest wait of an event for its batch: a minute.
+/// Longest time that an event may wait for its batch: a minute.
 const MAX_BATCH_DELAY_MS: u64 = 60_000;
-/// Most threads on which samples travel.
+/// Largest number of threads on which samples travel.
 const MAX_IO_THREADS: u64 = 64;
 /// Longest time for stopping: a minute.
 const MAX_STOP_TIMEOUT_MS: u64 = 60_000;
-/// Most iterations of a pipeline under way at once.
+/// Largest number of iterations of a pipeline in flight.
 const MAX_IN_FLIGHT: u64 = 4096;
-/// Longest wait for an answer: a day.
+/// Longest time to wait for an answer: a day.
 const MAX_TIMEOUT_MS: u64 = 24 * 3600 * 1000;
-/// Seconds of the longest run: a year.
-const LONGEST_RUN_S: f64 = 365.0 * 86_400.0;
+/// Duration of the longest run in seconds: a year.
+const MAX_RUN_S: f64 = 365.0 * 86_400.0;
 
-/// Something wrong with a configuration.
+/// A problem of a configuration.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Problem {
-    /// Where: the path of the key, such as `pipeline[1].placement.model`, counted from 0.
+    /// Path of the key, such as `pipeline[1].placement.model`; indices count from 0.
     pub key: String,
-    /// What is wrong and what to do about it.
+    /// Text that says what is wrong and what to do about it.
     pub text: String,
 }
 
@@ -60,7 +60,7 @@ impl fmt::Display for Problem {
     }
 }
 
-/// Collects problems.
+/// The problems found so far.
 #[derive(Default)]
 struct Report(Vec<Problem>);
 
@@ -85,6 +85,7 @@ impl Report {
         if let Err(error) = settings.check() {
             self.add(format!("{key}.{}", error.key), format!("{} {}", error.value, error.problem));
         }
+        // Settings that one of the networks cannot use are a mistake, whichever network is in use.
         for network in NetworkKind::ALL {
             if let Err(error) = network.check_settings(settings) {
                 self.add(format!("{key}.{}", error.key), error.problem);
@@ -93,7 +94,7 @@ impl Report {
     }
 }
 
-/// Checks a configuration. Reads files and tries the port; changes nothing. Blocks.
+/// Checks a configuration. Reads files and tries the ports, but changes nothing. Blocks.
 pub(crate) fn check(config: &AgentConfig, clock: &SharedClock) -> Vec<Problem> {
     let mut report = Report::default();
     report.unless_ok("agent.name", config.agent.host_name());
@@ -120,7 +121,8 @@ pub(crate) fn check(config: &AgentConfig, clock: &SharedClock) -> Vec<Problem> {
     let models = bank.offered();
     if let Some(serve) = &config.serve {
         let observes = |pipeline: &PipelineConfig| matches!(pipeline.placement, PlacementConfig::Observe(_));
-        // Peers can ask for the stamps of what is observed.
+        // A host without models may still serve: peers can ask for the stamps of the messages that its pipelines
+        // observe.
         let has_stamps = config.pipelines.iter().any(observes);
         check_serve(&mut report, serve, models.is_empty() && !has_stamps);
     }
@@ -142,7 +144,8 @@ pub(crate) fn check(config: &AgentConfig, clock: &SharedClock) -> Vec<Problem> {
     report.0
 }
 
-/// What is not wrong, but may surprise. Parts may ask other hosts: blocks for some seconds.
+/// Returns remarks about settings that are valid but may surprise. Some parts ask other hosts: it may block for some
+/// seconds.
 pub(crate) fn remarks(config: &AgentConfig) -> Vec<Problem> {
     let mut report = Report::default();
     for (index, pipeline) in config.pipelines.iter().enumerate() {
@@ -188,7 +191,8 @@ fn check_serve(report: &mut Report, serve: &ServeConfig, is_empty: bool) {
 }
 
 fn check_listen(report: &mut Report, address: &Address) {
-    // A port in use is not wrong in itself: this may be the check of an agent that is running. Starting tells.
+    // A port in use is not an error here, because the agent that is checked may be running. Starting it reports the
+    // error.
     if let Err(error) = address.network().try_bind(address)
         && error.kind() != io::ErrorKind::AddrInUse
     {
@@ -220,7 +224,7 @@ fn check_pipeline(
     report.unless_ok(format!("{at}.actuator"), pipeline.actuator.check());
     report.at_most(&format!("{at}.max_in_flight"), pipeline.max_in_flight.get() as u64, MAX_IN_FLIGHT);
     report.at_most(&format!("{at}.timeout_ms"), pipeline.timeout_ms.get(), MAX_TIMEOUT_MS);
-    // An iteration without an answer in time misses already: a later deadline would say nothing of answers.
+    // An iteration that times out misses its deadline anyway: a deadline after the timeout would have no effect.
     if let Some(deadline) = pipeline.deadline_ms.filter(|deadline| *deadline > pipeline.timeout_ms) {
         let text =
             format!("{deadline} is later than timeout_ms ({}); choose an earlier one", pipeline.timeout_ms);
@@ -244,7 +248,7 @@ fn check_pipeline(
         report.add(format!("{at}.placement.model"), format!("no [[model]] is named {model}; {known}"));
     }
     if let Some(hz) = pipeline.load.hz()
-        && !(hz * LONGEST_RUN_S >= 1.0 && hz <= 100_000.0)
+        && !(hz * MAX_RUN_S >= 1.0 && hz <= 100_000.0)
     {
         report.add(
             format!("{at}.load.hz"),
@@ -252,11 +256,11 @@ fn check_pipeline(
         );
     }
     if let Some(seconds) = pipeline.limit.duration_s
-        && !(seconds > 0.0 && seconds <= LONGEST_RUN_S)
+        && !(seconds > 0.0 && seconds <= MAX_RUN_S)
     {
         report.add(
             format!("{at}.limit.duration_s"),
-            format!("{seconds:?} is not a number of seconds above 0 and at most {LONGEST_RUN_S}"),
+            format!("{seconds:?} is not a number of seconds above 0 and at most {MAX_RUN_S}"),
         );
     }
     if pipeline.placement == (PlacementConfig::None {}) && pipeline.actuator.acts() {
@@ -301,7 +305,7 @@ fn check_observed(report: &mut Report, at: &str, pipeline: &PipelineConfig, obse
     }
 }
 
-/// The reason why a folder cannot be used for the files of a key.
+/// Reason why a folder cannot be used for the files of a key.
 #[derive(Debug, thiserror::Error)]
 enum FolderError {
     #[error("{} is not a folder; choose another {key}", .path.display())]
@@ -310,8 +314,9 @@ enum FolderError {
     NotWritable { path: PathBuf, key: &'static str, source: io::Error },
 }
 
-/// Whether files can be made in a folder, or the folder itself.
+/// Checks that files can be created in a folder, or that the folder itself can be created.
 fn usable(folder: &Path, key: &'static str) -> Result<(), FolderError> {
+    // A folder that does not exist yet is created at the start, if its nearest existing parent allows that.
     let existing = folder.ancestors().find(|part| part.exists() || part.as_os_str().is_empty());
     let existing = existing.filter(|part| !part.as_os_str().is_empty()).unwrap_or_else(|| Path::new("."));
     if !existing.is_dir() {

@@ -1,4 +1,4 @@
-//! Why an agent did not start.
+//! The errors that keep an agent from starting.
 
 use std::io;
 
@@ -9,25 +9,25 @@ use peernet_probes::KeyError;
 use crate::identity::IdentityError;
 use crate::outbox::SpoolError;
 
-/// Why an agent did not start.
+/// Reason why an agent did not start.
 #[derive(Debug, thiserror::Error)]
 pub enum StartError {
-    /// The machine's own name cannot be used as the agent's.
+    /// The machine's own name is not a valid agent name, and none is configured.
     #[error("{0}; set [agent] name")]
     Name(#[from] InvalidName),
-    /// There are no threads for it.
+    /// The system does not give the threads for samples.
     #[error("cannot start the threads for samples: {0}; [agent] io_threads says how many")]
     Threads(#[source] io::Error),
-    /// The host id could not be read or made.
+    /// The host id could not be read or created.
     #[error(transparent)]
     Identity(#[from] IdentityError),
-    /// The spool could not be had.
+    /// The spool could not be opened.
     #[error(transparent)]
     Spool(#[from] SpoolError),
-    /// The port for peers could not be had.
+    /// The agent cannot listen on the port for peers.
     #[error(transparent)]
     Bind(#[from] BindError),
-    /// The port for peers' probes could not be had.
+    /// The agent cannot listen on the port for peers' probes.
     #[error(transparent)]
     Reflector(#[from] ReflectorError),
     /// The key for probes could not be read.
@@ -35,18 +35,18 @@ pub enum StartError {
     Key(#[from] KeyError),
 }
 
-/// Why peers' probes cannot be answered.
+/// Reason why peers' probes cannot be answered.
 #[derive(Debug, thiserror::Error)]
 pub enum ReflectorError {
-    /// The port could not be had.
+    /// The UDP port cannot be opened.
     #[error("{0} ([probes] port, or reflect = false to answer none)")]
     Bind(#[from] peernet_probes::BindError),
-    /// The name to listen on leads nowhere.
+    /// The host name to listen on cannot be resolved.
     #[error("cannot answer probes on {listen}: {source}; give [serve] listen an address of this machine")]
     Address {
-        /// Where the host listens for peers.
+        /// Address at which the host listens for peers.
         listen: Address,
-        /// What is wrong with it.
+        /// Error of the name resolution.
         source: io::Error,
     },
 }

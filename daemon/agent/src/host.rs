@@ -1,4 +1,4 @@
-//! This host, and where its parts report what happens.
+//! The host, and the channels to which its parts report.
 
 use peernet_clock::SharedClock;
 use peernet_logger::{HostId, Slug};
@@ -7,17 +7,17 @@ use crate::event_queue::EventQueue;
 use crate::incidents::Incidents;
 use crate::runs::Runs;
 
-/// This host as it introduces itself.
+/// This host: identity, version and clock.
 #[derive(Clone, Debug)]
 pub(crate) struct Host {
     pub(crate) id: HostId,
     pub(crate) name: Slug,
-    /// The program's version, as peers and the aggregator are told.
+    /// Version of the program, as sent to peers and the aggregator.
     pub(crate) version: &'static str,
     pub(crate) clock: SharedClock,
 }
 
-/// Where parts of the agent report what happens.
+/// The channels to which parts of the agent report events.
 #[derive(Clone, Debug)]
 pub(crate) struct EventSinks {
     pub(crate) event_queue: EventQueue,

@@ -1,4 +1,4 @@
-//! Who this host is: an id that outlives restarts, and the secret that proves it.
+//! The host's identity: an id that survives restarts, and the secret that proves it.
 
 use std::fs::{self, File, OpenOptions};
 use std::io::{self, Write};
@@ -10,36 +10,36 @@ use peernet_stream::HostSecret;
 
 use crate::lock::FileLock;
 
-/// Why the host id could not be had.
+/// Error while reading or creating a file of the host's identity.
 #[derive(Debug, thiserror::Error)]
 pub enum IdentityError {
     /// The folder or a file in it cannot be used.
     #[error("cannot {action} {}: {source}; check [agent] state_dir and its permissions", .path.display())]
     Io {
-        /// What was tried.
+        /// Verb that says what was tried.
         action: &'static str,
-        /// On what.
+        /// File or folder on which it was tried.
         path: PathBuf,
-        /// What the system said.
+        /// Error of the operating system.
         source: io::Error,
     },
-    /// Another agent has the folder.
+    /// Another agent has locked the folder.
     #[error(
         "another agent uses {}; stop it, or give each agent a [agent] state_dir of its own", .0.display()
     )]
     InUse(PathBuf),
-    /// The file holds something else.
+    /// The file does not hold a host id.
     #[error(
         "{} holds no host id but {found:?}; restore it from a copy, or choose another [agent] state_dir to become a new \
          host and keep this one, whose spool may hold events that are not stored", .path.display()
     )]
     NotAnId {
-        /// The file.
+        /// Path of the file.
         path: PathBuf,
-        /// What it holds.
+        /// Beginning of its content.
         found: String,
     },
-    /// The file holds something else. What it holds is not shown.
+    /// The file does not hold a secret. Its content is not shown, because it may be a secret of something else.
     #[error(
         "{} holds no host secret; restore it from a copy, or move it to another folder: the agent makes a new one, and the \
          operator of the aggregator lets it in with `peernetd clear-host-secret`", .0.display()
@@ -47,34 +47,35 @@ pub enum IdentityError {
     NotASecret(PathBuf),
 }
 
-/// File of the host id in the state directory.
+/// Name of the host id's file in the state directory.
 const ID_FILE: &str = "host-id";
-/// File of the secret beside it.
+/// Name of the secret's file in the state directory.
 const SECRET_FILE: &str = "host-secret";
-/// Others read neither: who has both files can pass for this host.
+/// Permissions of both files. Others must read neither: whoever has both files can impersonate this host.
 const MODE: u32 = 0o600;
 
-/// The id in `host-id` in `state_dir`; made, with the folder, when it is not there yet.
+/// Returns the host id in the file `host-id` in `state_dir`; creates folder and file if they do not exist yet.
 ///
-/// The file appears whole or not at all: a power cut cannot leave half an id, and two agents that start
-/// together in one folder agree on one.
+/// The file appears whole or not at all: a power cut cannot leave half an id, and two agents that start at the same
+/// time in one folder get the same id.
 ///
 /// # Errors
-/// When the folder cannot be used or the file is not one of ours.
+/// When the folder cannot be used, or the file holds something else.
 pub fn host_id(state_dir: &Path) -> Result<HostId, IdentityError> {
     kept_value(state_dir, ID_FILE, existing_id, || HostId::random().to_string())
 }
 
-/// The secret in `host-secret` in `state_dir`, with which the agent proves to the aggregator that the host id is its own;
-/// made when it is not there yet, as [`host_id`] is.
+/// Returns the secret in the file `host-secret` in `state_dir`, which proves to the aggregator that the host id
+/// belongs to this agent; creates it if it does not exist yet, as [`host_id`] does.
 ///
 /// # Errors
-/// When the folder cannot be used or the file is not one of ours.
+/// When the folder cannot be used, or the file holds something else.
 pub fn host_secret(state_dir: &Path) -> Result<HostSecret, IdentityError> {
     kept_value(state_dir, SECRET_FILE, existing_secret, || HostSecret::random().expose_text())
 }
 
-/// What `existing` reads from the file `name` in `state_dir`; `fresh` is written there first when there is no such file.
+/// Returns the value that `existing` reads from the file `name` in `state_dir`. If there is no such file, `fresh` is
+/// written to it first.
 pub(crate) fn kept_value<T>(
     state_dir: &Path,
     name: &'static str,
@@ -86,6 +87,7 @@ pub(crate) fn kept_value<T>(
         return Ok(value);
     }
     fs::create_dir_all(state_dir).map_err(cannot("make", state_dir))?;
+    // Written under another name first, so that a power cut cannot leave half a file under the real name.
     let draft = state_dir.join(format!("{name}.{}", HostId::random()));
     let written = OpenOptions::new()
         .write(true)
@@ -94,7 +96,7 @@ pub(crate) fn kept_value<T>(
         .open(&draft)
         .and_then(|mut file| writeln!(file, "{}", fresh()).and_then(|()| file.sync_all()))
         .map_err(cannot("write", &draft));
-    // Linking, unlike renaming, fails when another process was first.
+    // Linking, unlike renaming, fails if another process created the file first: then its value counts.
     let linked = written.and_then(|()| match fs::hard_link(&draft, &path) {
         Err(error) if error.kind() != io::ErrorKind::AlreadyExists => Err(cannot("write", &path)(error)),
         _ => Ok(()),
@@ -102,6 +104,7 @@ pub(crate) fn kept_value<T>(
     let removed = fs::remove_file(&draft).map_err(cannot("remove", &draft));
     linked?;
     removed?;
+    // A power cut can remove a new name until its folder is synced.
     File::open(state_dir).and_then(|folder| folder.sync_all()).map_err(cannot("write", state_dir))?;
     existing(state_dir)?.ok_or_else(|| {
         let gone = io::Error::new(io::ErrorKind::NotFound, "it vanished while it was being made");
@@ -109,17 +112,17 @@ pub(crate) fn kept_value<T>(
     })
 }
 
-/// A folder that no other agent may use; let go when this is dropped, or the process ends.
+/// Exclusive use of a state directory by one agent. Ends when this is dropped or the process ends.
 #[derive(Debug)]
 pub(crate) struct StateLock {
     _lock: FileLock,
 }
 
 impl StateLock {
-    /// Takes the folder, which is made when missing, with a lock on the file `lock` in it.
+    /// Locks the folder, which is created if missing, by locking the file `lock` in it.
     ///
     /// # Errors
-    /// When another agent has it, or the file cannot be made.
+    /// When another agent has the lock, or the file cannot be created.
     pub(crate) fn take(state_dir: &Path) -> Result<Self, IdentityError> {
         fs::create_dir_all(state_dir).map_err(cannot("make", state_dir))?;
         let path = state_dir.join("lock");
@@ -130,11 +133,12 @@ impl StateLock {
     }
 }
 
-/// The id in `host-id` in `state_dir`, if there is one already.
+/// Reads the id in `host-id` in `state_dir`; `None` if there is no such file.
 pub(crate) fn existing_id(state_dir: &Path) -> Result<Option<HostId>, IdentityError> {
     let path = state_dir.join(ID_FILE);
     match fs::read_to_string(&path) {
         Ok(text) => text.trim().parse().map(Some).map_err(|_| {
+            // Shortened, because the file may be anything.
             let found = text.trim().chars().take(40).collect();
             IdentityError::NotAnId { path, found }
         }),
@@ -143,19 +147,19 @@ pub(crate) fn existing_id(state_dir: &Path) -> Result<Option<HostId>, IdentityEr
     }
 }
 
-/// The secret in `host-secret` in `state_dir`, if there is one already.
+/// Reads the secret in `host-secret` in `state_dir`; `None` if there is no such file.
 pub(crate) fn existing_secret(state_dir: &Path) -> Result<Option<HostSecret>, IdentityError> {
     let path = state_dir.join(SECRET_FILE);
     match fs::read_to_string(&path) {
         Ok(text) => text.trim().parse().map(Some).map_err(|_| IdentityError::NotASecret(path)),
         Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(None),
-        // Bytes that are no text.
+        // The file is not UTF-8.
         Err(error) if error.kind() == io::ErrorKind::InvalidData => Err(IdentityError::NotASecret(path)),
         Err(error) => Err(cannot("read", &path)(error)),
     }
 }
 
-/// Says beside the system's words what was tried, and on what.
+/// Returns a function that adds to an error of the system what was tried, and on which path.
 pub(crate) fn cannot(action: &'static str, path: &Path) -> impl FnOnce(io::Error) -> IdentityError + use<> {
     let path = path.to_owned();
     move |source| IdentityError::Io { action, path, source }
@@ -166,7 +170,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_id_outlives_the_process_and_the_folder_is_made() {
+    fn host_id_persists_and_folder_is_created() {
         let folder = tempfile::tempdir().expect("a folder");
         let state = folder.path().join("a").join("b");
         let first = host_id(&state).expect("made");
@@ -177,7 +181,7 @@ mod tests {
     }
 
     #[test]
-    fn one_agent_at_a_time_has_the_folder() {
+    fn second_agent_cannot_lock_folder() {
         let folder = tempfile::tempdir().expect("a folder");
         let first = StateLock::take(folder.path()).expect("free");
         let error = StateLock::take(folder.path()).expect_err("taken").to_string();
@@ -187,7 +191,7 @@ mod tests {
     }
 
     #[test]
-    fn agents_that_start_together_agree() {
+    fn concurrent_starts_agree_on_host_id() {
         let folder = tempfile::tempdir().expect("a folder");
         let ids: Vec<_> = std::thread::scope(|scope| {
             let threads: Vec<_> = (0..8).map(|_| scope.spawn(|| host_id(folder.path()))).collect();
@@ -197,7 +201,7 @@ mod tests {
     }
 
     #[test]
-    fn secret_outlives_the_process_and_only_its_owner_reads_it() {
+    fn secret_persists_and_is_readable_by_owner_only() {
         use std::os::unix::fs::PermissionsExt;
         let folder = tempfile::tempdir().expect("a folder");
         let first = host_secret(folder.path()).expect("made");
@@ -213,7 +217,7 @@ mod tests {
     }
 
     #[test]
-    fn a_foreign_file_is_left_alone_and_named() {
+    fn foreign_file_is_kept_and_named() {
         let folder = tempfile::tempdir().expect("a folder");
         fs::write(folder.path().join("host-id"), "my notes\n").expect("written");
         let error = host_id(folder.path()).expect_err("not an id").to_string();

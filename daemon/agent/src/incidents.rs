@@ -6,28 +6,29 @@ use peernet_stream::{Event, Incident, IncidentKind};
 
 use crate::event_queue::EventQueue;
 
-/// How far a clock was set, without its sign: in seconds with milliseconds, and below a millisecond in the unit that fits.
-pub(crate) fn far_in_words(by: Span) -> String {
+/// Formats how far a clock was set, without its sign: in seconds with milliseconds, and below a millisecond in the
+/// unit that fits.
+pub(crate) fn step_size_text(by: Span) -> String {
     let far = by.abs();
     if far < Span::from_millis(1) { far.to_string() } else { format!("{:.3} s", far.seconds()) }
 }
 
-/// Where what people should know of a connection comes from in the log: a command shows it on the terminal.
+/// Log target of remarks about connections. The command `peernet` shows the lines of this target on the terminal.
 pub const REMARKS: &str = "peernet_agent::remarks";
 
-/// Writes to the log what makes connections worse than they could be, and has a command show it.
+/// Logs something that makes a connection worse than it could be, with the target [`REMARKS`].
 pub(crate) fn remark(text: &str) {
     tracing::warn!(target: REMARKS, "{text}");
 }
 
-/// Reports incidents.
+/// Reports incidents to the log and to the event queue.
 #[derive(Clone, Debug)]
 pub(crate) struct Incidents {
     clock: SharedClock,
     event_queue: EventQueue,
 }
 
-/// What an incident concerns.
+/// The pipeline, run and peer that an incident concerns.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct IncidentContext<'a> {
     pub(crate) pipeline: Option<&'a Slug>,
@@ -40,7 +41,8 @@ impl Incidents {
         Self { clock, event_queue }
     }
 
-    /// Logs and reports an incident; `text` is one sentence for people.
+    /// Logs an incident as a warning and queues it; a kind that needs no attention is logged as [`note`](Self::note)
+    /// does. `text` is one sentence for people.
     pub(crate) fn report(&self, kind: IncidentKind, what: IncidentContext<'_>, text: String) {
         match kind {
             IncidentKind::Connected | IncidentKind::ModelLoaded | IncidentKind::Control => {
@@ -49,25 +51,25 @@ impl Incidents {
             _ => {
                 let pipeline = what.pipeline.map_or("-", Slug::as_str);
                 tracing::warn!(%kind, pipeline, "{text}");
-                self.tell(kind, what, text);
+                self.enqueue(kind, what, text);
             }
         }
     }
 
-    /// As [`report`](Self::report), of something that makes a connection worse than it could be: a command shows it.
+    /// Reports an incident that makes a connection worse than it could be, with the target [`REMARKS`].
     pub(crate) fn remark(&self, kind: IncidentKind, what: IncidentContext<'_>, text: String) {
         remark(&text);
-        self.tell(kind, what, text);
+        self.enqueue(kind, what, text);
     }
 
-    /// As [`report`](Self::report), of something that calls for nothing, whatever its kind.
+    /// Reports an incident that needs no attention, whatever its kind; it is logged at level info.
     pub(crate) fn note(&self, kind: IncidentKind, what: IncidentContext<'_>, text: String) {
         let pipeline = what.pipeline.map_or("-", Slug::as_str);
         tracing::info!(%kind, pipeline, "{text}");
-        self.tell(kind, what, text);
+        self.enqueue(kind, what, text);
     }
 
-    fn tell(&self, kind: IncidentKind, what: IncidentContext<'_>, text: String) {
+    fn enqueue(&self, kind: IncidentKind, what: IncidentContext<'_>, text: String) {
         let incident = Incident {
             at: self.clock.wall(),
             kind,

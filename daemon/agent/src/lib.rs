@@ -1,16 +1,16 @@
-//! The agent: what runs on every edge and every cloud.
+//! The agent: the program part that runs on every edge and every cloud.
 //!
-//! It composes the four modules, which do not know each other: sensors, networks, inference and actuators make
-//! [pipelines](config::PipelineConfig); models and a network make a [server](config::ServeConfig). What it
-//! measures goes to the aggregator as the event stream of `peernet_stream`: live summaries of each
+//! It composes the four modules of the paper, which do not know each other. Sensors, networks, inference and
+//! actuators make [pipelines](config::PipelineConfig); models and a network make a [server](config::ServeConfig). The
+//! agent sends its measurements to the aggregator as the event stream of `peernet_stream`: a live summary of each
 //! second, and every finished iteration through the outbox. Measuring never waits for storing.
 //!
 //! ```text
-//! pipeline tasks ──┬─ live board ─────┐
-//!   (one each)     ├─ feed ───────────┴─ outbox task ── aggregator
-//!                  └─ links ── feed ──┤
-//! serve, reflector ─────────── feed ──┤
-//! host clock, telemetry ──────────────┘
+//! pipeline tasks ──┬─ live statistics ───┐
+//!   (one each)     ├─ event queue ───────┴─ outbox task ── aggregator
+//!                  └─ links ── event queue ─┤
+//! serve, reflector ─────────── event queue ─┤
+//! host clock, telemetry ────────────────────┘
 //! ```
 
 mod agent;
@@ -49,7 +49,7 @@ pub use link::Cloud;
 pub use serve::Served;
 pub use tasks::{Failure, FailureCause};
 
-/// The file in which events wait for the aggregator.
+/// The spool: the file in which events wait until the aggregator has stored them.
 pub mod spool {
     pub use crate::outbox::{
         InspectError, Inspection, SpoolDamage, SpoolDefect, SpoolError, SpoolReadError, inspect,

@@ -1,18 +1,18 @@
-//! Files that say that something is in use.
+//! Locks on files.
 
 use std::fs::{File, TryLockError};
 use std::io;
 use std::path::Path;
 
-/// A lock on a file; let go when this is dropped or the process ends, however it ends. The file stays, because removing
-/// it would let two processes lock two files.
+/// An exclusive lock on a file, released when this is dropped or the process ends in any way. The file is not
+/// removed: if it were, two processes could lock two different files of the same name.
 #[derive(Debug)]
 pub(crate) struct FileLock {
     _file: File,
 }
 
 impl FileLock {
-    /// Takes the lock on the file, which is made when missing; `None` when another has it.
+    /// Locks the file, which is created if missing; `None` if another process has the lock.
     pub(crate) fn take(path: &Path) -> io::Result<Option<Self>> {
         let file = File::options().create(true).append(true).open(path)?;
         match file.try_lock() {

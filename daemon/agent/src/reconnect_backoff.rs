@@ -1,11 +1,11 @@
-//! How long to wait before the next try. No I/O.
+//! Computes the pause before the next connection attempt. No I/O.
 
 use std::time::Duration;
 
 use peernet_logger::HostId;
 use peernet_statistics::SplitMix64;
 
-/// Growing pauses with jitter, so that many edges do not all come back to a restarted cloud at once.
+/// Growing pauses with jitter, so that many edges do not reconnect to a restarted cloud at the same moment.
 #[derive(Debug)]
 pub(crate) struct ReconnectBackoff {
     next: Duration,
@@ -15,29 +15,29 @@ pub(crate) struct ReconnectBackoff {
 impl ReconnectBackoff {
     pub(crate) const SHORTEST: Duration = Duration::from_millis(250);
     pub(crate) const LONGEST: Duration = Duration::from_secs(5);
-    /// Between tries after a refusal, which rarely mends itself.
+    /// Pause after a refusal, which rarely ends without a change of configuration.
     pub(crate) const REFUSED: Duration = Duration::from_secs(15);
 
-    /// Pauses whose jitter is the host's own.
+    /// Creates the sequence of pauses. The seed of the jitter is the host id, so that hosts differ.
     pub(crate) fn new(host: HostId) -> Self {
         let [a, b, c, d, e, f, g, h, ..] = *host.as_bytes();
         let seed = u64::from_le_bytes([a, b, c, d, e, f, g, h]);
         Self { next: Self::SHORTEST, random: SplitMix64::new(seed) }
     }
 
-    /// The pause before the next try: it doubles each time up to the longest, ± 20 %.
+    /// Returns the pause before the next attempt. It doubles each time up to the longest, ± 20 %.
     pub(crate) fn grow(&mut self) -> Duration {
         let pause = self.next;
         self.next = (pause * 2).min(Self::LONGEST);
         self.jitter(pause)
     }
 
-    /// A try succeeded: the next pause is the shortest again.
+    /// Makes the next pause the shortest again, after an attempt that succeeded.
     pub(crate) const fn reset(&mut self) {
         self.next = Self::SHORTEST;
     }
 
-    /// The pause after a refusal, ± 20 %.
+    /// Returns the pause after a refusal, ± 20 %.
     pub(crate) fn refused(&mut self) -> Duration {
         self.jitter(Self::REFUSED)
     }
@@ -52,7 +52,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn pauses_grow_to_the_longest_and_begin_anew_after_a_success() {
+    fn pauses_grow_and_reset_after_success() {
         let mut reconnect_backoff = ReconnectBackoff::new(HostId::from_bytes([7; 16]));
         let around = |pause: Duration, middle: f64| (pause.as_secs_f64() / middle - 1.0).abs() <= 0.2;
         for middle in [0.25, 0.5, 1.0, 2.0, 4.0, 5.0, 5.0] {

@@ -8,32 +8,32 @@ use tokio::runtime::Handle;
 use tokio::task::{Id, JoinError, JoinSet};
 use tokio_util::sync::CancellationToken;
 
-/// A part of the agent ended that should not have.
+/// An unexpected end of a part of the agent.
 #[derive(Debug, thiserror::Error)]
 #[error("{part} ended unexpectedly: {cause}")]
 pub struct Failure {
-    /// Which part.
+    /// Name of the part, such as `outbox` or `pipeline NAME`.
     pub part: String,
-    /// What is known of the cause.
+    /// Cause of the end.
     #[source]
     pub cause: FailureCause,
 }
 
-/// The cause of an unexpected end.
+/// Cause of an unexpected end.
 #[derive(Debug, thiserror::Error)]
 pub enum FailureCause {
-    /// The task came to its end without being told to stop.
+    /// The task ended before it was asked to stop.
     #[error("it was not told to")]
-    NotTold,
+    EndedEarly,
     /// The task panicked.
     #[error(transparent)]
     Panicked(#[from] JoinError),
-    /// The task gave up; each part has an error type of its own.
+    /// The task returned an error; each part has its own error type.
     #[error(transparent)]
     Failed(Box<dyn Error + Send + Sync>),
 }
 
-/// All tasks but the outbox, which outlives them.
+/// All tasks of the agent but the outbox, which outlives them.
 #[derive(Debug)]
 pub(crate) struct Tasks {
     stop: CancellationToken,
@@ -42,18 +42,18 @@ pub(crate) struct Tasks {
 }
 
 impl Tasks {
-    /// No tasks yet; `stop` tells them when to end.
+    /// Creates an empty set of tasks that end when `stop` is cancelled.
     pub(crate) fn new(stop: &CancellationToken) -> Self {
-        // A child: that one task fails ends this agent, not whoever shares the process.
+        // A child token: a failing task ends this agent, but not an aggregator in the same process.
         Self { stop: stop.child_token(), set: JoinSet::new(), names: HashMap::new() }
     }
 
-    /// What tells the tasks to end.
+    /// Returns the token that asks the tasks to end.
     pub(crate) fn stop(&self) -> CancellationToken {
         self.stop.clone()
     }
 
-    /// Starts a task there that must run until it is told to stop.
+    /// Starts a task on the runtime `there` that must run until it is asked to stop.
     pub(crate) fn keep(
         &mut self,
         there: &Handle,
@@ -66,7 +66,7 @@ impl Tasks {
         });
     }
 
-    /// Starts a task there that must run until it is told to stop, and may tell why it could not.
+    /// Starts a task on the runtime `there` that must run until it is asked to stop, and that may return an error.
     pub(crate) fn keep_or_fail<E: Error + Send + Sync + 'static>(
         &mut self,
         there: &Handle,
@@ -76,11 +76,11 @@ impl Tasks {
         let stop = self.stop();
         self.spawn(there, name, async move {
             task.await.map_err(|error| FailureCause::Failed(Box::new(error)))?;
-            if stop.is_cancelled() { Ok(()) } else { Err(FailureCause::NotTold) }
+            if stop.is_cancelled() { Ok(()) } else { Err(FailureCause::EndedEarly) }
         });
     }
 
-    /// Starts a task there that may end when it is done.
+    /// Starts a task on the runtime `there` that may end at any time.
     pub(crate) fn let_end(
         &mut self,
         there: &Handle,
@@ -103,7 +103,7 @@ impl Tasks {
         self.names.insert(id, name.to_owned());
     }
 
-    /// Waits until all have ended after being told to. The first that fails ends the others.
+    /// Waits until all tasks have ended. The first unexpected end stops the others and is returned.
     pub(crate) async fn join(mut self) -> Result<(), Failure> {
         let mut first = Ok(());
         while let Some(ended) = self.set.join_next_with_id().await {
@@ -115,6 +115,8 @@ impl Tasks {
             let part = self.names.get(&id).cloned().unwrap_or_default();
             let failure = Failure { part, cause };
             tracing::error!("{failure}");
+            // An agent that lost a part must not look healthy: the other parts are stopped, and the process ends with
+            // an error.
             self.stop.cancel();
             if first.is_ok() {
                 first = Err(failure);
@@ -129,7 +131,7 @@ mod tests {
     use super::*;
 
     #[tokio::test]
-    async fn a_task_that_dies_ends_the_others_and_is_named() {
+    async fn dead_task_ends_others_and_is_named() {
         let outer = CancellationToken::new();
         let mut tasks = Tasks::new(&outer);
         let stop = tasks.stop();
@@ -142,14 +144,14 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn a_task_that_stops_untold_is_a_failure() {
+    async fn task_that_ends_early_is_a_failure() {
         let mut tasks = Tasks::new(&CancellationToken::new());
         tasks.keep(&Handle::current(), "lazy", async {});
         assert_eq!(tasks.join().await.expect_err("lazy stopped").part, "lazy");
     }
 
     #[tokio::test]
-    async fn all_end_well_when_told_to() {
+    async fn all_tasks_end_when_stopped() {
         let outer = CancellationToken::new();
         let mut tasks = Tasks::new(&outer);
         let stop = tasks.stop();

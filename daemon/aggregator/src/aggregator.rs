@@ -1,4 +1,4 @@
-//! Starting and stopping: checks, the tasks, and the handle that readers hold.
+//! Start and stop of the aggregator: checks, the tasks, and the handle for readers.
 
 use std::collections::HashMap;
 use std::path::Path;
@@ -14,59 +14,61 @@ use tokio_util::sync::CancellationToken;
 
 use crate::config::AggregatorConfig;
 use crate::error::{Failure, Problem, StartError};
-use crate::ingest::{self, Errand, Hosts, IngestSession, Reopening, committing, preparing, socket};
-use crate::live::{self, Live, News};
-use crate::picture::Picture;
+use crate::ingest::{self, Hosts, IngestSession, Reopening, WriterRequest, committing, preparing, socket};
+use crate::live::{self, LiveEvent, LiveTracker};
+use crate::live_state::LiveState;
 use crate::readiness::Readiness;
 use peernet_store::writing::{Integrity, OpenDatabase, Readers, StoredState};
 use peernet_store::{OpenError, RetentionConfig, Store, StoreError};
 
-/// News that wait for the live picture's task; it waits for nothing, so few are enough.
-const NEWS: usize = 1_024;
-/// Commits whose acknowledgements wait to be sent.
+/// Capacity of the channel of events to the live picture's task. That task never waits, so a short channel is enough.
+const LIVE_EVENTS: usize = 1_024;
+/// Capacity of the channel of store events to the ingest task.
 const COMMITS: usize = 16;
-/// Errands that wait for the writer.
-const ERRANDS: usize = 16;
+/// Capacity of the channel of requests to the writer's task.
+const WRITER_REQUESTS: usize = 16;
 
-/// The handle of a running aggregator: cheap to clone.
+/// Handle of a running aggregator; cheap to clone.
 #[derive(Clone, Debug)]
 pub struct Aggregator {
-    live: watch::Receiver<Arc<Picture>>,
+    live: watch::Receiver<Arc<LiveState>>,
     ready: watch::Receiver<Readiness>,
     store: Store,
-    errands: mpsc::Sender<Errand>,
+    requests: mpsc::Sender<WriterRequest>,
     database: Arc<Path>,
     retention: RetentionConfig,
     rejections: Arc<RejectionCounts>,
 }
 
-/// A running aggregator.
+/// A running aggregator, to be joined.
 #[derive(Debug)]
 pub struct Running {
-    /// For readers.
+    /// Handle for readers.
     pub handle: Aggregator,
     tasks: JoinSet<Result<(), Failure>>,
+    /// Names of the tasks, for [`Failure`].
     names: HashMap<Id, &'static str>,
     stop: CancellationToken,
-    /// The database, if it is open, when the writer's task has ended.
+    /// Receives the database, if it is open, when the writer's task ends.
     written: oneshot::Receiver<Option<OpenDatabase>>,
 }
 
 impl Aggregator {
-    /// Everything about a configuration that can be checked without starting.
+    /// Returns the problems of a configuration that are found without starting.
     pub fn check(config: &AggregatorConfig) -> Vec<Problem> {
         config.problems()
     }
 
-    /// Opens the database, listens, and starts the tasks; they end when `stop` is cancelled.
+    /// Opens the database, listens, and starts the tasks. They end when `stop` is cancelled.
     ///
     /// # Errors
-    /// When the configuration cannot work, the database cannot be opened or written, or the address is taken.
+    /// If the configuration is invalid, the database cannot be opened or written, or the address is in use.
     pub async fn start(
         config: AggregatorConfig,
         clock: SharedClock,
         stop: CancellationToken,
     ) -> Result<Running, StartError> {
+        // Checked before anything is created, so that a wrong configuration leaves no files behind.
         if let Some(problem) = config.problems().into_iter().next() {
             return Err(problem.into());
         }
@@ -75,6 +77,7 @@ impl Aggregator {
             let no_folder = |error| OpenError::no_folder(&config.database, error);
             std::fs::create_dir_all(folder).map_err(no_folder)?;
         }
+        // Before the database is opened: files of earlier releases may be readable by other users.
         peernet_permissions::log_changes(&peernet_permissions::close_database(&config.database));
         let integrity = Integrity::of(&config.database);
         let (database, state) = OpenDatabase::open(&config.database, config.retention, &integrity).await?;
@@ -83,24 +86,26 @@ impl Aggregator {
         tracing::info!(%address, database = %config.database.display(), "the aggregator listens");
 
         let forget = Span::from_seconds(i64::try_from(config.forget_hosts_after_s).unwrap_or(i64::MAX));
-        let mut picture = Live::new(name.clone(), address.clone(), forget);
+        let mut picture = LiveTracker::new(name.clone(), address.clone(), forget);
+        // The picture starts with what is stored, so that counts and run numbers are right from the first update on.
         for (host, run, number) in runs {
-            picture.take(News::Run(host, run, number), clock.stamp());
+            picture.apply(LiveEvent::Run(host, run, number), clock.stamp());
         }
         for (host, stored) in hosts {
-            picture.take(News::Stored(host, stored, None), clock.stamp());
+            picture.apply(LiveEvent::Stored(host, stored, None), clock.stamp());
         }
         let (queue, waiting) = ingest::queue();
         let grouping = committing::Grouping::new(&config);
-        // While one group is stored, the next is prepared.
-        let (prepared, work) = preparing::ready(2 * grouping.most);
-        let (errands_in, errands) = mpsc::channel(ERRANDS);
-        let (news_in, news) = mpsc::channel(NEWS);
+        // While one group is committed, the next is prepared.
+        let (prepared, work) = preparing::channel(2 * grouping.most);
+        let (requests_in, requests) = mpsc::channel(WRITER_REQUESTS);
+        let (live_events_in, live_events) = mpsc::channel(LIVE_EVENTS);
         let (stored_in, stored) = mpsc::channel(COMMITS);
         let (pictures, live) = watch::channel(picture.shared(clock.stamp()));
         let (written_in, written) = oneshot::channel();
         let (ready_in, ready) = watch::channel(Readiness::Ready);
-        // What finds no room is asked for again, which costs more than waiting would.
+        // A batch without room in the queue has to be sent again, which costs more than waiting; so the window never
+        // exceeds the queue's room.
         let (budget_bytes, most_window) = (ingest::ROOM_BYTES as u64, ingest::MOST_WINDOW);
         let challenges = Challenges::new(name.clone());
         let hosts = Hosts::new(config.max_hosts, known);
@@ -115,13 +120,14 @@ impl Aggregator {
             integrity.clone(),
         ));
 
+        // A child token, because a failed task stops the others and must not stop the rest of the program.
         let stop = stop.child_token();
         let mut running = Running {
             handle: Self {
                 live,
                 ready,
                 store,
-                errands: errands_in,
+                requests: requests_in,
                 database: config.database.as_path().into(),
                 retention: config.retention,
                 rejections: socket.rejections(),
@@ -134,7 +140,7 @@ impl Aggregator {
         running.spawn("live picture", {
             let clock = Arc::clone(&clock);
             async move {
-                live::task::run(picture, news, pictures, clock).await;
+                live::task::run(picture, live_events, pictures, clock).await;
                 Ok(())
             }
         });
@@ -142,9 +148,9 @@ impl Aggregator {
             let runtime = Handle::current();
             move || preparing::run(&runtime, waiting, &prepared)
         });
-        let wires = committing::Wires {
+        let context = committing::TaskContext {
             queue: work,
-            errands,
+            requests,
             stored: stored_in,
             ready: ready_in,
             pictures: running.handle.live(),
@@ -155,44 +161,46 @@ impl Aggregator {
         let store = running.handle.store.clone();
         let reopening = Reopening { path: config.database, retention: config.retention, integrity, store };
         running.spawn("writer", async move {
-            let database = Box::pin(committing::run(database, wires, grouping, reopening)).await;
-            // Whoever does not join lets the connection drop.
+            let database = Box::pin(committing::run(database, context, grouping, reopening)).await;
+            // Without a caller of `join` the connection is dropped.
             let _unjoined = written_in.send(database);
             Ok(())
         });
-        let wires = socket::Wires { stored, news: news_in, clock, stop };
-        running.spawn("ingest", socket::run(socket, address, session, wires));
+        let context = socket::TaskContext { stored, live_events: live_events_in, clock, stop };
+        running.spawn("ingest", socket::run(socket, address, session, context));
         Ok(running)
     }
 
-    /// Snapshots of the live picture: a new one when something changed, at most five per second.
-    pub fn live(&self) -> watch::Receiver<Arc<Picture>> {
+    /// Follows the snapshots of the live picture: a new one after each change, at most five per second.
+    pub fn live(&self) -> watch::Receiver<Arc<LiveState>> {
         self.live.clone()
     }
 
-    /// What is stored.
+    /// Returns the store, for queries.
     pub fn store(&self) -> &Store {
         &self.store
     }
 
-    /// Keeps a run whatever its age, or no longer. Returns whether there is a run of that number.
+    /// Protects a run from the retention limits, or ends that protection. Returns whether there is a run of that
+    /// number.
     ///
     /// # Errors
-    /// When the database cannot be written now.
+    /// If the database cannot be written now.
     pub async fn pin(&self, run: i64, pinned: bool) -> Result<bool, StoreError> {
         let (answer, answered) = oneshot::channel();
-        match self.errands.send(Errand::Pin(run, pinned, answer)).await {
+        match self.requests.send(WriterRequest::Pin(run, pinned, answer)).await {
             Ok(()) => answered.await.unwrap_or_else(|_| Err(StoreError::no_writer())),
             Err(_) => Err(StoreError::no_writer()),
         }
     }
 
-    /// How long what is stored is kept.
+    /// Returns the retention limits of the configuration.
     pub const fn retention(&self) -> &RetentionConfig {
         &self.retention
     }
 
-    /// Bytes of the database's files, with what is not yet in the main one; `None` while there is none.
+    /// Returns the size of the database's file and of its -wal file together, bytes; `None` if there is no database
+    /// file.
     pub fn database_bytes(&self) -> Option<u64> {
         let mut log = self.database.as_os_str().to_owned();
         log.push("-wal");
@@ -200,23 +208,24 @@ impl Aggregator {
         Some(main + std::fs::metadata(log).map_or(0, |log| log.len()))
     }
 
-    /// Connections of the agents' port that were turned away or closed, by reason.
+    /// Returns the numbers of connections of the agents' port that were rejected or closed, by reason.
     pub fn rejections(&self) -> &RejectionCounts {
         &self.rejections
     }
 
-    /// Whether events are being stored, to be followed.
+    /// Follows whether events are being stored.
     pub fn readiness(&self) -> watch::Receiver<Readiness> {
         self.ready.clone()
     }
 
-    /// Whether events are being stored, and if not, why.
+    /// Returns whether events are being stored, and the reason if not.
     pub fn ready(&self) -> Readiness {
         self.ready.borrow().clone()
     }
 }
 
 impl Running {
+    /// Spawns a task that ends with the aggregator.
     fn spawn(
         &mut self,
         name: &'static str,
@@ -226,7 +235,7 @@ impl Running {
         self.names.insert(id, name);
     }
 
-    /// A task that computes and never waits for long.
+    /// Spawns a task that computes on a thread and never blocks for long.
     fn spawn_thread(&mut self, name: &'static str, task: impl FnOnce() + Send + 'static) {
         let work = move || {
             task();
@@ -236,23 +245,27 @@ impl Running {
         self.names.insert(id, name);
     }
 
-    /// Waits until all tasks have ended: after `stop` was cancelled, or because one of them died. What was received
-    /// by then is stored and acknowledged, unless the database refuses.
+    /// Waits until all tasks have ended: after `stop` was cancelled, or because one of them died. The events received
+    /// before that are stored and acknowledged, unless the database refuses them.
     ///
     /// # Errors
-    /// When a task died or ended without being asked to; the others are ended then.
+    /// If a task died or ended although `stop` was not cancelled; the other tasks are stopped then.
     pub async fn join(mut self) -> Result<(), Failure> {
         let mut first = Ok(());
         while let Some(ended) = self.tasks.join_next_with_id().await {
             let failure = match ended {
                 Ok((_, Err(failure))) => Some(failure),
                 Ok((id, Ok(()))) => {
-                    // Cancelled before the tasks notice, which the token that it follows is not.
+                    // `self.stop` is a child token: when it is cancelled, the tasks may not have noticed yet, but their
+                    // end is expected.
                     let unasked = !self.stop.is_cancelled() && first.is_ok();
                     unasked.then(|| Failure::TaskEnded(self.name(id)))
                 }
-                Err(error) => Some(Failure::TaskDied { task: self.name(error.id()), reason: words(error) }),
+                Err(error) => {
+                    Some(Failure::TaskDied { task: self.name(error.id()), reason: panic_message(error) })
+                }
             };
+            // Only the first failure is reported: the others follow from it.
             if let (Some(failure), Ok(())) = (failure, &first) {
                 first = Err(failure);
                 self.stop.cancel();
@@ -262,24 +275,25 @@ impl Running {
         first
     }
 
-    /// Closes the database, the writing connection last: only that can carry SQLite's log over into the file, so that
-    /// the file alone is whole.
+    /// Closes the database. The writing connection is closed last: only the last connection checkpoints the -wal file,
+    /// after which the database file is complete without it.
     async fn close(&mut self) {
         self.handle.store.close().await;
-        // The task that had it may have died, or its file is away.
+        // There is no database if the writer's task died or the file is missing.
         let Ok(Some(database)) = (&mut self.written).await else { return };
         if let (_, Err(error)) = database.close().await {
             tracing::warn!(%error, "the database was not closed well; what is stored is in its -wal file, too");
         }
     }
 
+    /// Returns the name of a task.
     fn name(&self, id: Id) -> &'static str {
         self.names.get(&id).copied().unwrap_or("unnamed")
     }
 }
 
-/// What a task said when it panicked.
-fn words(error: JoinError) -> String {
+/// Returns the message of a task's panic.
+fn panic_message(error: JoinError) -> String {
     let Ok(panic) = error.try_into_panic() else { return "cancelled".to_owned() };
     let text = panic.downcast_ref::<String>().map(String::as_str);
     text.or_else(|| panic.downcast_ref::<&str>().copied()).unwrap_or("a panic without words").to_owned()

@@ -1,4 +1,4 @@
-//! The aggregator's table of the configuration file, and what can be checked before starting.
+//! The `[aggregator]` table of the configuration file, and the checks of its values that are possible before the start.
 
 use std::path::{Path, PathBuf};
 use std::time::Duration;
@@ -15,31 +15,34 @@ use crate::error::Problem;
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct AggregatorConfig {
-    /// Name under which the aggregator greets agents; the machine's host name unless given.
+    /// Name that the aggregator states to agents; the machine's host name by default.
     pub name: Option<Slug>,
-    /// Where agents connect: `tcp://ADDRESS:PORT`. Port 0 takes a free one.
+    /// Address that agents connect to: `tcp://ADDRESS:PORT`. Port 0 means any free port.
     pub listen: String,
-    /// How long a connection may exist without a host whose hello was accepted, 10 to 86,400,000.
+    /// Longest time that a connection may exist without an accepted hello, 10 to 86,400,000 ms.
     pub hello_timeout_ms: u64,
-    /// Memory that the unfinished messages of all agents may take together, 65,536 to 2^40; a connection whose message
-    /// finds no room is closed. A connection without a host may hold 64 KiB.
+    /// Memory for the incomplete messages of all agents together, 65,536 to 2^40 bytes. A connection whose message
+    /// exceeds it is closed. A connection without an accepted hello may hold 64 KiB.
     pub max_unfinished_bytes: u64,
-    /// The SQLite file; made when missing, with its folder. `-wal` and `-shm` files stand beside it.
+    /// Path of the SQLite file. It is created with its folder if it does not exist; SQLite adds `-wal` and `-shm` files
+    /// in the same folder.
     pub database: PathBuf,
-    /// Longest time a batch waits for others to be committed with it, 1 to 10,000.
+    /// Longest time that a batch waits for others before the commit, 1 to 10,000 ms.
     pub commit_interval_ms: u64,
-    /// Nodes after which a commit begins at once, 1 to 1,000,000: enough for the sync to cost little beside them. It
-    /// takes what else is ready.
+    /// Number of nodes at which a commit starts without waiting, 1 to 1,000,000: with so large a commit the sync is a
+    /// small part of the cost. Other batches that are ready join the commit.
     pub commit_nodes: usize,
-    /// Connections that readers share, 1 to 64.
+    /// Number of connections that readers share, 1 to 64.
     pub readers: u32,
-    /// Longest time that one statement of a reader may take, 100 to 600,000; it is interrupted then.
+    /// Longest time of a reader's SQL statement, 100 to 600,000 ms; a longer one is interrupted.
     pub question_limit_ms: u64,
-    /// A host that has not been heard of for so long leaves the live picture; its runs stay.
+    /// Time after the last message of a host until the live picture drops the host, 1 to 2^32 - 1 s; its stored runs
+    /// remain.
     pub forget_hosts_after_s: u64,
-    /// Hosts that may be stored, 1 to 65,536. Beyond, an agent that never came before is refused; known ones never are.
+    /// Largest number of stored hosts, 1 to 65,536. Beyond it, agents of new hosts are refused; known hosts are always
+    /// accepted.
     pub max_hosts: usize,
-    /// How long what is stored is kept.
+    /// Retention limits of stored data.
     pub retention: RetentionConfig,
 }
 
@@ -63,19 +66,22 @@ impl Default for AggregatorConfig {
 }
 
 impl AggregatorConfig {
+    /// [`Self::hello_timeout_ms`] as a duration.
     pub(crate) const fn hello_timeout(&self) -> Duration {
         Duration::from_millis(self.hello_timeout_ms)
     }
 
+    /// [`Self::commit_interval_ms`] as a duration.
     pub(crate) const fn commit_interval(&self) -> Duration {
         Duration::from_millis(self.commit_interval_ms)
     }
 
+    /// [`Self::question_limit_ms`] as a duration.
     pub(crate) const fn question_limit(&self) -> Duration {
         Duration::from_millis(self.question_limit_ms)
     }
 
-    /// The configured name or the machine's, as far as that can be a name.
+    /// Returns the configured name, or the machine's host name if that is a valid name, or `aggregator`.
     pub(crate) fn name(&self) -> Slug {
         self.name.clone().unwrap_or_else(|| {
             let machine = std::fs::read_to_string("/proc/sys/kernel/hostname").unwrap_or_default();
@@ -83,7 +89,7 @@ impl AggregatorConfig {
         })
     }
 
-    /// What cannot work, as far as it shows without starting.
+    /// Returns the problems that are found without starting.
     pub(crate) fn problems(&self) -> Vec<Problem> {
         let mut problems = Vec::new();
         let mut check = |key, wrong: Option<String>| {
@@ -105,10 +111,12 @@ impl AggregatorConfig {
     }
 }
 
+/// Returns a problem if `value` is not between `least` and `most`.
 fn outside(value: u64, least: u64, most: u64) -> Option<String> {
     (value < least || value > most).then(|| format!("{value} is outside {least} to {most}"))
 }
 
+/// Returns a problem if `address` cannot be listened on.
 fn wrong_address(address: &str) -> Option<String> {
     match address.parse::<Address>() {
         Ok(address) => address.check_event_stream().err().map(|error| error.to_string()),
@@ -116,9 +124,11 @@ fn wrong_address(address: &str) -> Option<String> {
     }
 }
 
-/// The file, or the nearest folder above it that exists, must be writable.
+/// Returns a problem unless `path` names a file that is writable or can be created: the file, and the nearest existing
+/// folder above it, must be writable.
 fn wrong_database(path: &Path) -> Option<String> {
     let text = path.to_string_lossy();
+    // SQLite would accept these and lose acknowledged data at the end of the program.
     if text.is_empty() || text.starts_with(":memory:") || text.starts_with("file:") {
         return Some(format!(
             "{text:?} is not the path of a file; what is acknowledged must outlive this program: name a file, such as \
@@ -132,7 +142,7 @@ fn wrong_database(path: &Path) -> Option<String> {
     let folders =
         path.ancestors().skip(1).map(|folder| if folder.as_os_str().is_empty() { here } else { folder });
     let folder = folders.into_iter().find(|folder| folder.exists()).unwrap_or(here);
-    // SQLite makes files beside the database.
+    // SQLite creates files beside the database, so the folder has to be writable, too.
     let (write, enter) = (rustix::fs::Access::WRITE_OK, rustix::fs::Access::EXEC_OK);
     let file = path.exists().then_some((path, write));
     let denied = [(folder, write | enter)].into_iter().chain(file).find_map(|(path, access)| {
@@ -141,6 +151,7 @@ fn wrong_database(path: &Path) -> Option<String> {
     });
     let not_a_folder =
         || (!folder.is_dir()).then(|| format!("{} is not a folder; choose another path", folder.display()));
+    // The more specific problem comes first.
     not_a_folder().or(denied)
 }
 
@@ -155,7 +166,7 @@ mod tests {
     }
 
     #[test]
-    fn what_cannot_work_is_named_by_its_key() {
+    fn invalid_value_is_reported_with_its_key() {
         assert!(problems(|_| {}).is_empty());
         assert!(problems(|config| config.database = "not/yet/there/peernet.sqlite".into()).is_empty());
         for address in ["127.0.0.1:5550", "udp://127.0.0.1:5550", "tcp://127.0.0.1", "inproc://x", ""] {

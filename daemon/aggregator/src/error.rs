@@ -1,56 +1,56 @@
-//! What can go wrong, in words that say what was tried, on what, and what to do.
+//! Errors of the aggregator. Each message states what was attempted, on which object, and what to do.
 
 use peernet_store::OpenError;
 
-/// A value of the configuration that cannot work.
+/// An invalid value of the configuration.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("{key}: {message}")]
 pub struct Problem {
-    /// The key within the `[aggregator]` table.
+    /// Key within the `[aggregator]` table.
     pub key: &'static str,
-    /// What is wrong and what to do.
+    /// The problem and its remedy.
     pub message: String,
 }
 
-/// Why the aggregator did not start.
+/// Reason for which the aggregator did not start.
 #[derive(Debug, thiserror::Error)]
 pub enum StartError {
-    /// A value of the configuration cannot work.
+    /// A configured value is invalid.
     #[error("cannot start the aggregator: {0}")]
     Configuration(#[from] Problem),
-    /// The address is taken or not this machine's.
+    /// The address is in use or does not belong to this machine.
     #[error(
         "cannot listen on {address}: {source}; is another aggregator running there? choose another address with `listen`"
     )]
     Listen {
-        /// The configured address.
+        /// Configured address.
         address: String,
-        /// What the system says.
+        /// Error of the operating system.
         source: peernet_networks::BindFailure,
     },
-    /// The database cannot be had.
+    /// The database cannot be opened.
     #[error(transparent)]
     Database(#[from] OpenError),
 }
 
-/// Why the aggregator ended without being asked to.
+/// Reason for which the aggregator ended although it was not stopped.
 #[derive(Debug, thiserror::Error)]
 pub enum Failure {
-    /// One of its tasks panicked.
+    /// A task panicked.
     #[error("the aggregator's {task} task died: {reason}")]
     TaskDied {
-        /// Which.
+        /// Name of the task.
         task: &'static str,
-        /// The panic's words.
+        /// Message of the panic.
         reason: String,
     },
-    /// One of its tasks ended early.
+    /// A task ended early.
     #[error("the aggregator's {0} task ended before it was asked to")]
     TaskEnded(&'static str),
-    /// The socket broke.
+    /// The socket was closed.
     #[error("cannot receive on {address}: its socket was closed")]
     Socket {
-        /// Where it listened.
+        /// Address that it listened on.
         address: String,
     },
 }

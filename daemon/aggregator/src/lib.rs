@@ -1,31 +1,34 @@
-//! The aggregator: receives the event stream of all agents, stores its durable lane in SQLite, and keeps the
-//! live picture from its live lane alone.
+//! The aggregator: receives the event streams of all agents, stores their durable lane in SQLite, and computes the live
+//! picture from their live lane alone.
 //!
-//! Four tasks, each the only owner of its state:
+//! Four tasks, each the only owner of its state, so that none waits for another one's lock:
 //!
 //! ```text
-//! agents ── ingest: socket and session, who may speak ── preparing: batches to rows ── writer: one transaction a group
+//! agents ── ingest: socket and session, who may send ─── preparing: batches to rows ── writer: one transaction a group
 //!              │  ▲                                                                    │
 //!              │  └───────────────────────────────── acknowledgements ─────────────────┤
 //!              └─ live lane ── live picture ◄──────── what is stored now ──────────────┘
 //! ```
 //!
-//! Readers get snapshots of the picture by [`Aggregator::live`] and ask the [`Store`](peernet_store::Store) over connections of their own.
-//! The database, and all that is asked of it, is the crate `peernet_store`.
+//! The live picture has constant memory per host and does not depend on the database, so it stays current while the
+//! database is slow or closed.
+//!
+//! Readers get snapshots of the picture with [`Aggregator::live`] and query the [`Store`](peernet_store::Store), which
+//! has separate connections. The crate `peernet_store` contains the database and its queries.
 
 mod aggregator;
 mod config;
 mod error;
 mod ingest;
 mod live;
-mod picture;
+mod live_state;
 mod readiness;
 
 pub use aggregator::{Aggregator, Running};
 pub use config::AggregatorConfig;
 pub use error::{Failure, Problem, StartError};
-pub use picture::{
-    Arrivals, CatchingUp, HostPicture, LinkPicture, LiveSecond, MetricsPoint, PercentilePoint,
-    PercentileSeries, Picture, PipelinePicture, RefusedFrames, RefusedHost, Totals, Window,
+pub use live_state::{
+    Arrivals, CatchingUp, HostSnapshot, LinkSnapshot, LiveSecond, LiveState, MetricsPoint, PercentilePoint,
+    PercentileSeries, PipelineSnapshot, RefusedFrames, RefusedHost, Totals, Window,
 };
 pub use readiness::Readiness;

@@ -1,13 +1,14 @@
-//! What orchestrators and pages ask first.
+//! The readiness of the aggregator, for orchestrators and pages.
 
 use serde::Serialize;
 
-/// Whether events are being stored.
+/// State of storing.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Readiness {
     /// Batches are stored and acknowledged.
     Ready,
-    /// Batches are not acknowledged, agents keep them; the text says why. Tried again by itself, unless the file is damaged.
+    /// Batches are not acknowledged, so agents keep them; the text states the reason. Storing is retried automatically,
+    /// unless the file is damaged.
     NotStoring(String),
 }

@@ -1,32 +1,32 @@
-//! Where a peer is, as people write it.
+//! Addresses of peers, as people write them.
 
 use std::net::{IpAddr, Ipv6Addr};
 
 use peernet_networks::{Address, InvalidAddress, NetworkKind};
 
-/// Where agents listen when no port is given.
+/// Port on which agents listen unless another is given.
 pub(crate) const DEFAULT_PORT: u16 = 5551;
 
-/// A text that says of no peer where it is.
+/// A text that is no address of a peer.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub(crate) enum AddressError {
     /// The address is valid on one network interface only.
     #[error("a zone such as %eth0 cannot be given; take an address that is not link-local, or a name")]
     Zone,
-    /// It is no address; the text itself is told by whoever asks.
+    /// The text is no address. The caller's message contains the text.
     #[error("{}", .0.problem)]
     Invalid(InvalidAddress),
 }
 
-/// An address, or a host with or without a port, which is one of `network` then.
+/// Reads an address, or a host with or without a port; a host gets the address of `network`.
 ///
 /// # Errors
-/// When it is neither.
+/// When the text is neither.
 pub(crate) fn address(text: &str, port: u16, network: NetworkKind) -> Result<Address, AddressError> {
     let (scheme, rest) = text.split_once("://").unwrap_or((network.schemes()[0], text));
     let is_named = |kind: &NetworkKind| kind.schemes().contains(&scheme) && kind.has_named_listeners();
     if NetworkKind::ALL.iter().any(is_named) {
-        // The port is not the listener's, and has a default of its own.
+        // The port belongs to another program, and has its own default.
         return format!("{scheme}://{rest}").parse().map_err(AddressError::Invalid);
     }
     let is_zoned =
@@ -48,7 +48,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_peer_is_an_address_or_a_host() {
+    fn peer_is_address_or_host() {
         let read = |text| address(text, DEFAULT_PORT, NetworkKind::default());
         for (text, address) in [
             ("cloud", "tcp://cloud:5551"),

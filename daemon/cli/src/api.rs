@@ -1,4 +1,4 @@
-//! Asking an aggregator's REST API.
+//! Requests to an aggregator's REST API.
 
 use std::time::Duration;
 
@@ -9,12 +9,12 @@ use serde::de::DeserializeOwned;
 
 use crate::foreground::duration;
 
-/// How long what an aggregator knows may take, from the look-up of its name to the last byte.
+/// Time limit for stored answers, from the lookup of the host's name to the last byte.
 const KNOWN: Duration = Duration::from_secs(5);
-/// How long it may take when the aggregator has to compute first.
+/// Time limit for answers that the aggregator has to compute.
 const COMPUTED: Duration = Duration::from_secs(60);
 
-/// Where to ask.
+/// Address of the API.
 #[derive(Debug, clap::Args)]
 pub(crate) struct Api {
     /// Address of the dashboard.
@@ -22,25 +22,25 @@ pub(crate) struct Api {
     url: String,
 }
 
-/// What a problem says of itself (RFC 9457).
+/// Body of an error answer (problem+json, RFC 9457).
 #[derive(Debug, Deserialize)]
 struct Problem {
     detail: String,
 }
 
 impl Api {
-    /// The document at a path below the dashboard's address.
+    /// Requests the document at a path below the dashboard's address.
     ///
     /// # Errors
-    /// When nobody answers there (69), or not with what was expected.
+    /// When no server answers, or not in the expected form (69).
     pub(crate) fn get<T: DeserializeOwned>(&self, path: &str) -> Result<T, Failure> {
         self.ask(path, KNOWN).map_err(|error| Failure::new(Exit::Unavailable, error))
     }
 
-    /// As [`Self::get`], where the answer has to be computed first.
+    /// Requests a document that has to be computed; otherwise as [`Self::get`].
     ///
     /// # Errors
-    /// Those of [`Self::get`].
+    /// The same as for [`Self::get`].
     pub(crate) fn compute<T: DeserializeOwned>(&self, path: &str) -> Result<T, Failure> {
         self.ask(path, COMPUTED).map_err(|error| Failure::new(Exit::Unavailable, error))
     }
@@ -53,7 +53,7 @@ impl Api {
             ureq::Error::Timeout(_) => {
                 anyhow!("waited {} for the whole answer", duration(within.as_secs_f64()))
             }
-            // Without the word that the library puts before it.
+            // The library would put a word before the cause.
             ureq::Error::Io(error) => error.into(),
             error => error.into(),
         };
@@ -89,13 +89,13 @@ mod tests {
     use super::*;
 
     #[test]
-    fn headers_without_an_end_are_waited_for_as_long_as_is_said() {
+    fn endless_headers_are_read_until_timeout() {
         let server = TcpListener::bind(("127.0.0.1", 0)).expect("a port");
         let url = format!("http://{}", server.local_addr().expect("bound"));
         let answering = std::thread::spawn(move || {
             let (mut peer, _) = server.accept().expect("asked");
             let drops = std::iter::once("HTTP/1.1 200 OK\r\n").chain(std::iter::repeat("X-More: 1\r\n"));
-            // Until the one who asks has gone.
+            // Sends until the client has gone.
             for text in drops {
                 if peer.write_all(text.as_bytes()).is_err() {
                     return;
@@ -109,12 +109,12 @@ mod tests {
     }
 
     #[test]
-    fn a_server_that_says_nothing_is_waited_for_as_long_as_is_said() {
-        // The system accepts for it.
+    fn silent_server_is_waited_for_until_timeout() {
+        // The system accepts the connection for the server.
         let server = TcpListener::bind(("127.0.0.1", 0)).expect("a port");
         let url = format!("http://{}", server.local_addr().expect("bound"));
         let error = Api { url }.ask::<()>("/x", Duration::from_millis(300)).expect_err("in vain");
-        let told = format!("{error:#}");
-        assert!(told.starts_with("cannot ask") && told.contains("waited 0.3 s"), "{told}");
+        let message = format!("{error:#}");
+        assert!(message.starts_with("cannot ask") && message.contains("waited 0.3 s"), "{message}");
     }
 }

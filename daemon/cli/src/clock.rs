@@ -1,12 +1,12 @@
-//! Which clock an agent reads.
+//! Choice of the clock that an agent reads.
 
 use std::io;
 use std::sync::Arc;
 
 use peernet_agent::config::RehearsalConfig;
-use peernet_clock::{ClockIdentity, RehearsedClock, SharedClock, SystemClock};
+use peernet_clock::{ClockIdentity, FaultyClock, SharedClock, SystemClock};
 
-/// This machine's clock under a given identity.
+/// Returns this machine's clock under a given identity.
 ///
 /// # Errors
 /// When the kernel's boot id cannot be read.
@@ -14,7 +14,7 @@ pub fn system(identity: &str) -> io::Result<SharedClock> {
     Ok(Arc::new(SystemClock::new(ClockIdentity::of_this_machine(identity)?)))
 }
 
-/// `truth`, or what `[rehearsal]` makes of it from now on.
+/// Returns `truth`, or the clock that `[rehearsal]` makes of it from now on.
 ///
 /// # Errors
 /// When the kernel's boot id cannot be read.
@@ -22,12 +22,12 @@ pub fn rehearsed(truth: &SharedClock, rehearsal: Option<&RehearsalConfig>) -> io
     let Some(rehearsal) = rehearsal else { return Ok(Arc::clone(truth)) };
     let since = truth.wall();
     let identity = match &*truth.identity().clock {
-        // Each start is another clock: its drift begins anew.
+        // Each start is another clock: its drift begins again.
         ClockIdentity::SYSTEM => {
             let name = format!("rehearsal-{}-{:x}", std::process::id(), since.unix_nanos());
             ClockIdentity::of_this_machine(&name)?
         }
         _ => truth.identity().clone(),
     };
-    Ok(Arc::new(RehearsedClock::new(Arc::clone(truth), identity, rehearsal.description(since))))
+    Ok(Arc::new(FaultyClock::new(Arc::clone(truth), identity, rehearsal.description(since))))
 }

@@ -6,9 +6,9 @@ use anyhow::Context;
 use clap::CommandFactory;
 use clap_complete::Shell;
 
-use crate::Line;
+use crate::Cli;
 
-/// What `peernet completions` can be told.
+/// Arguments of `peernet completions`.
 #[derive(Debug, clap::Args)]
 pub(crate) struct Arguments {
     /// Which shell.
@@ -18,10 +18,10 @@ pub(crate) struct Arguments {
 /// Prints the script.
 ///
 /// # Errors
-/// Never, as long as the program's own words are text (70).
+/// When the script is not UTF-8 (70), which does not happen.
 pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
     let mut script = Vec::new();
-    clap_complete::generate(arguments.shell, &mut Line::command(), "peernet", &mut script);
+    clap_complete::generate(arguments.shell, &mut Cli::command(), "peernet", &mut script);
     let script = String::from_utf8(script).context("the script is not text");
     say(script.map_err(|error| Failure::new(Exit::Software, error))?.trim_end());
     Ok(())

@@ -1,31 +1,31 @@
-//! Exit codes, as in sysexits(3), so that systemd and scripts can tell a mistake from an accident.
+//! Exit codes as in sysexits(3), so that systemd and scripts can distinguish errors of the user from other failures.
 
 use std::fmt;
 use std::process::ExitCode;
 
-/// How the program ended.
+/// Result of the program.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(u8)]
 pub enum Exit {
-    /// All went well.
+    /// Success.
     Ok = 0,
     /// The command line was wrong (64).
     Usage = 64,
-    /// Stored data is damaged, or something else about it is wrong (65).
+    /// Stored data is damaged or has another problem (65).
     Data = 65,
-    /// A file that was named is not there: a data set, a model, a configuration (66).
+    /// A named file does not exist: a data set, a model, a configuration (66).
     NoInput = 66,
-    /// Something that was needed could not be had: a peer, a port, a library (69).
+    /// Something that is needed is not available: a peer, a port, a library (69).
     Unavailable = 69,
     /// A task died, or stopping took longer than allowed (70).
     Software = 70,
     /// Results cannot be written (73).
     Unwritten = 73,
-    /// Some iterations have no answer, or the peer went away in mid-run; the results are written (75).
+    /// Some iterations have no answer, or the peer went away during the run; the results are written (75).
     Incomplete = 75,
-    /// The configuration is wrong: starting again will not help (78).
+    /// The configuration is wrong: starting again will not help (78). systemd does not restart the service after it.
     Configuration = 78,
-    /// The user ended it early (130, as shells say of Ctrl-C).
+    /// The user ended the program early (130, as shells report Ctrl-C).
     Interrupted = 130,
 }
 
@@ -35,43 +35,43 @@ impl From<Exit> for ExitCode {
     }
 }
 
-/// An error with the exit code that it leads to.
+/// An error with its exit code.
 #[derive(Debug)]
 pub struct Failure {
-    /// How the program is to end.
+    /// Exit code of the program.
     pub exit: Exit,
-    /// What went wrong, with everything that led to it.
+    /// The error with the chain of its causes.
     pub error: anyhow::Error,
 }
 
 impl Failure {
-    /// An error that ends the program so.
+    /// Makes an error with an exit code.
     pub fn new(exit: Exit, error: impl Into<anyhow::Error>) -> Self {
         Self { exit, error: error.into() }
     }
 }
 
 impl fmt::Display for Failure {
-    /// The error and everything that led to it, in one line.
+    /// Writes the error and its causes in one line.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(&in_one_line(&self.error))
     }
 }
 
-/// An error and everything that led to it, each once: many errors have their cause in their own words already, as people
-/// read most of them without a chain.
+/// Returns an error and its causes in one line, each text once: many errors contain the text of their cause, because they are
+/// mostly read without the chain.
 pub fn in_one_line(error: &anyhow::Error) -> String {
-    let mut told: Vec<String> = Vec::new();
+    let mut parts: Vec<String> = Vec::new();
     for cause in error.chain().map(ToString::to_string) {
-        if told.iter().any(|text| text.contains(&cause)) {
+        if parts.iter().any(|text| text.contains(&cause)) {
             continue;
         }
-        if told.last().is_some_and(|text| cause.starts_with(text)) {
-            told.pop();
+        if parts.last().is_some_and(|text| cause.starts_with(text)) {
+            parts.pop();
         }
-        told.push(cause);
+        parts.push(cause);
     }
-    told.join(": ")
+    parts.join(": ")
 }
 
 #[cfg(test)]
@@ -81,7 +81,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_was_said_is_not_said_again() {
+    fn repeated_cause_is_printed_once() {
         let cause = anyhow!("No such file").context("cannot open x: No such file; make it");
         assert_eq!(in_one_line(&cause), "cannot open x: No such file; make it");
         let cause =

@@ -1,13 +1,13 @@
-//! Errors about values of a configuration, without the names that Rust has for types.
+//! Errors about values of a configuration, without names of Rust types.
 
 use toml::de::Error;
 
-/// A number's range is told by the check that follows; what serde says of its type is for programmers.
+/// Words for serde's names of types. The range of a number is reported by a later check.
 const WORDS: [(&str, &str); 3] =
     [("a nonzero ", "a whole number above 0"), ("u", "a whole number from 0"), ("i", "a whole number")];
 
-/// What the error says, for people.
-pub fn told(error: &Error) -> String {
+/// Returns the text of the error in words for users.
+pub fn describe_error(error: &Error) -> String {
     let text = error.message();
     let Some((wrong, kind)) = text.rsplit_once(", expected ") else { return text.to_owned() };
     if kind.starts_with("struct ") {
@@ -21,7 +21,7 @@ pub fn told(error: &Error) -> String {
     if matches!(kind, "f32" | "f64") { format!("{wrong}, expected a number") } else { text.to_owned() }
 }
 
-/// `64` of `u64`, `size` of `usize`, or, after `a nonzero`, all of it.
+/// Returns whether `rest` is the `64` of `u64`, the `size` of `usize`, or the whole type after `a nonzero`.
 fn is_size_or_type(rest: &str) -> bool {
     let size = rest.strip_prefix(['u', 'i']).unwrap_or(rest);
     matches!(size, "8" | "16" | "32" | "64" | "128" | "size")
@@ -50,7 +50,7 @@ mod tests {
     struct Inner {}
 
     #[test]
-    fn expected_types_are_told_in_words() {
+    fn expected_types_are_described_in_words() {
         for (file, expected) in [
             ("threads = 0", "invalid value: integer `0`, expected a whole number above 0"),
             ("threads = 'x'", "invalid type: string \"x\", expected a whole number above 0"),
@@ -63,7 +63,7 @@ mod tests {
             ("name = ", "string values must be quoted, expected literal string"),
         ] {
             let error = toml::from_str::<Numbers>(file).expect_err(file);
-            assert_eq!(told(&error), expected, "{file}");
+            assert_eq!(describe_error(&error), expected, "{file}");
         }
     }
 }

@@ -1,5 +1,5 @@
-//! The command `peernet`, and what it shares with the daemon's: clocks, exit codes, what is wrong with a value, the
-//! terminal and what it is told of long texts, the log's form, what is a wish to end, the version.
+//! The command `peernet`, and the parts that it shares with `peernetd`: clocks, exit codes, errors about values, output to the
+//! terminal and shortening of long texts, the form of log lines, requests to end, and the version.
 
 mod address;
 mod api;
@@ -24,9 +24,9 @@ mod reference;
 mod run;
 mod seconds;
 pub mod short;
+pub mod shutdown_request;
 pub mod small_file;
 mod status;
-pub mod wish;
 
 use std::process::ExitCode;
 
@@ -34,7 +34,7 @@ use crate::exit::Failure;
 use clap::error::{ContextKind, ContextValue};
 use clap::{Parser, Subcommand};
 
-/// Version with the commit it was built from.
+/// Version of the program with the commit that it was built from.
 pub const VERSION: &str = concat!(env!("CARGO_PKG_VERSION"), " (", env!("PEERNET_COMMIT"), ")");
 
 /// PEERNet's command line: the published experiments, measured links, a running aggregator's answers.
@@ -48,7 +48,7 @@ pub const VERSION: &str = concat!(env!("CARGO_PKG_VERSION"), " (", env!("PEERNET
     arg_required_else_help = true,
     after_help = "To begin: `peernetd run configs/cloud.toml` in one terminal, `peernet run configs/experiments/demo.toml` in another; the package has the files of configs/ in /usr/share/doc/peernet/examples/. `peernet COMMAND --help` has the options of a command, docs/cli.md all of them."
 )]
-struct Line {
+struct Cli {
     #[command(subcommand)]
     command: Option<Command>,
     /// As the paper types it: `peernet --server …`, `peernet --client …`.
@@ -99,7 +99,7 @@ impl Command {
 /// Subcommands that only `peernetd` has.
 const OF_DAEMON: [&str; 5] = ["check", "backup", "doctor", "rebuild-rollups", "clear-host-secret"];
 
-/// Adds to the error about an unknown subcommand which program has it.
+/// Adds the name of the program with the command to an error about an unknown subcommand.
 fn with_program(mut error: clap::Error) -> clap::Error {
     let Some(ContextValue::String(wanted)) = error.get(ContextKind::InvalidSubcommand) else { return error };
     if OF_DAEMON.contains(&wanted.as_str()) {
@@ -109,17 +109,17 @@ fn with_program(mut error: clap::Error) -> clap::Error {
     error
 }
 
-/// The program `peernet`: carries out what its command line asks for.
+/// Runs the program `peernet`: parses the command line and executes the command.
 pub fn main() -> ExitCode {
-    let line = match Line::try_parse() {
+    let line = match Cli::try_parse() {
         Ok(line) => line,
         Err(error) => return output::explain(with_program(error)).into(),
     };
     let done = match line {
-        Line { command: Some(command), .. } => command.run(),
-        Line { published: Some(published), .. } => published::run(&published),
-        // The parser lets neither through: one of both is required.
-        Line { .. } => Ok(()),
+        Cli { command: Some(command), .. } => command.run(),
+        Cli { published: Some(published), .. } => published::run(&published),
+        // The parser requires one of the two.
+        Cli { .. } => Ok(()),
     };
     output::end(done).into()
 }
@@ -129,16 +129,16 @@ mod tests {
     use super::*;
 
     #[test]
-    fn command_of_the_daemon_is_told_with_its_program() {
-        let told = |command: &str| {
-            let error = Line::try_parse_from(["peernet", command]).expect_err("it is unknown");
+    fn command_of_daemon_is_reported_with_its_program() {
+        let error_text = |command: &str| {
+            let error = Cli::try_parse_from(["peernet", command]).expect_err("it is unknown");
             with_program(error).to_string()
         };
         assert!(
-            told("doctor").contains("tip: the daemon has this command: peernetd doctor"),
+            error_text("doctor").contains("tip: the daemon has this command: peernetd doctor"),
             "{}",
-            told("doctor")
+            error_text("doctor")
         );
-        assert!(!told("dostor").contains("peernetd"), "{}", told("dostor"));
+        assert!(!error_text("dostor").contains("peernetd"), "{}", error_text("dostor"));
     }
 }

@@ -1,14 +1,14 @@
-//! The form of a line of the log, which journald understands when it listens.
+//! Form of the log's lines, in which journald finds the priority.
 
 use tracing::{Event, Level, Subscriber};
 use tracing_subscriber::fmt::format::Writer;
 use tracing_subscriber::fmt::{FmtContext, FormatEvent, FormatFields};
 use tracing_subscriber::registry::LookupSpan;
 
-/// The variable that sets the level.
+/// Environment variable that sets the level.
 pub const VARIABLE: &str = "PEERNET_LOG";
 
-/// `12:00:00 INFO agent: text key=value`, or with a priority instead of the time under journald.
+/// Formatter of lines such as `12:00:00 INFO agent: text key=value`, with a priority instead of the time under journald.
 #[derive(Debug)]
 pub struct Line {
     journald: bool,
@@ -35,7 +35,7 @@ where
         let level = *event.metadata().level();
         let room = event.metadata().target().split("::").next().unwrap_or_default();
         let room = room.strip_prefix("peernet_").unwrap_or(room);
-        // The store is a part of the aggregator: its log lines keep that name.
+        // The store is a part of the aggregator: its log lines use that name.
         let room = if room == "store" { "aggregator" } else { room };
         if self.journald {
             write!(writer, "<{}>", priority(level))?;
@@ -51,7 +51,7 @@ where
     }
 }
 
-/// syslog(3) priorities.
+/// Returns the priority of syslog(3).
 fn priority(level: Level) -> u8 {
     match level {
         Level::ERROR => 3,

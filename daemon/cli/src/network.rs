@@ -2,12 +2,12 @@
 
 use peernet_networks::NetworkKind;
 
-/// A name that no kind of network has.
+/// A name of an unknown kind of network.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("there is {}", known())]
 pub(crate) struct NetworkNameError;
 
-/// A kind by its published name.
+/// Returns a kind by its published name.
 ///
 /// # Errors
 /// When no kind has this name.

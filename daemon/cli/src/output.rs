@@ -1,4 +1,4 @@
-//! The one place that writes to the terminal; everything else goes through the log.
+//! Output to the terminal. No other module writes there; everything else goes through the log.
 
 use std::borrow::Cow;
 use std::fmt::Display;
@@ -10,26 +10,26 @@ use clap::error::{ContextKind, ContextValue};
 use crate::exit::{Exit, Failure};
 use crate::short;
 
-/// Whether a part of the result could not be written.
+/// `true` if a part of the result could not be written.
 static UNWRITTEN: AtomicBool = AtomicBool::new(false);
 
-/// A result that the user asked for, on standard output.
+/// Prints a result that the user asked for to standard output.
 ///
-/// When nobody reads any more, as `head` after its lines, the rest goes nowhere: the exit code still tells how it went.
-/// Any other trouble is told once, and by the exit code ([`end`]).
+/// When the reader has gone, as `head` after its lines, the rest is dropped without an error. Any other error is printed once
+/// and changes the exit code ([`end`]).
 pub fn say(text: impl Display) {
     note(write(&mut io::stdout().lock(), &text));
 }
 
-/// What the command line's parser has to say, to whom it is for: help that was asked for, or what is wrong (64).
+/// Prints a message of the command line's parser and returns the exit code: help that was asked for, or an error (64).
 pub fn explain(error: clap::Error) -> Exit {
     let error = with_short_values(error);
     let plain = error.render().to_string();
     if error.use_stderr() {
         match short::lines(&plain) {
-            // There is no third place to say that standard error cannot be written to.
+            // If standard error cannot be written to, the error cannot be reported.
             Cow::Borrowed(_) => drop(error.print()),
-            // Whoever judged the value has repeated it.
+            // The check of the value has repeated it, so the text is shortened.
             Cow::Owned(short) => complain(short.trim_end()),
         }
         return Exit::Usage;
@@ -38,7 +38,7 @@ pub fn explain(error: clap::Error) -> Exit {
     end(Ok(()))
 }
 
-/// The error with what the user has typed as far as people read it.
+/// Shortens the typed values in the error.
 fn with_short_values(mut error: clap::Error) -> clap::Error {
     let short = |(kind, value): (ContextKind, &ContextValue)| match value {
         ContextValue::String(typed) => match short::value(typed) {
@@ -50,13 +50,13 @@ fn with_short_values(mut error: clap::Error) -> clap::Error {
     let shortened: Vec<(ContextKind, ContextValue)> = error.context().filter_map(short).collect();
     for (kind, value) in shortened {
         error.insert(kind, value);
-        // It repeats the value.
+        // The suggestion repeats the value.
         error.remove(ContextKind::Suggested);
     }
     error
 }
 
-/// How the program is to end: as it went, or 73 when all went well but the result could not be written.
+/// Prints the error, if any, and returns the exit code: 73 on success if the result could not be written.
 pub fn end(done: Result<(), Failure>) -> Exit {
     match done {
         Ok(()) => kept(Exit::Ok),
@@ -67,7 +67,7 @@ pub fn end(done: Result<(), Failure>) -> Exit {
     }
 }
 
-/// An end, unless it is a good one and the result could not be written (73).
+/// Returns `exit`, but 73 in place of success if the result could not be written.
 pub fn kept(exit: Exit) -> Exit {
     if exit == Exit::Ok && UNWRITTEN.load(Ordering::Relaxed) { Exit::Unwritten } else { exit }
 }
@@ -79,13 +79,13 @@ fn note(written: io::Result<()>) {
     }
 }
 
-/// What went wrong, on standard error, before or after the log exists; of overlong lines not the middle.
+/// Prints an error to standard error, before or after the log exists. The middle of overlong lines is left out.
 pub fn complain(text: impl Display) {
-    // There is no third place to say that standard error cannot be written to.
+    // If standard error cannot be written to, the error cannot be reported.
     let _ = write(&mut io::stderr().lock(), &short::lines(&text.to_string()));
 }
 
-/// A line; a reader that has gone is no error.
+/// Writes a line. A reader that has gone is no error.
 fn write(stream: &mut impl Write, text: &dyn Display) -> io::Result<()> {
     let written = writeln!(stream, "{text}").and_then(|()| stream.flush());
     written.or_else(unless_gone)
@@ -102,27 +102,27 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_was_typed_is_echoed_in_one_line_and_short() {
+    fn typed_text_is_echoed_in_one_short_line() {
         let refused = |text: &str| Err::<String, _>(format!("{text:?} is none"));
         let command = Command::new("peernet").arg(Arg::new("set").long("set").value_parser(refused));
-        let told = |word: &str| {
+        let message = |word: &str| {
             let error = command.clone().try_get_matches_from(["peernet", word]).expect_err(word);
             short::lines(&with_short_values(error).render().to_string()).into_owned()
         };
         let text = format!("a.b=\u{1b}[31m\n{}\nthe end", "x = 1\n".repeat(10_000));
-        let value = told(&format!("--set={text}"));
+        let value = message(&format!("--set={text}"));
         let first = value.lines().next().expect("a line");
         assert!(first.starts_with("error: invalid value 'a.b= [31m x = 1"), "{value}");
         assert!(first.contains("the end' for '--set <set>': "), "{value}");
         assert!(value.len() < 1200 && value.lines().count() < 5, "{value}");
-        let argument = told(&format!("--{text}"));
+        let argument = message(&format!("--{text}"));
         assert!(argument.starts_with("error: unexpected argument '--a.b"), "{argument}");
         assert!(argument.len() < 1200 && argument.lines().count() < 9, "{argument}");
-        assert!(told("--sett=1").contains("'--set'"), "what fits is said as the parser has it");
+        assert!(message("--sett=1").contains("'--set'"), "what fits is said as the parser has it");
     }
 
     #[test]
-    fn a_reader_that_has_gone_is_no_error() {
+    fn closed_output_is_no_error() {
         let (reader, mut writer) = io::pipe().expect("a pipe");
         drop(reader);
         assert_eq!(writer.write_all(b"x").map_err(|error| error.kind()), Err(ErrorKind::BrokenPipe));

@@ -9,7 +9,7 @@ use serde_json::Value;
 
 use crate::api::Api;
 
-/// What `peernet recompute` can be told.
+/// Arguments of `peernet recompute`.
 #[derive(Debug, clap::Args)]
 pub(crate) struct Arguments {
     /// Number of the run, as on its page.
@@ -24,13 +24,13 @@ pub(crate) struct Arguments {
 #[derive(Debug, Deserialize)]
 struct Recomputed {
     samples: u64,
-    /// Not told by aggregators of releases before 0.3.0, which judge by wall clocks.
+    /// Clocks by which delays were judged. Aggregators of releases before 0.3.0 do not report them and use wall clocks.
     #[serde(default = "wall_clocks")]
     clocks: Vec<String>,
     stages: Vec<Stage>,
 }
 
-/// What was told of the run when it began.
+/// Description of the run from its start.
 #[derive(Debug, Deserialize)]
 struct Run {
     facts: Vec<Fact>,
@@ -94,16 +94,16 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
     Ok(())
 }
 
-/// Whose clock was made wrong on purpose and how, by the facts of a run; `None` for an ordinary run.
+/// Returns the hosts with an artificial clock error and its amount, from the facts of a run; `None` for an ordinary run.
 fn rehearsal(facts: &[Fact]) -> Option<String> {
     let whose = |name: &str| match name.strip_prefix("Rehearsal") {
         Some("") => Some("the edge's".to_owned()),
         Some(rest) => rest.strip_prefix(" of ").map(|cloud| format!("{cloud}'s")),
         None => None,
     };
-    let told: Vec<String> =
+    let parts: Vec<String> =
         facts.iter().filter_map(|fact| Some(format!("{} ({})", whose(&fact.name)?, fact.value))).collect();
-    (!told.is_empty()).then(|| told.join(", "))
+    (!parts.is_empty()).then(|| parts.join(", "))
 }
 
 fn describe(run: i64, recomputed: &Recomputed) -> String {
@@ -139,7 +139,7 @@ fn wall_clocks() -> Vec<String> {
     vec!["wall".to_owned()]
 }
 
-/// By which clocks delays were judged again, in words.
+/// Describes the clocks by which delays were judged again.
 fn by(clocks: &[String]) -> String {
     let words = clocks.iter().map(|clocks| match clocks.as_str() {
         "raw" => "by free-running clocks",
@@ -149,7 +149,7 @@ fn by(clocks: &[String]) -> String {
     words.collect::<Vec<_>>().join(" and ")
 }
 
-/// Whether no delay can be off at all.
+/// Returns whether all delays are exact.
 fn is_exact(stages: &[Stage]) -> bool {
     let exact = |stage: &Stage| stage.after.half_width.as_ref().is_some_and(|width| width.max == 0.0);
     stages.iter().all(exact)
@@ -187,7 +187,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn before_and_after_stand_side_by_side() {
+    fn before_and_after_are_shown_together() {
         let recomputed: Recomputed = serde_json::from_value(serde_json::json!({
             "run": 7, "samples": 60, "clocks": ["raw"],
             "stages": [{
@@ -234,7 +234,7 @@ run 7: computed again by free-running clocks with 60 seconds of what was learnt 
     }
 
     #[test]
-    fn a_rehearsal_is_told_by_the_facts() {
+    fn rehearsal_is_recognised_from_facts() {
         let fact = |(name, value): (&str, &str)| Fact { name: name.to_owned(), value: value.to_owned() };
         let facts = |facts: &[(&str, &str)]| rehearsal(&facts.iter().copied().map(fact).collect::<Vec<_>>());
         assert_eq!(facts(&[("Sensor", "synthetic"), ("Rehearsals", "3")]), None);

@@ -1,26 +1,26 @@
-//! `docs/cli.md`: made from the command line's own words, so that it cannot be out of date.
+//! Check of `docs/cli.md`: its tables are made from the command line's own words and compared with it, so that it stays up to date.
 
 use std::fmt::Write;
 use std::path::Path;
 
 use clap::{Arg, ArgAction, Command, CommandFactory};
 
-use crate::Line;
+use crate::Cli;
 
-/// The document, from the root of the checkout.
+/// Path of the document from the root of the checkout.
 const FILE: &str = "docs/cli.md";
-/// What stands above the part that is made.
+/// Line above the generated part.
 const MARK: &str = "<!-- From here on made from the program's own words: PEERNET_WRITE_DOCS=1 cargo test -p peernet-cli reference -->\n";
-/// Options of every command, which say what everybody knows.
+/// Options that every command has, which the document leaves out.
 const USUAL: [&str; 2] = ["help", "version"];
 
 #[test]
-fn the_command_line_is_well_formed() {
-    Line::command().debug_assert();
+fn command_line_is_well_formed() {
+    Cli::command().debug_assert();
 }
 
 #[test]
-fn the_reference_says_what_the_program_says() {
+fn reference_matches_help_of_program() {
     let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..").join(FILE);
     let text = std::fs::read_to_string(&file).expect("the checkout has the document");
     let (above, found) = text.split_once(MARK).expect("the document has the mark");
@@ -35,9 +35,9 @@ fn the_reference_says_what_the_program_says() {
     }
 }
 
-/// All commands, one section each.
+/// Returns the text of all commands, one section each.
 fn reference() -> String {
-    let mut command = Line::command();
+    let mut command = Cli::command();
     command.build();
     let mut text = String::new();
     section(&mut text, &command, "peernet");
@@ -84,7 +84,7 @@ fn row(text: &mut String, argument: &Arg) {
     let _ = writeln!(text, "| {short}`{name}` | {help} | {default} |");
 }
 
-/// What an argument can be, where that is one of a few.
+/// Returns the possible values of an argument, if it has a list of them.
 fn choice(argument: &Arg) -> String {
     let values = argument.get_possible_values();
     let values = values.iter().filter(|value| !value.is_hide_set()).map(|value| match value.get_help() {

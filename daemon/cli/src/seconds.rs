@@ -1,25 +1,25 @@
-//! Times of the command line, in seconds.
+//! Durations on the command line, in seconds.
 
 use std::num::ParseFloatError;
 
-/// Seconds of the longest time: a day.
+/// Longest duration in seconds: a day.
 const MOST: f64 = 86_400.0;
 
-/// A text that is no time within its limits.
+/// A text that is no duration within its limits.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub(crate) enum SecondsError {
-    /// It is no number.
+    /// It is not a number.
     #[error(transparent)]
     NotANumber(#[from] ParseFloatError),
     /// It is too short or too long.
     #[error("from {least} to {MOST}")]
     OutOfRange {
-        /// The shortest time; seconds.
+        /// Shortest duration in seconds.
         least: f64,
     },
 }
 
-/// Reads a time from `least` seconds to a day.
+/// Reads a duration between `least` seconds and a day.
 pub(crate) fn seconds(text: &str, least: f64) -> Result<f64, SecondsError> {
     let seconds = text.parse::<f64>()?;
     if (least..=MOST).contains(&seconds) { Ok(seconds) } else { Err(SecondsError::OutOfRange { least }) }
@@ -30,12 +30,12 @@ mod tests {
     use super::*;
 
     #[test]
-    fn seconds_have_a_least_and_a_most() {
+    fn seconds_outside_range_are_refused() {
         assert_eq!((seconds("0", 0.0), seconds("86400", 1.0)), (Ok(0.0), Ok(86_400.0)));
-        for (text, told) in
+        for (text, expected) in
             [("0.5", "from 1 to 86400"), ("1e9", "from 1 to 86400"), ("x", "invalid float literal")]
         {
-            assert_eq!(seconds(text, 1.0).expect_err(text).to_string(), told);
+            assert_eq!(seconds(text, 1.0).expect_err(text).to_string(), expected);
         }
         assert_eq!(seconds("nan", 0.0).expect_err("no time").to_string(), "from 0 to 86400");
     }

@@ -1,15 +1,15 @@
-//! Texts that hold a value of the user's, which may have thousands of characters and lines.
+//! Shortening of texts with a value of the user's, which may have thousands of characters and lines.
 
 use std::borrow::Cow;
 
 use peernet_sample::printable_line;
 
-/// Characters of the longest line that is told whole.
+/// Length in characters of the longest line that is not shortened.
 const LINE: usize = 600;
-/// Characters of the longest value of a command line that is told whole.
+/// Length in characters of the longest value that is not shortened.
 const VALUE: usize = 200;
 
-/// A text with the middle of its overlong lines left out.
+/// Shortens the overlong lines of a text in their middle.
 pub fn lines(text: &str) -> Cow<'_, str> {
     if text.lines().all(|line| line.len() <= LINE) {
         return Cow::Borrowed(text);
@@ -18,7 +18,7 @@ pub fn lines(text: &str) -> Cow<'_, str> {
     Cow::Owned(lines.join("\n"))
 }
 
-/// A value of a command line, in one line, without its middle when it is overlong.
+/// Converts a value of a command line to one line, shortened in its middle if it is overlong.
 pub fn value(text: &str) -> Cow<'_, str> {
     match printable_line(text) {
         Cow::Borrowed(text) => cut(text, VALUE),
@@ -26,7 +26,7 @@ pub fn value(text: &str) -> Cow<'_, str> {
     }
 }
 
-/// What it is about stands in front, what was expected at its end.
+/// Shortens a text in its middle: the subject is at its begin, the expected value at its end.
 fn cut(text: &str, most: usize) -> Cow<'_, str> {
     let all = text.chars().count();
     if all <= most {
@@ -43,7 +43,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_middle_of_an_overlong_line_is_left_out() {
+    fn middle_of_overlong_line_is_left_out() {
         assert_eq!(lines("one\ntwo\n"), "one\ntwo\n");
         let text = format!("e.toml: \"{}\", expected u64\nthe second line", "ü".repeat(5000));
         let long = lines(&text);
@@ -55,12 +55,12 @@ mod tests {
     }
 
     #[test]
-    fn a_value_is_told_in_one_line() {
+    fn value_is_shown_in_one_line() {
         assert_eq!(value("random string"), "random string");
         assert_eq!(value("a = 1\nb\t\u{1b}[31m"), "a = 1 b  [31m");
         let long = "x = 1\n".repeat(1000);
-        let told = value(&long);
-        assert!(told.starts_with("x = 1 x = 1") && told.ends_with("x = 1 "), "{told}");
-        assert!(told.chars().count() <= VALUE && !told.contains('\n'), "{told}");
+        let shortened = value(&long);
+        assert!(shortened.starts_with("x = 1 x = 1") && shortened.ends_with("x = 1 "), "{shortened}");
+        assert!(shortened.chars().count() <= VALUE && !shortened.contains('\n'), "{shortened}");
     }
 }

@@ -1,21 +1,22 @@
-//! Small text files: those that the command line names, and those that are found in folders.
+//! Reading of small text files: those that the command line names, and those that are found in folders.
 
 use std::fs::File;
 use std::io::{self, Read};
 use std::os::unix::fs::FileTypeExt;
 use std::path::Path;
 
-/// Bytes of the largest file that people write by hand.
+/// Size in bytes of the largest file that people write by hand.
 pub const LARGEST: u64 = 1 << 20;
 
-/// The text of a regular file or a pipe of at most `largest` bytes: a device, a terminal or a recording given by mistake
-/// would be read, or waited for, without an end. A pipe is `<(…)` or `/dev/stdin` of a shell; it can be read once, and
-/// is waited for until its writer has closed it.
+/// Reads a regular file or a pipe of at most `largest` bytes.
+///
+/// A device, a terminal or a recording that is given by mistake could be read without an end. A pipe is `<(…)` or
+/// `/dev/stdin` of a shell; it can be read once, and is read until its writer has closed it.
 ///
 /// # Errors
-/// When it cannot be read, is neither file nor pipe, is larger, or is no UTF-8.
+/// When it cannot be read, is neither file nor pipe, is larger, or is not UTF-8.
 pub fn read(path: &Path, largest: u64) -> io::Result<String> {
-    // Before it is opened: to open some devices does something.
+    // Checked before it is opened: opening some devices has an effect.
     let kind = path.metadata()?.file_type();
     if !kind.is_file() && !kind.is_fifo() {
         return Err(io::Error::other("it is neither a regular file nor a pipe: is this the right file?"));
@@ -23,11 +24,11 @@ pub fn read(path: &Path, largest: u64) -> io::Result<String> {
     text(path, largest)
 }
 
-/// The text of a regular file that was found in a folder, of at most `largest` bytes. Nobody has promised to write into a
-/// pipe there.
+/// Reads a regular file of at most `largest` bytes that was found in a folder. A pipe found there is refused: there may be no
+/// writer, and reading would wait for ever.
 ///
 /// # Errors
-/// When it cannot be read, is no regular file, is larger, or is no UTF-8.
+/// When it cannot be read, is no regular file, is larger, or is not UTF-8.
 pub fn read_found(path: &Path, largest: u64) -> io::Result<String> {
     if !path.metadata()?.is_file() {
         return Err(io::Error::other("it is not a regular file"));
@@ -53,28 +54,28 @@ mod tests {
 
     use super::*;
 
-    fn told(path: &Path) -> String {
+    fn error_text(path: &Path) -> String {
         read(path, 3).expect_err("refused").to_string()
     }
 
     #[test]
-    fn regular_files_of_reasonable_size_are_read_and_no_devices() {
+    fn only_small_regular_files_are_read() {
         let folder = tempfile::tempdir().expect("a folder");
         let file = folder.path().join("a.toml");
         std::fs::write(&file, "four").expect("writable");
         assert_eq!(read(&file, 4).expect("fits"), "four");
-        assert!(told(&file).contains("larger than 3 bytes"), "{}", told(&file));
+        assert!(error_text(&file).contains("larger than 3 bytes"), "{}", error_text(&file));
         for other in [Path::new("/dev/zero"), folder.path()] {
-            assert!(told(other).contains("neither a regular file nor a pipe"), "{}", told(other));
+            assert!(error_text(other).contains("neither a regular file nor a pipe"), "{}", error_text(other));
         }
         let missing = read(&folder.path().join("b"), 3).expect_err("not there");
         assert_eq!(missing.kind(), io::ErrorKind::NotFound);
         std::fs::write(&file, [0xff, 0xfe]).expect("writable");
-        assert!(told(&file).contains("no UTF-8"), "{}", told(&file));
+        assert!(error_text(&file).contains("no UTF-8"), "{}", error_text(&file));
     }
 
     #[test]
-    fn a_pipe_that_is_found_is_not_waited_for() {
+    fn found_pipe_is_refused_without_waiting() {
         let folder = tempfile::tempdir().expect("a folder");
         let (file, pipe) = (folder.path().join("file"), folder.path().join("pipe"));
         std::fs::write(&file, "four").expect("writable");
@@ -86,7 +87,7 @@ mod tests {
     }
 
     #[test]
-    fn pipes_are_read_to_their_end_or_their_limit() {
+    fn pipe_is_read_to_end_or_limit() {
         let of = |text: &'static [u8], largest: u64| {
             let (reader, mut writer) = io::pipe().expect("a pipe");
             let writing = std::thread::spawn(move || writer.write_all(text));

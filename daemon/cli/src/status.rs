@@ -13,7 +13,7 @@ use serde::Deserialize;
 use crate::api::Api;
 use rehearsed::{Clock, Links, Rehearsed, marked, rehearsed};
 
-/// What `peernet status` can be told.
+/// Arguments of `peernet status`.
 #[derive(Debug, clap::Args)]
 pub(crate) struct Arguments {
     #[command(flatten)]
@@ -71,12 +71,12 @@ struct Host {
     name: String,
     connected: bool,
     last_seen: Option<String>,
-    now: Option<Now>,
+    now: Option<HostState>,
     clock: Option<Clock>,
 }
 
 #[derive(Debug, Deserialize)]
-struct Now {
+struct HostState {
     cpu: Option<f64>,
     events: Events,
 }
@@ -87,7 +87,7 @@ struct Events {
     dropped: u64,
 }
 
-/// The window that the table shows: long enough to be steady, short enough to be now.
+/// Length of the window that the table shows: long enough to be steady, short enough to be current.
 const WINDOW_S: u32 = 10;
 
 /// Prints both tables.
@@ -119,7 +119,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
         say(format_args!(
             "the last {WINDOW_S} s; missed: later than their deadline or without an answer; p50 and p95 are quantiles of the total, the stages are means"
         ));
-        // Below the table: a reason is a sentence and would tear the columns apart.
+        // Printed below the table: a reason is a sentence and would widen its column.
         for pipeline in &pipelines {
             if let Some(reason) = &pipeline.reason {
                 say(format_args!("{}/{} is {}: {reason}", pipeline.host, pipeline.name, pipeline.state));
@@ -182,7 +182,7 @@ fn host_row(host: &Host, rehearsed: &Rehearsed) -> Vec<String> {
     ]
 }
 
-/// A moment without fractions of a second; as it came where it is none.
+/// Removes the fractions of a second from a time; another text stays unchanged.
 fn to_the_second(moment: &str) -> String {
     let read = DateTime::parse_from_rfc3339(moment);
     read.map_or_else(|_| moment.to_owned(), |read| read.to_rfc3339_opts(SecondsFormat::Secs, true))
@@ -204,12 +204,12 @@ mod tests {
     use super::*;
 
     #[test]
-    fn nobody_needs_the_nanosecond_at_which_a_host_was_seen() {
+    fn last_seen_time_is_shown_to_the_second() {
         assert_eq!(to_the_second("2026-11-20T22:41:07.123456789Z"), "2026-11-20T22:41:07Z");
     }
 
     #[test]
-    fn what_a_rehearsed_clock_touches_is_marked() {
+    fn rows_of_rehearsed_hosts_are_marked() {
         let clock = json!({ "rehearsal": {
             "offset_s": 1.0, "drift_ppm": -50.0, "steps": [{ "at_s": 20.0, "by_s": 0.3 }], "since": "x",
         } });

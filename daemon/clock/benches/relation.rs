@@ -1,5 +1,5 @@
-//! What relating two clocks costs: time per exchange and per question, memory per pair of hosts, and the clock reads
-//! themselves. Prints a table of medians over repeats.
+//! Benchmark of the clock relation: time per exchange and per query, memory per pair of hosts, and the time of single
+//! clock reads. Prints a table of medians over repeats.
 #![expect(clippy::print_stdout, reason = "a benchmark prints its table")]
 
 use std::hint::black_box;
@@ -10,12 +10,12 @@ use peernet_clock::{
 };
 use peernet_statistics::SplitMix64;
 
-/// Exchanges and questions are timed so many at once.
+/// Number of calls that are timed together.
 const BATCH: usize = 500;
-/// Seconds of exchanges: the window and as much again, so that the oldest are forgotten.
+/// Length of the simulated traffic in seconds: twice the window, so that the oldest exchanges expire.
 const SECONDS: i64 = 1_200;
 
-/// A way of exchanging: per second, and what each waits on either way by its number, nanoseconds.
+/// A traffic pattern: exchanges per second, and the queueing delay of the n-th message in nanoseconds.
 struct Traffic {
     name: &'static str,
     hz: i64,
@@ -25,7 +25,8 @@ struct Traffic {
 const TRAFFIC: [Traffic; 4] = [
     Traffic { name: "probes, 10 a second", hz: 10, wait: |n| exponential(n, 15_000.0) },
     Traffic { name: "data, 1,000 a second", hz: 1_000, wait: |n| exponential(n, 15_000.0) },
-    // Neighbours differ by less than the drift between them: every one of them narrows.
+    // Bounds of neighbouring exchanges differ by less than the drift between them, so that every exchange narrows the
+    // band.
     Traffic { name: "worst: none hides another, 1,000 a second", hz: 1_000, wait: |n| (n % 2 * 49) as i64 },
     Traffic { name: "worst, 50 a second", hz: 50, wait: |n| (n % 2 * 990) as i64 },
 ];
@@ -68,7 +69,7 @@ fn main() {
     late_arrivals(&clock);
 }
 
-/// The worst order: all exchanges of a window backwards, so that each is put in at the front.
+/// Measures the worst order of arrival: all exchanges of a window backwards, so that each is inserted at the front.
 fn late_arrivals(clock: &SystemClock) {
     let mut relation = relation(RelatedClocks::Raw);
     let worst = &TRAFFIC[3];
@@ -101,7 +102,8 @@ fn relation(clocks: RelatedClocks) -> Relation {
 }
 
 impl Traffic {
-    /// The `n`th: a cloud one second ahead, 10 ppm fast, 30 µs away.
+    /// Returns the `n`-th exchange with a cloud whose clock is one second ahead and 10 ppm fast, and whose path takes
+    /// 30 µs.
     fn exchange(&self, n: i64) -> ExchangeObservation {
         let at = n * 1_000_000_000 / self.hz;
         let cloud = |edge: i64| RawTime::from_nanos(edge + 1_000_000_000 + edge / 100_000);
@@ -118,13 +120,13 @@ impl Traffic {
     }
 }
 
-/// Numbers that look random, the same in every run.
+/// Returns a pseudo-random number from an exponential distribution; the same for the same `n` in every run.
 fn exponential(n: u64, mean: f64) -> i64 {
-    // Neighbouring seeds give numbers that are not alike.
+    // SplitMix64 gives unrelated numbers for neighbouring seeds.
     (mean * SplitMix64::new(n).exponential()) as i64
 }
 
-/// Nanoseconds per call: the median over batches.
+/// Returns the nanoseconds per call as the median over batches.
 fn timed<T>(clock: &SystemClock, items: &[T], mut call: impl FnMut(&T)) -> f64 {
     let mut batches: Vec<f64> = items
         .chunks_exact(BATCH)

@@ -1,4 +1,4 @@
-//! A one-way delay between two hosts: what was stamped, what is known, and how well.
+//! The one-way delay between two hosts: its stamps, its corrected value, and how far that can be trusted.
 
 use std::fmt;
 
@@ -9,94 +9,95 @@ use crate::Span;
 /// A closed interval of spans.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Interval {
-    /// The lower end.
+    /// Lower end.
     pub lo: Span,
-    /// The upper end, not below `lo`.
+    /// Upper end; not below `lo`.
     pub hi: Span,
 }
 
 impl Interval {
-    /// The interval that holds one value alone.
+    /// Returns the interval that contains one value only.
     pub const fn exactly(value: Span) -> Self {
         Self { lo: value, hi: value }
     }
 
-    /// Upper end minus lower end.
+    /// Returns the upper end minus the lower end.
     pub fn width(self) -> Span {
         self.hi - self.lo
     }
 
-    /// Halfway between the ends, rounded down.
+    /// Returns the value halfway between the ends, rounded down.
     pub const fn middle(self) -> Span {
         let (lo, hi) = (self.lo.nanos(), self.hi.nanos());
+        // The sum of both ends could overflow.
         Span::from_nanos((lo & hi) + ((lo ^ hi) >> 1))
     }
 
-    /// Whether a span lies between the ends or on one.
+    /// Returns whether `span` lies between the ends or on one of them.
     pub fn contains(self, span: Span) -> bool {
         self.lo <= span && span <= self.hi
     }
 
-    /// What two intervals have in common; `None` when they exclude each other.
+    /// Returns the common part of two intervals; `None` if they exclude each other.
     pub fn intersection(self, other: Self) -> Option<Self> {
         let common = Self { lo: self.lo.max(other.lo), hi: self.hi.min(other.hi) };
         (common.lo <= common.hi).then_some(common)
     }
 
-    /// The smallest interval that holds both.
+    /// Returns the smallest interval that contains both.
     pub fn hull(self, other: Self) -> Self {
         Self { lo: self.lo.min(other.lo), hi: self.hi.max(other.hi) }
     }
 }
 
-/// What the correction of a delay rests on.
+/// Evidence that the correction of a delay rests on.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum DelaySource {
-    /// Both ends are proven to read one clock.
+    /// A proof that both hosts read one clock.
     SameClock,
-    /// The band estimated from exchanges between the two hosts.
+    /// The band that the exchanges between the two hosts prove.
     InBand,
-    /// The kernels' own error bounds.
+    /// The error bounds that the kernels state.
     Kernel,
-    /// The error bounds of chrony.
+    /// The error bounds that chrony states.
     Chrony,
     /// The intersection of several of the above.
     Intersection,
-    /// Nothing: the clocks were never related.
+    /// None: the clocks were never related.
     None,
 }
 
-/// How far a delay can be trusted.
+/// Degree to which a delay can be trusted.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Verdict {
-    /// The interval contains the truth and is narrower than half the delay.
+    /// The interval contains the true delay and is at most half as wide as the delay.
     Ok,
-    /// The interval contains the truth but is wider than half the delay.
+    /// The interval contains the true delay but is wider than half of it.
     Limited,
-    /// Too few fresh exchanges.
+    /// No recent exchanges, or too few.
     Stale,
     /// The two clocks were never related.
     Unsynchronised,
-    /// A clock was stepped near this sample.
+    /// A clock was stepped near this delay.
     Stepped,
-    /// Two sources exclude each other, or exchanges contradict each other: there is neither a value nor an interval.
+    /// Two sources exclude each other, or exchanges contradict each other. There is neither a value nor an interval.
     Inconsistent,
 }
 
 macro_rules! names {
     ($type:ident { $($variant:ident = $name:literal),* $(,)? }) => {
         impl $type {
-            /// Every value, in the order of declaration.
+            /// All values, in the order of declaration.
             pub const ALL: &'static [Self] = &[$(Self::$variant),*];
 
-            /// The name used in storage, in the API and on the pages.
+            /// Returns the name used in storage, in the API and on the pages.
             pub const fn name(self) -> &'static str {
                 match self { $(Self::$variant => $name),* }
             }
 
-            /// The value of that name, if there is one.
+            /// Returns the value with a name; `None` for an unknown name.
             pub fn from_name(name: &str) -> Option<Self> {
                 Self::ALL.iter().copied().find(|value| value.name() == name)
             }
@@ -128,38 +129,38 @@ names!(Verdict {
     Inconsistent = "inconsistent",
 });
 
-/// The delay of one message from one host to another, or how much later one of two receivers had a message that others sent
-/// ([`Relation::differences`](crate::Relation::differences)).
+/// The delay of one message from one host to another; or the difference between the times at which two receivers got
+/// the same message ([`Relation::differences`](crate::Relation::differences)).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct OneWayDelay {
-    /// Receive stamp minus send stamp, each from its own host's wall clock; kept for ever, so that the
-    /// correction can be redone. May be negative: it is not a delay yet.
+    /// Receive stamp minus send stamp, each from its own host's clock. It is always kept, so that the correction can be
+    /// computed again. May be negative, because it contains the offset of the clocks.
     pub raw: Span,
-    /// The estimate; `None` when nothing is known about the two clocks. A delay is never negative, a difference of two receivers
-    /// may be.
+    /// Estimate; `None` if nothing is known about the two clocks. A delay is never negative, a difference between two
+    /// receivers may be.
     pub value: Option<Span>,
-    /// Contains the true delay as long as the clocks' drift stays under the stated limit.
+    /// Interval that contains the true delay as long as the clocks stay within the configured limits of drift.
     pub bounds: Option<Interval>,
-    /// What `value` and `bounds` rest on.
+    /// Evidence that `value` and `bounds` rest on.
     pub source: DelaySource,
-    /// How far they can be trusted.
+    /// Degree to which they can be trusted.
     pub verdict: Verdict,
 }
 
 impl OneWayDelay {
-    /// A delay between two hosts whose clocks were never related: the raw difference and nothing else.
+    /// Creates a delay between two hosts whose clocks were never related. It has the raw difference only.
     pub const fn unsynchronised(raw: Span) -> Self {
         Self { raw, value: None, bounds: None, source: DelaySource::None, verdict: Verdict::Unsynchronised }
     }
 
-    /// A clock was stepped near one of the stamps, so that nothing follows from them.
+    /// Creates a delay with a stamp near a step of its clock. It has the raw difference only.
     pub const fn stepped(raw: Span, source: DelaySource) -> Self {
         Self { raw, value: None, bounds: None, source, verdict: Verdict::Stepped }
     }
 
-    /// A delay between two stamps of one clock.
+    /// Creates a delay between two stamps of one clock.
     ///
-    /// A wall clock that was set back in between gives a negative difference: that is a step, not a delay.
+    /// A negative difference means that a wall clock was set back in between; the delay is then `stepped`.
     pub const fn same_clock(raw: Span) -> Self {
         if raw.is_negative() {
             return Self::stepped(raw, DelaySource::SameClock);

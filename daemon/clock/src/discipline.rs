@@ -1,4 +1,4 @@
-//! What a host's own time daemon says of its wall clock.
+//! Error bounds that a host's own time daemon claims for its wall clock.
 
 use serde::{Deserialize, Serialize};
 
@@ -7,17 +7,19 @@ use crate::{DelaySource, Interval};
 /// A claim about a host's wall clock: clock minus true time lies within an interval.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Discipline {
-    /// Who claims it: [`DelaySource::Kernel`] or [`DelaySource::Chrony`].
+    /// Source of the claim: [`DelaySource::Kernel`] or [`DelaySource::Chrony`].
     pub source: DelaySource,
-    /// The wall clock's error: what it shows minus true time.
+    /// Error of the wall clock: clock minus true time.
     pub error: Interval,
 }
 
 impl Discipline {
-    /// Returns the offset, cloud minus edge, by the claims of both hosts, and who claims it: chrony if it does on either.
+    /// Returns the offset (cloud minus edge) by the claims of both hosts, and its source: chrony if either claim is
+    /// chrony's.
     pub fn offset(edge: &Self, cloud: &Self) -> (DelaySource, Interval) {
         let is_chrony = [edge, cloud].iter().any(|claim| claim.source == DelaySource::Chrony);
         let source = if is_chrony { DelaySource::Chrony } else { edge.source };
+        // Offset = cloud's error − edge's error, so the bounds are the extreme differences.
         (source, Interval { lo: cloud.error.lo - edge.error.hi, hi: cloud.error.hi - edge.error.lo })
     }
 }

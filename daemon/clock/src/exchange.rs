@@ -1,4 +1,4 @@
-//! Four stamps of a message and its answer: all that two hosts' clocks can be related by.
+//! Four stamps of a message and its answer, from which the clocks of two hosts are related.
 
 use serde::{Deserialize, Serialize};
 
@@ -6,8 +6,8 @@ use crate::{Interval, RawTime, Span};
 
 /// A message from the edge to the cloud and its answer, stamped at all four ends (T1 to T4 of RFC 5905, section 8).
 ///
-/// Stamps may be early at a departure and late at an arrival by any amount: that only widens what follows from
-/// them. What would make it wrong, a departure stamped late or an arrival stamped early, is `uncertainty`.
+/// A departure may be stamped early and an arrival late by any amount: this only widens the bounds. A departure stamped
+/// late or an arrival stamped early would make them wrong; `uncertainty` covers that.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Exchange {
     /// Time on the edge's clock at which the message left the edge, or earlier.
@@ -18,49 +18,51 @@ pub struct Exchange {
     pub replied: RawTime,
     /// Time on the edge's clock at which the answer arrived there, or later.
     pub returned: RawTime,
-    /// Largest sum by which the departure is stamped too late and its arrival too early: the resolution of clocks and of
-    /// the format in which stamps travel.
+    /// Largest sum by which a departure is stamped too late and its arrival too early: the resolution of the clocks and
+    /// of the format in which stamps are sent.
     pub uncertainty: Span,
 }
 
 impl Exchange {
-    /// An upper bound of the offset (cloud minus edge) at the edge's time [`sent`](Self::sent).
+    /// Returns an upper bound of the offset (cloud minus edge) at the edge's time [`sent`](Self::sent).
     ///
-    /// When the edge showed `sent` the cloud showed no more than `received`: its clock was read later.
+    /// When the edge showed `sent` the cloud showed no more than `received`, because its clock was read later.
     pub fn upper(&self) -> Span {
         self.received - self.sent + self.uncertainty
     }
 
-    /// A lower bound of the offset (cloud minus edge) at the edge's time [`returned`](Self::returned).
+    /// Returns a lower bound of the offset (cloud minus edge) at the edge's time [`returned`](Self::returned).
     ///
-    /// When the edge showed `returned` the cloud showed at least `replied`: its clock was read earlier.
+    /// When the edge showed `returned` the cloud showed at least `replied`, because its clock was read earlier.
     pub fn lower(&self) -> Span {
         self.replied - self.returned - self.uncertainty
     }
 
-    /// Time on the way in both directions together: the time that the edge waited, less the time that the cloud took.
+    /// Returns the time spent on the network in both directions: the time that the edge waited minus the time that the
+    /// cloud took.
     pub fn round_trip(&self) -> Span {
         (self.returned - self.sent) - (self.replied - self.received)
     }
 
-    /// The offset's bounds by this exchange alone, as if the two clocks ran at one rate.
+    /// Returns the bounds of the offset by this exchange alone, without drift of the clocks.
     pub fn bounds(&self) -> Interval {
         Interval { lo: self.lower(), hi: self.upper() }
     }
 }
 
-/// An exchange, with the epochs of the clocks that stamped it.
+/// An exchange with the epochs of the clocks that stamped it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct ExchangeObservation {
     /// The stamps.
     pub exchange: Exchange,
-    /// Time from `received` to `replied` by the cloud's monotonic clock, where these two stamps are of its wall clock: a step of the wall
-    /// clock in between shows as a difference. `None` unless the monotonic clock was read together with both stamps: a kernel's stamp
-    /// is earlier than the program's reading of another clock by as long as the program waited for the processor.
+    /// Time from `received` to `replied` by the cloud's monotonic clock, where these two stamps are of its wall clock:
+    /// a step of the wall clock in between shows as a difference. `None` unless the monotonic clock was read together
+    /// with both stamps, because a kernel's stamp is earlier than the program's reading of another clock by as long as
+    /// the program waited for the processor.
     pub cloud_elapsed: Option<Span>,
     /// [`Clock::epoch`](crate::Clock::epoch) of the edge, read after `returned` was stamped.
     pub edge_epoch: u32,
-    /// Epoch of the cloud's clock, read after `replied` was stamped; `None` where the peer does not send it, such as another
-    /// implementation of the probes' protocol.
+    /// Epoch of the cloud's clock, read after `replied` was stamped; `None` if the peer does not send it, such as
+    /// another implementation of STAMP.
     pub cloud_epoch: Option<u32>,
 }

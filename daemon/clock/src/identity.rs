@@ -1,4 +1,4 @@
-//! Which clock a host reads.
+//! Identity of the clocks that a host reads.
 
 use std::hash::{BuildHasher, RandomState};
 use std::io;
@@ -9,14 +9,17 @@ use serde::{Deserialize, Serialize};
 
 /// Identifies the clocks of a process.
 ///
-/// The processes of one machine since one boot read one clock, containers included, unless a time namespace or a preloaded library
-/// shifts what one of them reads; and clones of one snapshot of a virtual machine tell one boot id. So no two identities prove that
-/// two processes read one clock: [`may_be_one_with`](Self::may_be_one_with) tells whether it is worth asking for a proof.
+/// The processes of one machine since one boot read one clock, containers included, unless a time namespace or a
+/// preloaded library shifts what one of them reads. Clones of one snapshot of a virtual machine report the same boot
+/// id. Equal identities therefore prove nothing: [`may_be_one_with`](Self::may_be_one_with) only tells whether a proof
+/// can exist.
 #[derive(Clone, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub struct ClockIdentity {
-    /// The kernel's boot id, a UUID in text form; in a time namespace followed by `/` and the namespace, as `time:[4026532280]`.
+    /// Boot id of the kernel, a UUID in text form; in a time namespace followed by `/` and the namespace, such as
+    /// `time:[4026532280]`.
     pub boot: Arc<str>,
-    /// `system` unless configured otherwise: tells apart clocks that a test or a rehearsal sets up on one machine.
+    /// `system` unless configured otherwise. Distinguishes clocks that a test or a clock fault injection sets up on one
+    /// machine.
     pub clock: Arc<str>,
     /// Random number of the process that reads the clocks; `None` in releases before 0.3.0.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -24,28 +27,29 @@ pub struct ClockIdentity {
 }
 
 impl ClockIdentity {
-    /// The second part of the identity when nothing else is configured.
+    /// Name of the clock when nothing else is configured.
     pub const SYSTEM: &'static str = "system";
 
     const BOOT_ID: &'static str = "/proc/sys/kernel/random/boot_id";
     const TIME_NAMESPACE: &'static str = "/proc/self/ns/time";
-    /// The namespace that every process is in which was put into no other one (`PROC_TIME_INIT_INO` of Linux).
+    /// Namespace of all processes that were not put into another one (`PROC_TIME_INIT_INO` of Linux).
     const INITIAL_TIME_NAMESPACE: &'static str = "time:[4026531834]";
 
-    /// An identity of two given parts, of no known process.
+    /// Creates an identity from two given parts, without a process.
     pub fn new(boot: &str, clock: &str) -> Self {
         Self { boot: boot.into(), clock: clock.into(), process: None }
     }
 
-    /// Whether processes of these identities may read one clock: they tell one boot, one time namespace and one name.
+    /// Returns whether processes with these identities may read one clock: they state the same boot, time namespace and
+    /// name.
     pub fn may_be_one_with(&self, other: &Self) -> bool {
         self.boot == other.boot && self.clock == other.clock
     }
 
-    /// The identity of this process's clocks; `clock` is [`Self::SYSTEM`] or a name of one's own.
+    /// Returns the identity of this process's clocks; `clock` is [`Self::SYSTEM`] or a configured name.
     ///
     /// # Errors
-    /// When the kernel's boot id or the time namespace cannot be read; the error names the file.
+    /// If the kernel's boot id or the time namespace cannot be read. The error names the file.
     pub fn of_this_machine(clock: &str) -> io::Result<Self> {
         let unreadable = |path: &'static str| {
             move |error: io::Error| io::Error::new(error.kind(), format!("cannot read {path}: {error}"))
@@ -53,7 +57,7 @@ impl ClockIdentity {
         let boot = std::fs::read_to_string(Self::BOOT_ID).map_err(unreadable(Self::BOOT_ID))?;
         let namespace = match std::fs::read_link(Self::TIME_NAMESPACE) {
             Ok(namespace) => namespace.to_string_lossy().into_owned(),
-            // A kernel without time namespaces.
+            // The kernel has no time namespaces.
             Err(error) if error.kind() == io::ErrorKind::NotFound => Self::INITIAL_TIME_NAMESPACE.to_owned(),
             Err(error) => return Err(unreadable(Self::TIME_NAMESPACE)(error)),
         };
@@ -61,7 +65,8 @@ impl ClockIdentity {
         Ok(Self { process: Some(process()), ..identity })
     }
 
-    /// The initial namespace is left out, so that releases which do not look at namespaces tell the same of it.
+    /// Creates an identity for a time namespace. The initial one is left out, so that the identity equals that of
+    /// releases which ignore namespaces.
     fn in_namespace(boot: &str, namespace: &str, clock: &str) -> Self {
         if namespace == Self::INITIAL_TIME_NAMESPACE {
             Self::new(boot, clock)
@@ -71,16 +76,16 @@ impl ClockIdentity {
     }
 }
 
-/// The number of this process, drawn at random when it is asked for first.
+/// Returns the random number of this process, drawn at the first call.
 fn process() -> u64 {
     static PROCESS: OnceLock<u64> = OnceLock::new();
     *PROCESS.get_or_init(|| RandomState::new().hash_one(std::process::id()))
 }
 
-/// Returns the inode of the time namespace of this process; 0 where the kernel has no time namespaces.
+/// Returns the inode of the time namespace of this process; 0 if the kernel has no time namespaces.
 ///
 /// # Errors
-/// When the namespace cannot be looked at; the error names the file.
+/// If the metadata of the namespace cannot be read. The error names the file.
 pub fn time_namespace() -> io::Result<u64> {
     match std::fs::metadata(ClockIdentity::TIME_NAMESPACE) {
         Ok(namespace) => Ok(namespace.ino()),

@@ -1,30 +1,32 @@
-//! Events that repeat: one log line a minute for each kind, with a count.
+//! Limits repeated log lines to one per minute and kind, with a count.
 
 use std::collections::HashMap;
 use std::net::IpAddr;
 
 use crate::{MonoTime, Span};
 
-/// Least time between two lines about the same.
+/// Shortest time between two lines of one kind.
 const LINE_INTERVAL: Span = Span::from_seconds(60);
-/// Kinds counted apart. More are counted together, so that whoever invents kinds takes no memory.
+/// Largest number of kinds that are counted separately. Further kinds share one count, so that a peer which invents
+/// kinds takes no memory.
 const MAX_KINDS: usize = 256;
 
-/// Decides which of many equal events is logged: the first at once, then one a minute with the number of those between.
+/// Decides which of many similar events are logged: the first at once, then one per minute with the number of events
+/// since.
 #[derive(Debug, Default)]
 pub struct LogThrottle {
-    known: HashMap<(String, Option<IpAddr>), Known>,
+    known: HashMap<(String, Option<IpAddr>), KindCount>,
 }
 
 #[derive(Debug)]
-struct Known {
+struct KindCount {
     logged_at: MonoTime,
     since: u64,
 }
 
 impl LogThrottle {
-    /// Counts an event by its kind and the address it comes from. Returns how often it happened since it was last logged;
-    /// `None` when that was less than a minute ago.
+    /// Counts an event by its kind and source address. Returns the number of events since the last line; `None` if that
+    /// was less than a minute ago.
     pub fn count(&mut self, reason: &str, address: Option<IpAddr>, now: MonoTime) -> Option<u64> {
         let mut key = (reason.to_owned(), address);
         if !self.known.contains_key(&key) && self.known.len() >= MAX_KINDS {
@@ -34,7 +36,7 @@ impl LogThrottle {
             key = (String::new(), None);
         }
         let Some(known) = self.known.get_mut(&key) else {
-            self.known.insert(key, Known { logged_at: now, since: 0 });
+            self.known.insert(key, KindCount { logged_at: now, since: 0 });
             return Some(1);
         };
         known.since += 1;
@@ -45,7 +47,8 @@ impl LogThrottle {
         Some(std::mem::take(&mut known.since))
     }
 
-    /// Forgets what no longer happens. Returns how many events were not logged, by kind and address.
+    /// Removes kinds without a line for a minute. Returns the events of these that were not logged, by kind and
+    /// address.
     pub fn age(&mut self, now: MonoTime) -> Vec<(String, Option<IpAddr>, u64)> {
         let old = self.known.extract_if(|_, known| now - known.logged_at >= LINE_INTERVAL);
         old.filter(|(_, known)| known.since > 0)

@@ -1,4 +1,4 @@
-//! A clock that moves only when told to.
+//! A clock for tests that moves only by method calls.
 
 use std::sync::atomic::{AtomicI64, AtomicU32, Ordering};
 
@@ -17,10 +17,12 @@ pub struct ManualClock {
 }
 
 impl ManualClock {
-    /// What the free-running clock shows before any time passed. Not zero, so that no stamp of it is taken for one of another clock.
+    /// Time that the free-running clock shows at first. It differs from zero, so that its stamps are not mistaken for
+    /// those of another clock.
     pub const FIRST_RAW: RawTime = RawTime::from_nanos(5_000_000_000_000);
 
-    /// A clock whose wall shows `wall`, whose monotonic clock shows zero and whose free-running one [`FIRST_RAW`](Self::FIRST_RAW).
+    /// Creates a clock whose wall clock shows `wall`, whose monotonic clock shows zero and whose free-running clock
+    /// shows [`FIRST_RAW`](Self::FIRST_RAW).
     pub fn new(wall: WallTime, identity: ClockIdentity) -> Self {
         Self {
             wall: AtomicI64::new(wall.unix_nanos()),
@@ -33,25 +35,26 @@ impl ManualClock {
         }
     }
 
-    /// Lets time pass on all clocks.
+    /// Advances all clocks by `span`.
     pub fn advance(&self, span: Span) {
         self.wall.fetch_add(span.nanos(), Ordering::SeqCst);
         self.mono.fetch_add(span.nanos(), Ordering::SeqCst);
     }
 
-    /// Lets the machine sleep: the wall clock and the boot clock go on, and a new epoch begins.
+    /// Simulates a sleep of the machine: advances the wall clock and the boot clock, and begins a new epoch.
     pub fn sleep(&self, span: Span) {
         self.wall.fetch_add(span.nanos(), Ordering::SeqCst);
         self.slept.fetch_add(span.nanos(), Ordering::SeqCst);
         self.epoch.fetch_add(1, Ordering::SeqCst);
     }
 
-    /// Moves the wall clock without a trace, as a time daemon does that slews it.
+    /// Moves the wall clock without a new epoch, as a time daemon does that slews it.
     pub fn slew_wall(&self, by: Span) {
         self.wall.fetch_add(by.nanos(), Ordering::SeqCst);
     }
 
-    /// Sets the wall clock forward or back, as an administrator would; a new epoch of it begins, however small the step.
+    /// Steps the wall clock forward or back, as an administrator does. A new epoch of it begins, however small the
+    /// step.
     pub fn step_wall(&self, by: Span) {
         self.wall.fetch_add(by.nanos(), Ordering::SeqCst);
         self.last_step.store(by.nanos(), Ordering::SeqCst);

@@ -1,25 +1,25 @@
-//! Which clocks of two hosts a relation relates.
+//! The clocks of two hosts that a relation relates.
 
 use std::fmt;
 
 use serde::{Deserialize, Serialize};
 
-/// The clocks of the two hosts that the stamps of exchanges are of.
+/// The clocks of the two hosts that stamp the exchanges.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum RelatedClocks {
     /// The free-running clocks (`CLOCK_MONOTONIC_RAW`) of both hosts: no time daemon steps or slews them.
     #[default]
     Raw,
-    /// The free-running clock of the edge and the wall clock of the cloud, whose steps and slews move the offset: a cloud of session
-    /// protocol 4, or a STAMP reflector of another implementation.
+    /// The free-running clock of the edge and the wall clock of the cloud, whose steps and slews move the offset. Used
+    /// with a cloud of session protocol 4, and with a STAMP reflector of another implementation.
     RawToWall,
-    /// The wall clocks of both hosts: only runs that were recorded before version 0.3.0.
+    /// The wall clocks of both hosts. Used only for runs recorded before version 0.3.0.
     Wall,
 }
 
 impl RelatedClocks {
-    /// Every value, in the order of declaration.
+    /// All values, in the order of declaration.
     pub const ALL: &'static [Self] = &[Self::Raw, Self::RawToWall, Self::Wall];
 
     /// Returns the name used in storage, in the API and on the pages.
@@ -31,12 +31,12 @@ impl RelatedClocks {
         }
     }
 
-    /// Returns the value of that name, if there is one.
+    /// Returns the value with a name; `None` for an unknown name.
     pub fn from_name(name: &str) -> Option<Self> {
         Self::ALL.iter().copied().find(|value| value.name() == name)
     }
 
-    /// Whether no time daemon can move the offset between the two clocks.
+    /// Returns whether no time daemon can move the offset between the two clocks.
     pub const fn are_free_running(self) -> bool {
         matches!(self, Self::Raw)
     }

@@ -1,14 +1,14 @@
-//! Two hosts' clocks and a network between them, for tests: what is true is known.
+//! Simulated clocks of two hosts and a network between them, for tests that know the truth.
 
 use peernet_statistics::SplitMix64;
 
 use crate::{Exchange, ExchangeObservation, RawTime, Span};
 
-/// Numbers that look random; the same for the same seed.
+/// Pseudo-random numbers; the same for the same seed.
 #[derive(Clone, Debug)]
-pub(crate) struct Dice(SplitMix64);
+pub(crate) struct RandomSource(SplitMix64);
 
-impl Dice {
+impl RandomSource {
     pub(crate) const fn new(seed: u64) -> Self {
         Self(SplitMix64::new(seed))
     }
@@ -17,7 +17,7 @@ impl Dice {
         self.0.bits()
     }
 
-    /// From 0 up to 1.
+    /// Returns a number from 0 up to 1.
     pub(crate) fn unit(&mut self) -> f64 {
         self.0.unit()
     }
@@ -35,20 +35,20 @@ impl Dice {
     }
 }
 
-/// A clock: how far it is ahead of true time, in pieces. All in nanoseconds of true time since a start.
+/// A simulated clock: its error against true time, in pieces. Times are nanoseconds of true time since a start.
 #[derive(Clone, Debug)]
-pub(crate) struct Wall {
-    /// By time.
+pub(crate) struct SimulatedClock {
+    /// Pieces in the order of time.
     pieces: Vec<Piece>,
 }
 
-/// From a time on: the error then, its drift, and how fast the drift changes.
+/// The error, the drift and the change of the drift from a time on.
 #[derive(Clone, Copy, Debug)]
 struct Piece {
     begin: f64,
     error: f64,
     drift: f64,
-    /// Per nanosecond.
+    /// Change of the drift per nanosecond.
     change: f64,
 }
 
@@ -63,26 +63,34 @@ impl Piece {
     }
 }
 
-impl Wall {
-    /// Ahead by so much at the start, running fast by so many parts per million.
+impl SimulatedClock {
+    /// Creates a clock that is ahead by `offset` at the start and fast by `ppm`.
     pub(crate) fn drifting(offset: Span, ppm: f64) -> Self {
         let piece = Piece { begin: 0.0, error: offset.nanos() as f64, drift: ppm * 1e-6, change: 0.0 };
         Self { pieces: vec![piece] }
     }
 
-    /// A drift within ± `ppm` that changes by at most ± `ppm_per_s`, as temperature makes it, for so long.
-    pub(crate) fn warming(offset: Span, ppm: f64, ppm_per_s: f64, length: Span, dice: &mut Dice) -> Self {
-        let (mut t, mut drift) = (0.0, dice.between(-ppm, ppm));
+    /// Creates a clock whose drift stays within ± `ppm` and changes by at most ± `ppm_per_s`, as with temperature, for
+    /// `length`.
+    pub(crate) fn warming(
+        offset: Span,
+        ppm: f64,
+        ppm_per_s: f64,
+        length: Span,
+        random: &mut RandomSource,
+    ) -> Self {
+        let (mut t, mut drift) = (0.0, random.between(-ppm, ppm));
         let mut wall = Self::drifting(offset, drift);
         while t < length.nanos() as f64 {
-            let change = match dice.bits() % 4 {
+            let change = match random.bits() % 4 {
                 0 => 0.0,
                 1 => ppm_per_s,
                 2 => -ppm_per_s,
-                _ => dice.between(-ppm_per_s, ppm_per_s),
+                _ => random.between(-ppm_per_s, ppm_per_s),
             };
             let limit = (ppm.copysign(change) - drift) / change;
-            let lasts = (dice.exponential(8.0) + 0.1).min(if change == 0.0 { f64::INFINITY } else { limit });
+            let lasts =
+                (random.exponential(8.0) + 0.1).min(if change == 0.0 { f64::INFINITY } else { limit });
             if lasts > 1e-3 {
                 let error = wall.error(t);
                 wall.pieces.push(Piece { begin: t, error, drift: drift * 1e-6, change: change * 1e-15 });
@@ -93,7 +101,7 @@ impl Wall {
         wall
     }
 
-    /// Runs faster from a time on, at one drift: replaces the pieces that follow.
+    /// Makes the clock faster by `ppm` from a time on, at a constant drift. Replaces the pieces that follow.
     pub(crate) fn faster(mut self, at: Span, ppm: f64) -> Self {
         let begin = at.nanos() as f64;
         let piece = Piece {
@@ -107,20 +115,20 @@ impl Wall {
         self
     }
 
-    /// A drift that wanders within ± `ppm`, changing every few seconds, for so long.
-    pub(crate) fn wandering(offset: Span, ppm: f64, length: Span, dice: &mut Dice) -> Self {
+    /// Creates a clock whose drift wanders within ± `ppm` and changes every few seconds, for `length`.
+    pub(crate) fn wandering(offset: Span, ppm: f64, length: Span, random: &mut RandomSource) -> Self {
         let mut wall = Self::drifting(offset, 0.0);
-        let (mut t, mut drift) = (0.0, dice.between(-ppm, ppm));
+        let (mut t, mut drift) = (0.0, random.between(-ppm, ppm));
         while t < length.nanos() as f64 {
             let error = wall.error(t);
             wall.pieces.push(Piece { begin: t, error, drift: drift * 1e-6, change: 0.0 });
-            t += dice.exponential(4e9) + 1.0;
-            drift = (drift + dice.between(-0.4, 0.4) * ppm).clamp(-ppm, ppm);
+            t += random.exponential(4e9) + 1.0;
+            drift = (drift + random.between(-0.4, 0.4) * ppm).clamp(-ppm, ppm);
         }
         wall
     }
 
-    /// Set forward or back from a time on.
+    /// Steps the clock forward or back at a time.
     pub(crate) fn stepped(mut self, at: Span, by: Span) -> Self {
         let begin = at.nanos() as f64;
         let known = self.piece(begin);
@@ -139,12 +147,12 @@ impl Wall {
         self.piece(t).error(t)
     }
 
-    /// What it shows, cut to whole nanoseconds as clocks do.
+    /// Returns the time that the clock shows, cut to whole nanoseconds as clocks do.
     pub(crate) fn shows(&self, t: f64) -> RawTime {
         RawTime::from_nanos((t + self.error(t)).floor() as i64)
     }
 
-    /// The true time at which it showed something, where it was not stepped.
+    /// Returns the true time at which the clock showed a time. The clock must not have been stepped.
     fn time(&self, shown: RawTime) -> f64 {
         let mut t = shown.nanos() as f64;
         for _ in 0..8 {
@@ -154,19 +162,19 @@ impl Wall {
     }
 }
 
-/// Two hosts.
+/// The clocks of two hosts.
 #[derive(Clone, Debug)]
-pub(crate) struct World {
-    pub(crate) edge: Wall,
-    pub(crate) cloud: Wall,
+pub(crate) struct HostClocks {
+    pub(crate) edge: SimulatedClock,
+    pub(crate) cloud: SimulatedClock,
 }
 
-/// What happened to a message and its answer: true times and stamps.
+/// True times and stamps of a message and its answer.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Trip {
     pub(crate) up: Span,
     pub(crate) down: Span,
-    /// When it ended, nanoseconds of true time.
+    /// End in nanoseconds of true time.
     pub(crate) ended: f64,
     pub(crate) exchange: Exchange,
 }
@@ -182,8 +190,8 @@ impl Trip {
     }
 }
 
-impl World {
-    /// Sent at a true time (nanoseconds), so long under way and served.
+impl HostClocks {
+    /// Returns a trip that begins at a true time `t`, with its delays and its service time; all in nanoseconds.
     pub(crate) fn trip(&self, t: f64, up: f64, served: f64, down: f64) -> Trip {
         let (there, back) = (t + up, t + up + served);
         Trip {
@@ -200,48 +208,54 @@ impl World {
         }
     }
 
-    /// The true offset, nanoseconds, when the edge showed `at`.
+    /// Returns the true offset in nanoseconds when the edge showed `at`.
     pub(crate) fn offset(&self, at: RawTime) -> f64 {
         let t = self.edge.time(at);
         self.cloud.error(t) - self.edge.error(t)
     }
 }
 
-/// A path between two hosts, times in nanoseconds.
+/// A path between two hosts; times in nanoseconds.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Path {
     pub(crate) up: f64,
     pub(crate) down: f64,
-    /// Mean of what a message waits on the way, mostly.
+    /// Mean of a message's usual waiting time.
     pub(crate) jitter: f64,
     pub(crate) loss: f64,
-    /// Now and then there is so much more to wait for a while.
+    /// Largest additional waiting time during congestion.
     pub(crate) burst: f64,
 }
 
 impl Path {
-    /// Two namespaces on one machine.
+    /// Path between two network namespaces of one machine.
     pub(crate) const VETH: Self = Self { up: 30e3, down: 30e3, jitter: 15e3, loss: 0.0, burst: 500e3 };
 
-    /// Trips between two true times (seconds), so many per second; in the order in which they end.
-    pub(crate) fn trips(&self, world: &World, seconds: (f64, f64), hz: f64, dice: &mut Dice) -> Vec<Trip> {
+    /// Returns the trips between two true times (seconds) at `hz` per second, in the order in which they end.
+    pub(crate) fn trips(
+        &self,
+        host_clocks: &HostClocks,
+        seconds: (f64, f64),
+        hz: f64,
+        random: &mut RandomSource,
+    ) -> Vec<Trip> {
         let mut trips = Vec::new();
         let (mut t, mut congested) = (seconds.0 * 1e9, false);
         while t < seconds.1 * 1e9 {
-            if dice.chance(if congested { 0.05 } else { 0.005 }) {
+            if random.chance(if congested { 0.05 } else { 0.005 }) {
                 congested = !congested;
             }
             let mut waits = || {
-                let burst = if congested { dice.between(0.0, self.burst) } else { 0.0 };
-                let tail = if dice.chance(0.03) { dice.exponential(20.0 * self.jitter) } else { 0.0 };
-                burst + tail + dice.exponential(self.jitter)
+                let burst = if congested { random.between(0.0, self.burst) } else { 0.0 };
+                let tail = if random.chance(0.03) { random.exponential(20.0 * self.jitter) } else { 0.0 };
+                burst + tail + random.exponential(self.jitter)
             };
             let (up, down) = (self.up + waits(), self.down + waits());
-            let served = dice.exponential(100e3);
-            if !dice.chance(self.loss) {
-                trips.push(world.trip(t, up.floor(), served.floor(), down.floor()));
+            let served = random.exponential(100e3);
+            if !random.chance(self.loss) {
+                trips.push(host_clocks.trip(t, up.floor(), served.floor(), down.floor()));
             }
-            t += (1e9 / hz * dice.between(0.5, 1.5)).floor();
+            t += (1e9 / hz * random.between(0.5, 1.5)).floor();
         }
         trips.sort_by(|a, b| a.ended.total_cmp(&b.ended));
         trips

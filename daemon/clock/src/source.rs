@@ -1,4 +1,4 @@
-//! Where time comes from: the `Clock` trait and the operating system's clock behind it.
+//! The `Clock` trait and the operating system's clock.
 
 use std::fmt;
 use std::ops::{Add, Sub};
@@ -6,20 +6,20 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use crate::steps::{Paired, StepWatch};
 use crate::system::{BOOT, MONO, RAW, WALL, is_kernels, read};
-use crate::{ClockIdentity, Interval, MonoTime, RawTime, Readings, RehearsalDescription, Span, WallTime};
+use crate::{ClockFaults, ClockIdentity, Interval, MonoTime, RawTime, Readings, Span, WallTime};
 
 /// The clocks of a host, read together.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Stamp {
-    /// What the wall clock showed.
+    /// Time of the wall clock.
     pub wall: WallTime,
-    /// What the monotonic clock showed.
+    /// Time of the monotonic clock.
     pub mono: MonoTime,
-    /// What the free-running clock showed. It is read first, so that this is not later than the other two.
+    /// Time of the free-running clock. It is read first, so that it is not later than the other two.
     pub raw: RawTime,
 }
 
-/// The clocks a span later, as far as they run alike meanwhile.
+/// Returns the stamp a span later, if all clocks advance alike.
 impl Add<Span> for Stamp {
     type Output = Self;
     fn add(self, span: Span) -> Self {
@@ -27,7 +27,7 @@ impl Add<Span> for Stamp {
     }
 }
 
-/// The clocks a span earlier, as far as they ran alike meanwhile.
+/// Returns the stamp a span earlier, if all clocks advanced alike.
 impl Sub<Span> for Stamp {
     type Output = Self;
     fn sub(self, span: Span) -> Self {
@@ -37,87 +37,92 @@ impl Sub<Span> for Stamp {
 
 /// The only source of time in the workspace.
 pub trait Clock: Send + Sync + fmt::Debug {
-    /// Now on the wall clock.
+    /// Returns the current time of the wall clock.
     fn wall(&self) -> WallTime;
 
-    /// Now on the monotonic clock.
+    /// Returns the current time of the monotonic clock.
     fn mono(&self) -> MonoTime;
 
-    /// Now on the free-running clock, by which clocks of two hosts are related.
+    /// Returns the current time of the free-running clock, by which the clocks of two hosts are related.
     fn raw(&self) -> RawTime;
 
-    /// Which clock this is.
+    /// Returns the identity of the clock.
     fn identity(&self) -> &ClockIdentity;
 
-    /// The clocks, read one right after the other: whoever is interrupted in between reads again, because that would
-    /// look like a step.
+    /// Reads the clocks one right after the other. An interrupted read is repeated, because it would look like a step.
     fn stamp(&self) -> Stamp {
         let read = || Paired { before: self.raw(), between: (self.wall(), self.mono()), after: self.raw() };
         let Paired { before, between: (wall, mono), .. } = Paired::read(read);
         Stamp { wall, mono, raw: before }
     }
 
-    /// How far the wall clock is ahead of the free-running one now; contains the truth.
+    /// Returns the interval that contains the wall clock minus the free-running clock at this moment.
     fn wall_ahead(&self) -> Interval {
         let read = || Paired { before: self.raw(), between: self.wall(), after: self.raw() };
         let Paired { before, between, after } = Paired::read(read);
         let ahead = |raw: RawTime| Span::from_nanos(between.unix_nanos().saturating_sub(raw.nanos()));
-        // A free-running clock that was stepped on purpose in between may go back.
+        // A free-running clock with an injected step in between may go back.
         Interval::exactly(ahead(after)).hull(Interval::exactly(ahead(before)))
     }
 
-    /// All clocks of the host, for who watches over them.
+    /// Reads all clocks of the host, for [`ClockWatch`](crate::ClockWatch).
     fn readings(&self) -> Readings {
         let Stamp { wall, mono, raw } = self.stamp();
         Readings { wall, mono, raw, boot: mono }
     }
 
-    /// How often the free-running clock was interrupted: by a sleep of the machine, or by whatever
-    /// [`begin_epoch`](Self::begin_epoch) was told of. Looks: a sleep is noticed by the first call after it, so that stamps taken
-    /// before a call belong to no later epoch than it returns.
+    /// Returns the number of interruptions of the free-running clock: by sleeps of the machine and by calls of
+    /// [`begin_epoch`](Self::begin_epoch).
+    ///
+    /// Each call checks for a sleep. A sleep is counted by the first call after it, so that stamps taken before a call
+    /// belong to no later epoch than it returns. A stamp and a call next to it therefore reveal a sleep with the first
+    /// message after it, before any periodic check does.
     fn epoch(&self) -> u32 {
         0
     }
 
-    /// The free-running clock was interrupted in a way that it cannot notice itself: stamps before and after say nothing about
-    /// each other.
+    /// Begins an epoch after an interruption of the free-running clock that the clock itself cannot detect: stamps
+    /// before and after it cannot be compared.
     fn begin_epoch(&self) {}
 
-    /// How often the wall clock was found to have been stepped; looks like [`epoch`](Self::epoch).
+    /// Returns the number of detected steps of the wall clock. Each call checks for a step, as [`epoch`](Self::epoch)
+    /// checks for a sleep.
+    ///
+    /// Steps matter to peers of session protocol 4 and to claims of time daemons, which concern wall clocks.
     fn wall_epoch(&self) -> u32 {
         0
     }
 
-    /// The wall clock ran off in a way that only shows over time: from now on it counts as stepped.
+    /// Begins an epoch of the wall clock after a change of its rate, which only shows over time. It counts as a step.
     fn begin_wall_epoch(&self) {}
 
-    /// How far the wall clock was set by the last step that a call of [`wall_epoch`](Self::wall_epoch) noticed.
+    /// Returns the size of the last step that a call of [`wall_epoch`](Self::wall_epoch) detected.
     fn last_step(&self) -> Option<Span> {
         None
     }
 
-    /// What this wall clock would have shown when the system's wall clock showed `system`, a moment ago: a packet's
-    /// stamp is made by the kernel, which knows nothing of a rehearsal.
+    /// Returns the time that this wall clock would have shown when the system's wall clock showed `system`, a moment
+    /// ago. Packets are stamped by the kernel, which does not apply injected faults.
     fn adopt(&self, system: WallTime) -> WallTime {
         system
     }
 
-    /// Whether the clocks show at this moment what the kernel shows by a direct system call: not where a preloaded library shows this
-    /// process other times, nor where they are wrong on purpose.
+    /// Returns whether the clocks currently show what the kernel shows by a direct system call. They do not if a
+    /// preloaded library shows this process other times, or if faults are injected.
     fn shows_kernel_time(&self) -> bool {
         false
     }
 
-    /// How the clock is made wrong on purpose, if it is.
-    fn rehearsal(&self) -> Option<&RehearsalDescription> {
+    /// Returns the faults that are injected into the clock, if any.
+    fn rehearsal(&self) -> Option<&ClockFaults> {
         None
     }
 }
 
-/// A clock that is handed around.
+/// A shared clock.
 pub type SharedClock = Arc<dyn Clock>;
 
-/// The operating system's clocks. Clones notice steps and sleeps together.
+/// The operating system's clocks. Clones share the detection of steps and sleeps.
 #[derive(Clone, Debug)]
 pub struct SystemClock {
     identity: ClockIdentity,
@@ -126,23 +131,25 @@ pub struct SystemClock {
 }
 
 impl SystemClock {
-    /// The clocks of this machine under the given identity (see [`ClockIdentity::of_this_machine`]). Steps and sleeps count from
-    /// now on.
+    /// Creates the clocks of this machine with an identity (see [`ClockIdentity::of_this_machine`]). Steps and sleeps
+    /// count from now on.
     pub fn new(identity: ClockIdentity) -> Self {
         let clock = Self { identity, steps: Arc::default(), sleeps: Arc::default() };
+        // The first reading is the reference of the detection.
         clock.epoch();
         clock.wall_epoch();
         clock
     }
 }
 
-/// Reads another clock between two looks at the monotonic one.
+/// Reads another clock between two reads of the monotonic clock.
 fn beside_mono(other: impl Fn() -> i64) -> Paired {
     let mono = || MonoTime::from_nanos(read(MONO));
     Paired::read(|| Paired { before: mono(), between: other(), after: mono() })
 }
 
 fn lock(watch: &Mutex<StepWatch>) -> MutexGuard<'_, StepWatch> {
+    // The state is valid after each assignment, so that a panic elsewhere does not invalidate it.
     watch.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
@@ -177,8 +184,8 @@ impl Clock for SystemClock {
     }
 
     fn epoch(&self) -> u32 {
-        // Both run at one rate: what comes between them is sleep.
-        lock(&self.sleeps).look(beside_mono(|| read(BOOT)))
+        // Both clocks run at the same rate, so that any change between them is sleep.
+        lock(&self.sleeps).compare(beside_mono(|| read(BOOT)))
     }
 
     fn begin_epoch(&self) {
@@ -186,7 +193,7 @@ impl Clock for SystemClock {
     }
 
     fn wall_epoch(&self) -> u32 {
-        lock(&self.steps).look(beside_mono(|| read(WALL)))
+        lock(&self.steps).compare(beside_mono(|| read(WALL)))
     }
 
     fn begin_wall_epoch(&self) {
@@ -207,7 +214,7 @@ impl Clock for SystemClock {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::RehearsedClock;
+    use crate::FaultyClock;
 
     #[test]
     fn the_monotonic_clock_never_runs_backwards() {
@@ -224,14 +231,10 @@ mod tests {
     fn only_the_system_clock_shows_kernel_time() {
         let system = SystemClock::new(ClockIdentity::new("boot", "system"));
         assert!((0..10_000).all(|_| system.shows_kernel_time()));
-        let wrong = RehearsalDescription {
-            offset: Span::ZERO,
-            drift_ppm: 0.0,
-            steps: Vec::new(),
-            since: system.wall(),
-        };
+        let wrong =
+            ClockFaults { offset: Span::ZERO, drift_ppm: 0.0, steps: Vec::new(), since: system.wall() };
         let identity = system.identity().clone();
-        let rehearsed = RehearsedClock::new(Arc::new(system), identity, wrong);
+        let rehearsed = FaultyClock::new(Arc::new(system), identity, wrong);
         assert!(!rehearsed.shows_kernel_time());
     }
 

@@ -1,29 +1,29 @@
-//! The one place where the operating system's clocks are read.
+//! The only module that reads the operating system's clocks.
 
 use nix::time::{ClockId, clock_gettime};
 
 /// Calendar time, stepped and slewed by time daemons.
 pub(crate) const WALL: ClockId = ClockId::CLOCK_REALTIME;
-/// Slewed along with the wall clock, never stepped.
+/// Monotonic time: slewed like the wall clock, never stepped.
 pub(crate) const MONO: ClockId = ClockId::CLOCK_MONOTONIC;
-/// Neither stepped nor slewed.
+/// Free-running time: neither stepped nor slewed.
 pub(crate) const RAW: ClockId = ClockId::CLOCK_MONOTONIC_RAW;
-/// The monotonic clock and the time that the machine slept.
+/// Monotonic time plus the time that the machine slept.
 pub(crate) const BOOT: ClockId = ClockId::CLOCK_BOOTTIME;
 
-/// Returns what a clock shows: nanoseconds since its own origin.
+/// Returns the time of a clock in nanoseconds since its own origin.
 ///
-/// Through the C library, so that a preloaded library such as libfaketime reaches all clocks alike; it ends in the kernel's vDSO
-/// as a direct call would.
+/// The call goes through the C library, so that a preloaded library such as libfaketime reaches all clocks alike. It
+/// uses the kernel's vDSO as a direct call would.
 #[inline]
 pub(crate) fn read(clock: ClockId) -> i64 {
     let time = clock_gettime(clock).expect("Linux has had these four clocks since version 2.6.39");
     time.tv_sec().saturating_mul(1_000_000_000).saturating_add(time.tv_nsec())
 }
 
-/// Whether the C library shows of a clock what the kernel shows by a direct call, which no preloaded library reaches.
+/// Returns whether the C library shows the same time as a direct system call, which no preloaded library reaches.
 pub(crate) fn is_kernels(clock: ClockId, direct: rustix::time::ClockId) -> bool {
-    // Again, because the wall clock may be set between two reads.
+    // Several attempts, because the wall clock may be set between two reads.
     (0..4).any(|_| {
         let before = read_directly(direct);
         let shown = read(clock);

@@ -1,7 +1,7 @@
-//! Instants on the clocks of a host, and the difference between two instants of the same clock.
+//! Instants on the clocks of a host, and the difference between two instants of one clock.
 //!
-//! All are signed 64-bit nanoseconds: ±292 years around the epoch, enough for any wall clock this
-//! program meets. Arithmetic saturates instead of wrapping: a nonsensical stamp from a peer must not panic.
+//! All are signed 64-bit nanoseconds: ±292 years around the epoch. Arithmetic saturates, so that a nonsensical stamp
+//! from a peer cannot cause a panic.
 
 use std::fmt;
 use std::ops::{Add, AddAssign, Neg, Sub};
@@ -9,130 +9,131 @@ use std::time::Duration;
 
 use serde::{Deserialize, Serialize};
 
-/// A point on a host's wall clock (`CLOCK_REALTIME`): nanoseconds since 1970-01-01 00:00 UTC, no leap seconds.
+/// Instant of a host's wall clock (`CLOCK_REALTIME`): nanoseconds since 1970-01-01 00:00 UTC without leap seconds.
 ///
-/// Comparable only with stamps of the same host, unless a [`Relation`](crate::Relation) translates.
+/// Comparable only with stamps of the same host, unless a [`Relation`](crate::Relation) translates them.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(transparent)]
 pub struct WallTime(i64);
 
-/// A point on a host's monotonic clock (`CLOCK_MONOTONIC`): nanoseconds since an arbitrary moment near boot.
+/// Instant of a host's monotonic clock (`CLOCK_MONOTONIC`): nanoseconds since an arbitrary moment near boot.
 ///
-/// Never sent to another host as an instant: only differences travel.
+/// It is never sent to another host; only differences are.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct MonoTime(i64);
 
-/// A point on a host's free-running clock (`CLOCK_MONOTONIC_RAW`): nanoseconds since an arbitrary moment near boot.
+/// Instant of a host's free-running clock (`CLOCK_MONOTONIC_RAW`): nanoseconds since an arbitrary moment near boot.
 ///
-/// No time daemon steps or slews it, so that it drifts against the free-running clock of another host steadily. Comparable only
-/// with stamps of the same host since the same boot, unless a [`Relation`](crate::Relation) translates.
+/// No time daemon steps or slews this clock, so that it drifts steadily against the free-running clock of another host.
+/// Comparable only with stamps of the same host since the same boot, unless a [`Relation`](crate::Relation) translates
+/// them.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(transparent)]
 pub struct RawTime(i64);
 
-/// A signed difference between two instants of one clock, in nanoseconds.
+/// Signed difference between two instants of one clock, in nanoseconds.
 #[derive(Clone, Copy, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(transparent)]
 pub struct Span(i64);
 
 impl WallTime {
-    /// The instant `nanos` nanoseconds after the Unix epoch.
+    /// Returns the instant `nanos` nanoseconds after the Unix epoch.
     pub const fn from_unix_nanos(nanos: i64) -> Self {
         Self(nanos)
     }
 
-    /// Nanoseconds since the Unix epoch.
+    /// Returns the nanoseconds since the Unix epoch.
     pub const fn unix_nanos(self) -> i64 {
         self.0
     }
 
-    /// Whole seconds since the Unix epoch, rounded towards the past.
+    /// Returns the whole seconds since the Unix epoch, rounded towards the past.
     pub const fn unix_seconds(self) -> i64 {
         self.0.div_euclid(1_000_000_000)
     }
 }
 
 impl MonoTime {
-    /// The instant `nanos` nanoseconds after the monotonic clock's own origin.
+    /// Returns the instant `nanos` nanoseconds after the clock's own origin.
     pub const fn from_nanos(nanos: i64) -> Self {
         Self(nanos)
     }
 
-    /// Nanoseconds since the monotonic clock's own origin.
+    /// Returns the nanoseconds since the clock's own origin.
     pub const fn nanos(self) -> i64 {
         self.0
     }
 }
 
 impl RawTime {
-    /// The instant `nanos` nanoseconds after the free-running clock's own origin.
+    /// Returns the instant `nanos` nanoseconds after the clock's own origin.
     pub const fn from_nanos(nanos: i64) -> Self {
         Self(nanos)
     }
 
-    /// The time of a wall clock in the place of that of a free-running clock: of a peer that stamps by nothing else, and of runs
-    /// that were recorded so.
+    /// Uses a wall-clock time in place of a free-running one: for a peer without free-running stamps, and for runs that
+    /// were recorded with wall clocks only.
     pub const fn of_wall(wall: WallTime) -> Self {
         Self(wall.0)
     }
 
-    /// Nanoseconds since the free-running clock's own origin.
+    /// Returns the nanoseconds since the clock's own origin.
     pub const fn nanos(self) -> i64 {
         self.0
     }
 }
 
 impl Span {
-    /// No time at all.
+    /// Zero nanoseconds.
     pub const ZERO: Self = Self(0);
 
-    /// A span of `nanos` nanoseconds.
+    /// Returns a span of `nanos` nanoseconds.
     pub const fn from_nanos(nanos: i64) -> Self {
         Self(nanos)
     }
 
-    /// A span of `micros` microseconds.
+    /// Returns a span of `micros` microseconds.
     pub const fn from_micros(micros: i64) -> Self {
         Self(micros.saturating_mul(1_000))
     }
 
-    /// A span of `millis` milliseconds.
+    /// Returns a span of `millis` milliseconds.
     pub const fn from_millis(millis: i64) -> Self {
         Self(millis.saturating_mul(1_000_000))
     }
 
-    /// A span of `seconds` whole seconds.
+    /// Returns a span of `seconds` seconds.
     pub const fn from_seconds(seconds: i64) -> Self {
         Self(seconds.saturating_mul(1_000_000_000))
     }
 
-    /// The span nearest to `seconds`; not-a-number becomes zero and values out of range saturate.
+    /// Returns the span nearest to `seconds`. NaN becomes zero, and values out of range saturate.
     pub fn from_seconds_f64(seconds: f64) -> Self {
         Self((seconds * 1e9).round() as i64)
     }
 
-    /// Nanoseconds.
+    /// Returns the nanoseconds.
     pub const fn nanos(self) -> i64 {
         self.0
     }
 
-    /// Seconds, the unit in which durations are stored and served.
+    /// Returns the seconds, the unit in which durations are stored and served.
     pub fn seconds(self) -> f64 {
-        // Divided: 1e-9 is no binary fraction, and the product would print as 60.00000000000001.
+        // Divided, because 1e-9 is no binary fraction: the product would print as 60.00000000000001.
         self.0 as f64 / 1e9
     }
 
-    /// The same span as the standard library's unsigned duration; negative spans become zero.
+    /// Converts to the standard library's unsigned duration; negative spans become zero.
     pub fn to_duration(self) -> Duration {
         Duration::from_nanos(u64::try_from(self.0).unwrap_or(0))
     }
 
-    /// Whether the span is below zero.
+    /// Returns whether the span is below zero.
     pub const fn is_negative(self) -> bool {
         self.0 < 0
     }
 
-    /// The span without its sign.
+    /// Returns the span without its sign.
     pub const fn abs(self) -> Self {
         Self(self.0.saturating_abs())
     }
@@ -210,7 +211,7 @@ impl fmt::Debug for Span {
     }
 }
 
-/// Milliseconds with three decimals: `12.345 ms`.
+/// Formats milliseconds with three decimals: `12.345 ms`.
 impl fmt::Display for Span {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "{:.3} ms", self.0 as f64 * 1e-6)

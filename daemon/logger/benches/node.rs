@@ -1,5 +1,5 @@
-//! What measuring costs: one timed node beside the two bare clock reads it cannot do without, the wire form of a
-//! typical tree, and a sample added to a summary. Prints a table of medians over interleaved repeats.
+//! Benchmark of the logger: one timed node compared with the two clock reads that it needs, the wire form of a typical
+//! tree, and the addition of a sample to a summary. Prints a table of medians over interleaved repeats.
 #![expect(clippy::print_stdout, reason = "a benchmark prints its table")]
 
 use std::hint::black_box;
@@ -9,13 +9,13 @@ use peernet_clock::{ClockIdentity, OneWayDelay, SharedClock, Span, SystemClock};
 use peernet_logger::{HostId, Measure, NodeId, Rate, Recorder, Tree, Unit, stage, wire};
 use peernet_statistics::Summary;
 
-/// Repeats of every measurement, taken in turns so that a disturbance hits all alike.
+/// Repeats of every measurement. They are interleaved, so that a disturbance affects all of them.
 const REPEATS: usize = 301;
 /// Trees recorded in one repeat.
 const TREES: usize = 64;
-/// Timed nodes of each: as many as a tree has room for from the start.
+/// Timed nodes of each tree: as many as a new tree has capacity for.
 const NODES: usize = 20;
-/// Calls of everything else in one repeat.
+/// Calls of all other operations in one repeat.
 const CALLS: usize = 500;
 
 fn main() {
@@ -68,14 +68,14 @@ fn main() {
     println!("{:<44}{:>10} bytes", "packed sketch of the summary", summary.sketch.to_bytes().len());
 }
 
-/// Nanoseconds per call.
+/// Returns the nanoseconds per call.
 fn time(clock: &SharedClock, calls: usize, mut call: impl FnMut()) -> f64 {
     let begun = clock.mono();
     (0..calls).for_each(|_| call());
     (clock.mono() - begun).nanos() as f64 / calls as f64
 }
 
-/// Nanoseconds per timed node, over fresh recorders; `calls` of `record` make [`NODES`] of them.
+/// Returns the nanoseconds per timed node over new recorders; `calls` of `record` create [`NODES`] of them.
 fn nodes(clock: &SharedClock, calls: usize, record: impl Fn(&mut Recorder)) -> f64 {
     let host = HostId::random();
     let mut logs: Vec<Recorder> = (0..TREES).map(|_| Recorder::begin(clock.clone(), host)).collect();
@@ -104,7 +104,7 @@ fn whole_tree(clock: &SharedClock) {
     drop(black_box(log.finish()));
 }
 
-/// What an offloaded iteration looks like when it is stored.
+/// Returns the tree of an offloaded iteration as it is stored.
 fn typical(clock: &SharedClock) -> Tree {
     let mut log = Recorder::begin(clock.clone(), HostId::random());
     {
@@ -120,7 +120,7 @@ fn typical(clock: &SharedClock) -> Tree {
         drop(remote.time(name));
     }
     let download = remote.depart(stage::DOWNLOAD, clock.stamp());
-    log.tree_mut().absorb(remote.into_growth().expect("resumed")).expect("fits");
+    log.tree_mut().absorb(remote.into_tree_delta().expect("resumed")).expect("fits");
     log.arrive(download, clock.wall());
     for transit in [upload, download] {
         if let Some(Measure::Transit(transit)) = log.tree_mut().measure_mut(transit) {

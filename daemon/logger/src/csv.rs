@@ -1,22 +1,22 @@
-//! Trees as a table: one row per iteration, one column per path of names.
+//! Trees as a CSV table: one row per iteration, one column per path of names.
 //!
-//! The published rules: the first column is `iteration`; a child of the root is a column of its name, what lies
-//! deeper joins the names with `_`; a node that has both a value and children gets `_val`. Columns stand in the order
-//! in which nodes were logged. Seconds, bytes and bits per second, as plain numbers; a cell is empty where the
-//! iteration has no such node or its value is unknown.
+//! The format follows the published program: the first column is `iteration`; a child of the root has a column of its
+//! name; deeper nodes join the names with `_`; a node that has both a value and children gets `_val`. Columns are in
+//! the order in which nodes were logged. Values are seconds, bytes and bits per second as plain numbers. A cell is
+//! empty if the iteration has no such node or its value is unknown.
 //!
-//! Later iterations may have nodes that earlier ones had not, so the columns are gathered in a first pass over the
-//! trees and the rows written in a second one; memory does not grow with the number of rows.
+//! Later iterations may have nodes that earlier ones lack. A first pass over the trees therefore collects the columns,
+//! and a second pass writes the rows, so that memory does not grow with the number of rows.
 
 use std::collections::{HashMap, HashSet};
 use std::io;
 
 use crate::{Name, NodeId, Tree};
 
-/// The first column.
+/// Name of the first column.
 const ITERATION: &str = "iteration";
 
-/// Writes a whole table; `rows` is gone through twice.
+/// Writes a whole table. Iterates over `rows` twice.
 ///
 /// ```
 /// # use std::sync::Arc;
@@ -32,7 +32,7 @@ const ITERATION: &str = "iteration";
 /// ```
 ///
 /// # Errors
-/// When `out` fails.
+/// If writing to `out` fails.
 pub fn write<'a, R>(out: impl io::Write, rows: R) -> io::Result<()>
 where
     R: IntoIterator<Item = (u64, &'a Tree), IntoIter: Clone>,
@@ -47,13 +47,13 @@ where
     table.end()
 }
 
-/// The columns of a table: the union of the paths of all trees that were added.
+/// The columns of a table: the union of the paths of all trees added.
 #[derive(Clone, Debug, Default)]
 pub struct Columns {
-    /// Path segments by what they are: below which segment, called what, the how manieth of that name.
+    /// Index of each path segment by its parent segment, its name, and its position among siblings of that name.
     known: HashMap<(Option<usize>, Name, usize), usize>,
     segments: Vec<Segment>,
-    /// All segments, in the order of their columns.
+    /// Indices of all segments in the order of their columns.
     order: Vec<usize>,
     deepest: Option<usize>,
 }
@@ -62,25 +62,25 @@ pub struct Columns {
 #[derive(Clone, Debug)]
 struct Segment {
     parent: Option<usize>,
-    /// The name; of several siblings with one name, the second gets `_2`, and so on.
+    /// Name of the node. The second of several siblings with one name gets the suffix `_2`, and so on.
     label: String,
     has_value: bool,
     has_children: bool,
 }
 
 impl Columns {
-    /// No columns but the first.
+    /// Creates columns with `iteration` only.
     pub fn new() -> Self {
         Self::default()
     }
 
-    /// Columns for nodes down to that level only, the root's children being level 1: the published table has
-    /// `sensing`, not its parts.
+    /// Creates columns for nodes down to a level only; the root's children have level 1. The published table has
+    /// `sensing`, but not its parts.
     pub fn down_to(level: usize) -> Self {
         Self { deepest: Some(level), ..Self::default() }
     }
 
-    /// Makes room for all nodes of a tree.
+    /// Adds columns for all nodes of a tree.
     pub fn add(&mut self, tree: &Tree) {
         let mut after = 0;
         let mut siblings = Siblings::default();
@@ -94,7 +94,7 @@ impl Columns {
             if at == next {
                 self.insert(parent, &node.name, occurrence, after);
             }
-            // New columns stand where this tree has them: behind the one before.
+            // A new column follows the column of the node before it in this tree.
             after = self.order.iter().position(|other| *other == at).map_or(after, |place| place + 1);
             self.segments[at].has_value |= has_value(tree, id);
             if let Some(parent) = parent {
@@ -110,7 +110,8 @@ impl Columns {
         self.segments.push(Segment { parent, label, has_value: false, has_children: false });
     }
 
-    /// The segment of a node's parent (`None` for the root) and the node's level, if the node has a column.
+    /// Returns the segment of a node's parent (`None` for the root) and the node's level; `None` if the node has no
+    /// column.
     fn parent(
         &self,
         tree: &Tree,
@@ -125,8 +126,9 @@ impl Columns {
         self.deepest.is_none_or(|deepest| level <= deepest).then_some((segment, level))
     }
 
-    /// The columns' names after `iteration`, no two the same, each with its segment.
+    /// Returns the unique names of the columns after `iteration`, each with its segment.
     fn headers(&self) -> Vec<(usize, String)> {
+        // Paths joined with `_` can be equal although their nodes differ; readers address columns by name.
         let mut taken = HashSet::from([ITERATION.to_owned()]);
         let with_value = self.order.iter().copied().filter(|at| self.segments[*at].has_value);
         with_value
@@ -155,7 +157,7 @@ impl Columns {
     }
 }
 
-/// Counts siblings with one name within a tree.
+/// Counter of the siblings with one name within a tree.
 #[derive(Default)]
 struct Siblings<'a>(HashMap<(Option<usize>, &'a Name), usize>);
 
@@ -171,7 +173,7 @@ fn has_value(tree: &Tree, id: NodeId) -> bool {
     tree.get(id).is_some_and(|node| !matches!(node.measure, crate::Measure::Container))
 }
 
-/// A table whose columns are known, being written row by row.
+/// A table with known columns that is written row by row.
 #[derive(Debug)]
 pub struct Table<W: io::Write> {
     out: ::csv::Writer<W>,
@@ -182,10 +184,10 @@ pub struct Table<W: io::Write> {
 }
 
 impl<W: io::Write> Table<W> {
-    /// Writes the header.
+    /// Creates a table and writes its header.
     ///
     /// # Errors
-    /// When `out` fails.
+    /// If writing to `out` fails.
     pub fn begin(out: W, columns: Columns) -> io::Result<Self> {
         let headers = columns.headers();
         let mut out = ::csv::Writer::from_writer(out);
@@ -196,10 +198,10 @@ impl<W: io::Write> Table<W> {
         Ok(Self { out, columns, place, cells: vec![String::new(); headers.len()] })
     }
 
-    /// Writes an iteration. Nodes for which there is no column are left out: add the tree to the [`Columns`] first.
+    /// Writes the row of an iteration. Nodes without a column are left out: add the tree to the [`Columns`] first.
     ///
     /// # Errors
-    /// When `out` fails.
+    /// If writing to `out` fails.
     pub fn row(&mut self, iteration: u64, tree: &Tree) -> io::Result<()> {
         self.cells.iter_mut().for_each(String::clear);
         let mut siblings = Siblings::default();
@@ -218,10 +220,10 @@ impl<W: io::Write> Table<W> {
         Ok(self.out.write_record(std::iter::once(iteration.as_str()).chain(cells))?)
     }
 
-    /// Hands on what is still in memory.
+    /// Writes buffered rows to `out`.
     ///
     /// # Errors
-    /// When `out` fails.
+    /// If writing to `out` fails.
     pub fn end(mut self) -> io::Result<()> {
         self.out.flush()
     }

@@ -1,4 +1,4 @@
-//! Who and what: identities of hosts and runs.
+//! Identifiers of hosts and runs, and names for people.
 
 use std::fmt;
 use std::str::FromStr;
@@ -6,7 +6,7 @@ use std::sync::Arc;
 
 use serde::{Deserialize, Serialize};
 
-/// Makes a type of ids, each of 16 random bytes.
+/// Defines a type of random 16-byte identifiers.
 #[macro_export]
 macro_rules! random_id {
     ($(#[$doc:meta])* $id:ident) => {
@@ -18,17 +18,17 @@ macro_rules! random_id {
         pub struct $id(::uuid::Uuid);
 
         impl $id {
-            /// A new random id.
+            /// Creates a random id.
             pub fn random() -> Self {
                 Self(::uuid::Uuid::new_v4())
             }
 
-            /// The 16 bytes of the id.
+            /// Returns the 16 bytes of the id.
             pub fn as_bytes(&self) -> &[u8; 16] {
                 self.0.as_bytes()
             }
 
-            /// The id of these 16 bytes.
+            /// Creates the id with the given bytes.
             pub fn from_bytes(bytes: [u8; 16]) -> Self {
                 Self(::uuid::Uuid::from_bytes(bytes))
             }
@@ -49,22 +49,23 @@ macro_rules! random_id {
     };
 }
 random_id! {
-    /// A host: made once, kept in the agent's state directory. It decides; the name is for people.
+    /// Identifier of a host, drawn once and kept in the agent's state directory. It identifies the host; the name is
+    /// for people.
     HostId
 }
 
 random_id! {
-    /// A run: one pipeline configuration executed for many iterations.
+    /// Identifier of a run: one pipeline configuration executed for many iterations.
     RunId
 }
 
-/// A name for people, of a host, a pipeline or a model: 1 to 64 characters of `A-Z a-z 0-9 . _ -`, the first
-/// a letter or digit, so that it stands in addresses, file names and tables as it is.
+/// Name of a host, a pipeline or a model for people: 1 to 64 characters of `A-Z a-z 0-9 . _ -`, the first a letter or
+/// digit. It needs no escaping in addresses, file names and tables.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(try_from = "String", into = "String")]
 pub struct Slug(Arc<str>);
 
-/// A text that cannot be a name.
+/// Error for a text that is not a valid name.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error(
     "{0:?} cannot be a name: use 1 to 64 letters, digits, dots, underscores and hyphens, a letter or digit first"
@@ -72,22 +73,22 @@ pub struct Slug(Arc<str>);
 pub struct InvalidName(pub String);
 
 impl Slug {
-    /// The name as text.
+    /// Returns the name as text.
     pub fn as_str(&self) -> &str {
         &self.0
     }
 
-    /// `any`: stands where a peer chooses and has not done so yet.
+    /// Returns `any`, the placeholder where a peer chooses and has not chosen yet.
     pub fn any() -> Self {
         Self("any".into())
     }
 
-    /// `none`: stands where a name is asked for and there is nothing to name.
+    /// Returns `none`, the placeholder where a name is required and nothing has one.
     pub fn none() -> Self {
         Self("none".into())
     }
 
-    /// `observed`: stands for a model where nodes of another system are observed.
+    /// Returns `observed`, which replaces the model's name where nodes of another system are observed.
     pub fn observed() -> Self {
         Self("observed".into())
     }

@@ -1,13 +1,13 @@
-//! The logger: a tree of typed nodes per iteration, and its text, CSV and wire forms.
+//! The logger: one tree of typed nodes per iteration, and its text, CSV and wire forms.
 //!
-//! No I/O. From the ground up:
+//! No I/O. Modules, from the lowest layer up:
 //!
-//! - [`Name`], [`Unit`], [`Measure`]: what a node is called and what it measured; [`stage`]: the standard names.
-//! - [`Tree`]: the nodes of one iteration, across hosts; [`limits`]: how large it may become.
-//! - [`Recorder`]: grows a tree while an iteration runs, through guards that close what they opened, also with
-//!   instruments of a user's own ([`Meter`]).
-//! - [`Stages`]: what the stages of a finished tree add up to.
-//! - [`wire`], `text`, [`csv`]: a tree for machines, for people, and as a row of a table.
+//! - [`Name`], [`Unit`], [`Measure`]: the name of a node and what it measured; [`stage`]: the standard names.
+//! - [`Tree`]: the nodes of one iteration on all its hosts; [`limits`]: its maximum size.
+//! - [`Recorder`]: builds a tree while an iteration runs. Its guards close the nodes that they opened. Users can add
+//!   their own instruments ([`Meter`]).
+//! - [`Stages`]: durations and sums of the stages of a finished tree.
+//! - [`wire`], `text`, [`csv`]: the binary form, the text for people, and the row of a table.
 
 pub mod csv;
 mod host;
@@ -29,5 +29,5 @@ pub use name::{Name, Unit, stage};
 pub use recorder::{Measuring, Recorder, Timing, Tokens};
 pub use stages::Stages;
 pub use text::Text;
-pub use tree::{Anchor, Growth, HostIndex, Node, NodeId, Tree};
+pub use tree::{Anchor, HostIndex, Node, NodeId, Tree, TreeDelta};
 pub use tree_error::TreeError;

@@ -1,21 +1,21 @@
-//! How large a tree may become, wherever it comes from, and how long lists in messages.
+//! Limits on the size of trees and of lists in messages, in one place.
 //!
-//! A recorder stays within them by leaving nodes out and counting them; what arrives and does not is refused.
+//! A recorder stays within them: it leaves nodes out and counts them. A received tree that exceeds them is refused.
 
-/// Levels of a tree, the root's included.
+/// Largest number of levels of a tree, including the root's.
 pub const MAX_DEPTH: usize = 32;
 
-/// Nodes of a tree.
+/// Largest number of nodes of a tree.
 pub const MAX_NODES: usize = 4096;
 
-/// Places that a recorder leaves free for what is computed after the fact: sizes, throughputs, totals.
+/// Nodes that a recorder leaves free for values computed afterwards: sizes, throughputs, totals.
 pub const RESERVED_NODES: usize = 64;
 
-/// Hosts of a tree.
+/// Largest number of hosts of a tree.
 pub const MAX_ANCHORS: usize = 8;
 
-/// Bytes of a name, of a kind or of a unit's symbol, in UTF-8.
+/// Largest number of bytes (UTF-8) of a name, a kind, or a unit's symbol.
 pub const MAX_NAME_BYTES: usize = 128;
 
-/// Bytes of the wire form of a tree or a growth.
+/// Largest number of bytes of the wire form of a tree or a tree delta.
 pub const MAX_BYTES: usize = 1024 * 1024;

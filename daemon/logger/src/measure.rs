@@ -1,66 +1,66 @@
-//! Kind and content of a node.
+//! Kinds of nodes and their values.
 
 use peernet_clock::{OneWayDelay, RawTime, Span, WallTime};
 use serde::{Deserialize, Serialize};
 
 use crate::{Name, TreeError, Unit};
 
-/// Kind and content of a node.
+/// Kind and value of a node.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Measure {
-    /// Holds other nodes.
+    /// A node that only contains other nodes.
     Container,
-    /// A duration on one host; `None` while it is open.
+    /// Duration on one host; `None` while the timer is open.
     Timer(Option<Span>),
-    /// A message's way from one host to another.
+    /// Transfer of a message from one host to another.
     Transit(Box<Transit>),
     /// A number with a unit.
     Value(f64, Unit),
-    /// Bits per second.
+    /// Rate in bits per second.
     Throughput(Rate),
     /// Tokens per second of a language model; `None` while it is open.
     TokenRate(Option<f64>),
-    /// A kind that the user declared by name and unit; `None` while it is open.
+    /// A kind declared by the user, with its name, unit and value; `None` while it is open.
     Custom(Name, Unit, Option<f64>),
 }
 
-/// A rate with the interval that follows from its delay's.
+/// A rate with the interval that follows from its delay's interval.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Rate {
-    /// The estimate; `None` when the delay has none.
+    /// Estimate; `None` if the delay has none.
     pub value: Option<f64>,
-    /// Lower and upper bound; the upper one is infinite when the delay's interval reaches zero.
+    /// Lower and upper bound. The upper bound is infinite if the delay's interval includes zero.
     pub bounds: Option<(f64, f64)>,
 }
 
-/// A message between two hosts: opened by the sender, closed by the receiver, judged by the edge.
+/// Transfer of a message between two hosts. The sender opens it, the receiver closes it, and the edge adds the delay.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Transit {
-    /// The sender's wall clock just before the message was handed to the network.
+    /// Time on the sender's wall clock just before the message was handed to the network.
     pub sent: WallTime,
-    /// The receiver's wall clock when the whole message was there; `None` while it is under way.
+    /// Time on the receiver's wall clock when the whole message had arrived; `None` while it is in flight.
     pub received: Option<WallTime>,
-    /// The delay, once the edge has related the two clocks.
+    /// Delay; `None` until the edge has related the two clocks.
     pub delay: Option<OneWayDelay>,
-    /// The same moments on the related clocks, by which the delay is judged; `None` while the message is under way, and in what releases
-    /// before 0.3 recorded.
+    /// The same times on the related clocks, from which the delay is computed; `None` while the message is in flight,
+    /// and in trees that releases before 0.3 recorded.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub raw_stamps: Option<RawStamps>,
 }
 
-/// When a message left one host and arrived at another, by the free-running clock of each. A cloud that has no stamps of it gives those of
-/// its wall clock, [`RawTime::of_wall`].
+/// Times at which a message left one host and arrived at another, on the free-running clock of each. A cloud without
+/// such stamps sends those of its wall clock ([`RawTime::of_wall`]).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct RawStamps {
-    /// The sender's clock just before the message was handed to the network.
+    /// Time on the sender's clock just before the message was handed to the network.
     pub sent: RawTime,
-    /// The receiver's clock when the whole message was there.
+    /// Time on the receiver's clock when the whole message had arrived.
     pub received: RawTime,
 }
 
 impl Measure {
-    /// Whether the node still waits for its end.
+    /// Returns whether the node has no end yet.
     pub fn is_open(&self) -> bool {
         match self {
             Self::Timer(None) | Self::TokenRate(None) | Self::Custom(_, _, None) => true,
@@ -69,7 +69,7 @@ impl Measure {
         }
     }
 
-    /// The number to store and to compute statistics over, in the unit of [`unit`](Self::unit).
+    /// Returns the number that is stored and used in statistics, in the unit of [`unit`](Self::unit).
     pub fn value(&self) -> Option<f64> {
         match self {
             Self::Container => None,
@@ -82,7 +82,7 @@ impl Measure {
         }
     }
 
-    /// The unit of [`value`](Self::value).
+    /// Returns the unit of [`value`](Self::value).
     pub fn unit(&self) -> Unit {
         match self {
             Self::Container => Unit::NONE,
@@ -93,7 +93,7 @@ impl Measure {
         }
     }
 
-    /// The same measurement, a number that is not one replaced by none: the reading was tried and failed.
+    /// Replaces NaN by an absent value, which means that the reading was tried and failed.
     #[must_use]
     pub(crate) fn without_nan(self) -> Self {
         match self {
@@ -104,13 +104,14 @@ impl Measure {
             Self::TokenRate(Some(rate)) if rate.is_nan() => Self::TokenRate(None),
             Self::Throughput(rate) => Self::Throughput(Rate {
                 value: rate.value.filter(|value| !value.is_nan()),
+                // The comparison is false for NaN, too.
                 bounds: rate.bounds.filter(|(lo, hi)| lo <= hi),
             }),
             other => other,
         }
     }
 
-    /// Whether it can stand in a tree, at position `at`.
+    /// Checks whether the value is allowed in a tree. `at` is the node's position, for the error.
     pub(crate) fn check(&self, at: usize) -> Result<(), TreeError> {
         let (number, ordered) = match self {
             Self::Container | Self::Timer(_) => (None, true),
@@ -122,14 +123,15 @@ impl Measure {
             Self::Throughput(rate) => (rate.value, rate.bounds.is_none_or(|(lo, hi)| lo <= hi)),
             Self::TokenRate(value) | Self::Custom(_, _, value) => (*value, true),
         };
+        // Infinite values are allowed: they stay in the tree, and statistics ignore them.
         if number.is_some_and(f64::is_nan) {
             return Err(TreeError::NotANumber(at));
         }
         if ordered { Ok(()) } else { Err(TreeError::CrossedBounds(at)) }
     }
 
-    /// The name of the kind: `container`, `timer`, `transit`, `value`, `throughput`, `token-rate`, or the
-    /// user's own.
+    /// Returns the name of the kind: `container`, `timer`, `transit`, `value`, `throughput`, `token-rate`, or the
+    /// user's name.
     pub fn kind(&self) -> Name {
         match self {
             Self::Container => Name::from_static("container"),

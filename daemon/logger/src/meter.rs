@@ -1,9 +1,8 @@
-//! Instruments of the user's own.
+//! Instruments supplied by the user.
 
 use crate::{Name, Unit};
 
-/// Measures something between two moments that only it knows how to measure: energy, a temperature's rise, cache
-/// misses.
+/// An instrument that measures something between two moments: energy, a rise of temperature, cache misses.
 ///
 /// ```
 /// # use std::sync::Arc;
@@ -42,16 +41,16 @@ use crate::{Name, Unit};
 /// assert_eq!((board.kind().as_str(), board.value(), board.unit()), ("energy", Some(1.5), Unit::JOULES));
 /// ```
 pub trait Meter {
-    /// Name of the kind of node.
+    /// Returns the name of the kind of node.
     fn kind(&self) -> Name;
 
-    /// Unit of the readings.
+    /// Returns the unit of the readings.
     fn unit(&self) -> Unit;
 
-    /// Measuring begins.
+    /// Starts measuring.
     fn begin(&mut self);
 
-    /// Measuring ends. Returns the reading; not-a-number when there is none.
+    /// Stops measuring. Returns the reading; NaN if it failed.
     fn end(&mut self) -> f64;
 }
 

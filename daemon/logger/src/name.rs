@@ -13,7 +13,8 @@ use crate::limits::MAX_NAME_BYTES;
 
 /// A short text that is cloned without copying: static for the standard names, shared for all others.
 ///
-/// Never longer than [`MAX_NAME_BYTES`]: what a program makes is cut off there, what arrives is refused.
+/// It has at most [`MAX_NAME_BYTES`] bytes. Longer names from within the program are cut off; longer names from a peer
+/// are refused.
 #[derive(Clone)]
 pub struct Name(Repr);
 
@@ -24,16 +25,16 @@ enum Repr {
 }
 
 impl Name {
-    /// A name known at compile time.
+    /// Creates a name that is known at compile time.
     ///
     /// # Panics
-    /// When it is longer than [`MAX_NAME_BYTES`]; in a constant, that is an error of compilation.
+    /// If it is longer than [`MAX_NAME_BYTES`]; in a constant, this is a compile error.
     pub const fn from_static(name: &'static str) -> Self {
         assert!(name.len() <= MAX_NAME_BYTES, "a name is longer than its limit");
         Self(Repr::Static(name))
     }
 
-    /// The name as text.
+    /// Returns the name as text.
     pub fn as_str(&self) -> &str {
         match &self.0 {
             Repr::Static(name) => name,
@@ -43,7 +44,7 @@ impl Name {
 }
 
 impl From<&str> for Name {
-    /// Standard names cost no allocation.
+    /// Creates a name, cut off at [`MAX_NAME_BYTES`]. Standard names need no allocation.
     fn from(name: &str) -> Self {
         let name = &name[..name.floor_char_boundary(MAX_NAME_BYTES)];
         stage::standard(name).map_or_else(|| Self(Repr::Shared(name.into())), Self::from_static)
@@ -134,6 +135,7 @@ impl<'de> Deserialize<'de> for Name {
                 f.write_str("a name")
             }
             fn visit_str<E: serde::de::Error>(self, name: &str) -> Result<Name, E> {
+                // Refused and not cut, so that two names of a peer cannot become one.
                 if name.len() > MAX_NAME_BYTES {
                     return Err(E::custom(format_args!(
                         "a name of {} bytes, the limit is {MAX_NAME_BYTES}",
@@ -147,7 +149,7 @@ impl<'de> Deserialize<'de> for Name {
     }
 }
 
-/// A unit of measurement: an SI base or derived unit by its symbol, or a unit of the user's own.
+/// A unit of measurement: the symbol of an SI unit, or a unit supplied by the user.
 #[derive(Clone, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(transparent)]
 pub struct Unit(Name);
@@ -169,15 +171,15 @@ impl Unit {
     pub const JOULES: Self = Self(Name::from_static("J"));
     /// Tokens of a language model.
     pub const TOKENS: Self = Self(Name::from_static("token"));
-    /// A plain number.
+    /// No unit: a plain number.
     pub const NONE: Self = Self(Name::from_static(""));
 
-    /// A unit by its symbol.
+    /// Creates a unit with a symbol.
     pub fn new(symbol: &str) -> Self {
         Self(symbol.into())
     }
 
-    /// The symbol.
+    /// Returns the symbol.
     pub fn symbol(&self) -> &str {
         self.0.as_str()
     }

@@ -1,4 +1,4 @@
-//! Growing a tree while an iteration runs.
+//! Recording of a tree while an iteration runs.
 
 mod guard;
 
@@ -8,14 +8,14 @@ use peernet_clock::{MonoTime, SharedClock, Span, Stamp, WallTime};
 
 use crate::limits::{MAX_ANCHORS, MAX_DEPTH, MAX_NODES, RESERVED_NODES};
 use crate::{
-    Anchor, Growth, HostId, HostIndex, Measure, Meter, Name, Node, NodeId, Transit, Tree, TreeError, Unit,
+    Anchor, HostId, HostIndex, Measure, Meter, Name, Node, NodeId, Transit, Tree, TreeDelta, TreeError, Unit,
     stage,
 };
 
-/// A tree under construction on one host: opens and closes nodes below the innermost open one.
+/// Recorder of a tree on one host: opens and closes nodes below the innermost open one.
 ///
-/// It never grows a tree beyond [`crate::limits`]: nodes that do not fit are left out ([`NodeId::NOWHERE`]), their
-/// children join the innermost node that is there, and their number is recorded as `skipped-nodes`.
+/// It never exceeds [`crate::limits`]: nodes that do not fit are left out ([`NodeId::NOWHERE`]), their children are
+/// added to the innermost existing node, and their number is recorded as `skipped-nodes`.
 ///
 /// ```
 /// # use std::sync::Arc;
@@ -36,15 +36,15 @@ pub struct Recorder {
     pub(crate) clock: SharedClock,
     pub(crate) tree: Tree,
     host: HostIndex,
-    /// This host's anchor on its monotonic clock.
+    /// Time of this host's anchor on its monotonic clock.
     zero: MonoTime,
     /// The innermost open node.
     pub(crate) open: NodeId,
-    /// Its level; the root is on level 1.
+    /// Level of the innermost open node; the root is on level 1.
     pub(crate) level: usize,
-    /// Nodes left out because the tree had reached its limits.
+    /// Number of nodes left out because the tree had reached its limits.
     skipped: u32,
-    /// For a tree that came from another host: what it looked like on arrival.
+    /// State on arrival of a tree that came from another host.
     received: Option<Received>,
 }
 
@@ -61,16 +61,16 @@ impl Recorder {
         Self::begin_at(clock, host, now)
     }
 
-    /// Begins an iteration that was meant to begin at `at`, now or earlier.
+    /// Begins an iteration with the intended start `at`, now or earlier.
     pub fn begin_at(clock: SharedClock, host: HostId, at: Stamp) -> Self {
         let tree = Tree::new(stage::ITERATION, Anchor { host, wall: at.wall });
         Self::on(clock, tree, HostIndex::EDGE, at.mono, None)
     }
 
-    /// Continues a tree that arrived from another host: closes `transit`, on which it came, at `arrival`.
+    /// Continues a tree that arrived from another host. Closes `transit`, with which it came, at `arrival`.
     ///
     /// # Errors
-    /// When `transit` is not a transit under way, or the tree already spans as many hosts as it may.
+    /// If `transit` is not a transit in flight, or the tree already spans the largest number of hosts.
     pub fn resume(
         clock: SharedClock,
         host: HostId,
@@ -78,6 +78,7 @@ impl Recorder {
         transit: NodeId,
         arrival: Stamp,
     ) -> Result<Self, TreeError> {
+        // Nodes from `base` on are sent back.
         let base = tree.nodes().len() as u32;
         if tree.anchors.len() >= MAX_ANCHORS {
             return Err(TreeError::TooManyHosts(tree.anchors.len() + 1));
@@ -86,6 +87,7 @@ impl Recorder {
             Some(Measure::Transit(open)) if open.received.is_none() => open.received = Some(arrival.wall),
             _ => return Err(TreeError::NotUnderWay(transit.index())),
         }
+        // The arrival is the origin of this host's times, so that they need no relation to the sender's clock.
         tree.anchors.push(Anchor { host, wall: arrival.wall });
         let host = HostIndex((tree.anchors.len() - 1) as u8);
         let received = Some(Received { base, closed: (transit, arrival.wall) });
@@ -102,46 +104,46 @@ impl Recorder {
         Self { clock, tree, host, zero, open: NodeId::ROOT, level: 1, skipped: 0, received }
     }
 
-    /// The clock this recorder reads.
+    /// Returns the clock that the recorder reads.
     pub fn clock(&self) -> &SharedClock {
         &self.clock
     }
 
-    /// The tree so far.
+    /// Returns the tree recorded so far.
     pub fn tree(&self) -> &Tree {
         &self.tree
     }
 
-    /// The tree so far, for nodes that are computed rather than timed.
+    /// Returns the tree recorded so far, to add nodes that are computed and not timed.
     pub fn tree_mut(&mut self) -> &mut Tree {
         &mut self.tree
     }
 
-    /// A moment of this host's monotonic clock as an offset from the anchor.
+    /// Converts a time of this host's monotonic clock to an offset from the anchor.
     pub fn offset(&self, at: MonoTime) -> Span {
         at - self.zero
     }
 
-    /// Opens a timer that closes when the guard goes; nodes opened through the guard are its children.
+    /// Opens a timer that closes when the guard is dropped. Nodes opened through the guard become its children.
     #[inline]
     pub fn time(&mut self, name: Name) -> Timing<'_> {
         let started = self.clock.mono();
         self.enter(name, started, Measure::Timer(None))
     }
 
-    /// Opens a timer to be closed with [`stop`](Self::stop), where a guard cannot live long enough.
+    /// Opens a timer that [`stop`](Self::stop) closes, for cases in which a guard cannot live long enough.
     pub fn start(&mut self, name: Name) -> NodeId {
         let now = self.clock.mono();
         self.append_at(name, now, Measure::Timer(None))
     }
 
-    /// Closes a timer now. Closing twice keeps the first end.
+    /// Closes a timer now. A timer that is already closed keeps its end.
     pub fn stop(&mut self, timer: NodeId) {
         let now = self.clock.mono();
         self.stop_at(timer, now);
     }
 
-    /// Closes a timer at a moment that has passed. Closing twice keeps the first end.
+    /// Closes a timer at a past time. A timer that is already closed keeps its end.
     pub fn stop_at(&mut self, timer: NodeId, at: MonoTime) {
         let end = self.offset(at);
         if let Some(node) = self.tree.nodes.get_mut(timer.index())
@@ -151,65 +153,66 @@ impl Recorder {
         }
     }
 
-    /// Records a finished timer between two moments.
+    /// Records a finished timer between two times.
     pub fn timed(&mut self, name: Name, from: MonoTime, to: MonoTime) -> NodeId {
         self.append_at(name, from, Measure::Timer(Some(to - from)))
     }
 
-    /// Opens a container through the guard of which children are added.
+    /// Opens a container. Nodes opened through the guard become its children.
     pub fn container(&mut self, name: Name) -> Timing<'_> {
         let started = self.clock.mono();
         self.enter(name, started, Measure::Container)
     }
 
-    /// Measures with an instrument of one's own from now until the guard goes; nodes opened through the guard
-    /// are its children.
+    /// Measures with a user's instrument until the guard is dropped. Nodes opened through the guard become its
+    /// children.
     pub fn measure<M: Meter>(&mut self, name: Name, meter: M) -> Measuring<'_, M> {
         let started = self.clock.mono();
         let measure = Measure::Custom(meter.kind(), meter.unit(), None);
         Measuring::begin(self.enter(name, started, measure), meter)
     }
 
-    /// Counts the tokens that a language model gives from now until the guard goes.
+    /// Counts the tokens of a language model until the guard is dropped.
     pub fn tokens(&mut self, name: Name) -> Tokens<'_> {
         let started = self.clock.mono();
         Tokens::begin(self.enter(name, started, Measure::TokenRate(None)), started)
     }
 
-    /// Records a number; one that is not a number is recorded as a reading that failed.
+    /// Records a number. NaN is recorded as a failed reading.
     pub fn value(&mut self, name: Name, value: f64, unit: Unit) -> NodeId {
         let now = self.clock.mono();
         self.append_at(name, now, Measure::Value(value, unit).without_nan())
     }
 
-    /// Records a measurement of a kind the user declared.
+    /// Records a value of a kind declared by the user.
     pub fn custom(&mut self, name: Name, kind: Name, unit: Unit, value: f64) -> NodeId {
         let now = self.clock.mono();
         self.append_at(name, now, Measure::Custom(kind, unit, Some(value)).without_nan())
     }
 
-    /// Opens the node of a message that is handed to the network at `sent`; the receiver closes it.
+    /// Opens the node of a message that is handed to the network at `sent`. The receiver closes it.
     pub fn depart(&mut self, name: Name, sent: Stamp) -> NodeId {
         let transit = Transit { sent: sent.wall, received: None, delay: None, raw_stamps: None };
         self.append_at(name, sent.mono, Measure::Transit(Box::new(transit)))
     }
 
-    /// Sets the end of a message that arrived here.
+    /// Closes the transit of a message that arrived here.
     pub fn arrive(&mut self, transit: NodeId, at: WallTime) {
         if let Some(Measure::Transit(open)) = self.tree.measure_mut(transit) {
             open.received.get_or_insert(at);
         }
     }
 
-    /// Puts a tree that was recorded elsewhere below the innermost open node, all of it or nothing. Returns the
-    /// position of what was its root.
+    /// Inserts a tree that was recorded elsewhere below the innermost open node, completely or not at all. Returns the
+    /// position of the inserted root.
     ///
-    /// Its nodes keep their hosts; a host that is already part of this tree keeps its place in time by the wall
-    /// clock.
+    /// The nodes keep their hosts. If a host already belongs to this tree, its wall clock determines the offset of the
+    /// inserted nodes.
     ///
     /// # Errors
-    /// When this tree would grow beyond its limits, or the other one is none.
+    /// If this tree would exceed its limits, or the other one is invalid.
     pub fn insert(&mut self, tree: &Tree) -> Result<NodeId, TreeError> {
+        // The same limit as for recorded nodes: the reserve is for values that are computed afterwards.
         let fits = self.tree.nodes.len() + tree.nodes().len() <= MAX_NODES - RESERVED_NODES;
         if !fits {
             return Err(TreeError::TooManyNodes(self.tree.nodes.len() + tree.nodes().len()));
@@ -217,27 +220,29 @@ impl Recorder {
         self.tree.graft(self.open, tree)
     }
 
-    /// Ends the recording; nodes that are still open stay so.
+    /// Ends the recording. Nodes that are still open stay open.
     pub fn finish(mut self) -> Tree {
         self.note_skipped();
         self.tree
     }
 
-    /// Ends the recording of a [resumed](Self::resume) tree: what this host added, to be sent back.
+    /// Ends the recording of a [resumed](Self::resume) tree. Returns the nodes that this host added, to be sent back;
     /// `None` for a tree that began here.
-    pub fn into_growth(mut self) -> Option<Growth> {
+    pub fn into_tree_delta(mut self) -> Option<TreeDelta> {
         let Received { base, closed } = self.received?;
         self.note_skipped();
         let nodes = self.tree.nodes.split_off(base as usize);
+        // This host's anchor is the first of those that were added here.
         let mut anchors = self.tree.anchors.drain(usize::from(self.host.0)..);
         let anchor = anchors.next()?;
-        Some(Growth { base, anchor, others: anchors.collect(), closed, nodes })
+        Some(TreeDelta { base, anchor, others: anchors.collect(), closed, nodes })
     }
 
     #[inline]
     fn enter(&mut self, name: Name, started: MonoTime, measure: Measure) -> Timing<'_> {
         let (outer, outer_level) = (self.open, self.level);
         let node = self.append_at(name, started, measure);
+        // Children of a node that was left out are added to the node that is open now.
         if node != NodeId::NOWHERE {
             self.open = node;
             self.level += 1;
@@ -248,6 +253,7 @@ impl Recorder {
     #[inline]
     fn append_at(&mut self, name: Name, at: MonoTime, measure: Measure) -> NodeId {
         if self.tree.nodes.len() >= MAX_NODES - RESERVED_NODES || self.level >= MAX_DEPTH {
+            // Counted and not refused: a measurement must not end because its tree is full.
             self.skipped += 1;
             return NodeId::NOWHERE;
         }
@@ -255,7 +261,7 @@ impl Recorder {
         self.tree.push(Node { parent: Some(self.open), name, host: self.host, start, measure })
     }
 
-    /// Says in the tree itself that nodes are missing from it.
+    /// Records the number of nodes that were left out.
     fn note_skipped(&mut self) {
         if self.skipped > 0 {
             let start = self.offset(self.clock.mono());

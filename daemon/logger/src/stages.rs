@@ -1,24 +1,24 @@
-//! What the stages of an iteration add up to.
+//! Durations of the stages of an iteration, and their sum.
 
 use peernet_clock::{Span, WallTime};
 
 use crate::{HostIndex, Measure, Name, Node, NodeId, Tree, stage};
 
-/// How many stages there are.
+/// Number of stages.
 const STAGES: usize = 11;
 static ORDER: [Name; STAGES] = stage::ORDER;
 
-/// How long each standard stage of a finished tree took, and their sum.
+/// Durations of the standard stages of a finished tree, and their sum.
 ///
-/// `upload` and `download` cross hosts, so each is known only as well as the offset between two wall clocks; their
-/// *sum* needs no offset. With θ what the cloud's clock is ahead of the edge's, the raw differences are
-/// `upload + θ` and `download − θ`: added up, θ cancels. Put differently, the sum is the round trip on the edge's clock
-/// minus the time on the cloud's clock between receipt and reply, and each of the two differences is taken on one
-/// clock alone. So the sum of all stages is exact even when its split between the two directions is unknown; what is
-/// left is the drift of one clock against the other during the stay (50 ppm of 100 ms are 5 µs).
+/// `upload` and `download` cross hosts, so that each is known only as well as the offset between the two hosts' clocks.
+/// Their *sum* needs no offset. With the offset θ (cloud minus edge), the raw differences are `upload + θ` and
+/// `download − θ`; in the sum θ cancels. In other words, the sum is the round trip on the edge's clock minus the time
+/// between receipt and reply on the cloud's clock, and each of these two is a difference on one clock. The sum of all
+/// stages is therefore exact even if its split between the two directions is unknown. The remaining error is the drift
+/// between the clocks during the sample's stay (50 ppm of 100 ms are 5 µs).
 ///
-/// A clock that is set while the sample is on the cloud does not get in: the cloud's part is taken from its
-/// monotonic clock. One that is set on the edge between sending and receipt cannot be told from a delay here.
+/// A step of the cloud's wall clock during the stay has no effect, because the cloud's part is taken from its monotonic
+/// clock. A step of the edge's wall clock between sending and receipt looks like a delay here.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Stages {
     durations: [Option<Span>; STAGES],
@@ -29,13 +29,13 @@ pub struct Stages {
 }
 
 impl Tree {
-    /// The durations of the standard stages, from the children of the root.
+    /// Returns the durations of the standard stages, from the children of the root.
     pub fn stages(&self) -> Stages {
         Stages::of(self)
     }
 }
 
-/// What is known of one stage's nodes: none there, all known, or one unknown.
+/// State of one stage's nodes: absent, all durations known, or one unknown.
 #[derive(Clone, Copy, Default)]
 struct Stage {
     present: bool,
@@ -57,7 +57,7 @@ impl Stage {
     }
 }
 
-/// The two directions' raw differences, whose sum is exact when there are as many of one as of the other.
+/// Sum of the two directions' raw differences, which is exact if both directions have the same number of transits.
 #[derive(Default)]
 struct Transport {
     ups: usize,
@@ -79,8 +79,8 @@ impl Transport {
             self.downs += 1;
             self.back = transit.received;
         }
-        // Away from the edge the anchor is the receipt of the upload, and the start of the download lies on the
-        // same monotonic clock.
+        // On the cloud, the anchor is the receipt of the upload, and the start of the download is on the same monotonic
+        // clock.
         let steady = tree.wall_start(node).filter(|_| node.host != HostIndex::EDGE);
         match transit.received {
             Some(received) => self.sum += received - steady.unwrap_or(transit.sent),
@@ -89,11 +89,13 @@ impl Transport {
     }
 
     fn sum(&self) -> Option<Span> {
+        // Without a reply to each upload the offset does not cancel.
         let paired = self.ups > 0 && self.ups == self.downs && !self.unfinished;
         Some(self.sum).filter(|sum| paired && !sum.is_negative())
     }
 
     fn round_trip(&self) -> Option<Span> {
+        // Both times are of the edge's clock. A negative difference means that the clock was set back meanwhile.
         let span = self.back? - self.left?;
         (self.ups == 1 && self.downs == 1 && !span.is_negative()).then_some(span)
     }
@@ -118,6 +120,7 @@ impl Stages {
             }
         }
         let transit = |at: usize| ORDER[at] == stage::UPLOAD || ORDER[at] == stage::DOWNLOAD;
+        // The exact sum of both directions replaces their separate delays, which depend on the offset.
         let exact = transport.sum();
         let mut stages_total = Some(exact.unwrap_or(Span::ZERO));
         for (at, stage) in stages.iter().enumerate() {
@@ -134,41 +137,41 @@ impl Stages {
         }
     }
 
-    /// Every stage of [`stage::ORDER`] with its duration; `None` where the stage is absent, unfinished, or its
-    /// delay unknown.
+    /// Returns every stage of [`stage::ORDER`] with its duration; `None` if the stage is absent or unfinished, or its
+    /// delay is unknown.
     pub fn iter(&self) -> impl Iterator<Item = (&'static Name, Option<Span>)> {
         ORDER.iter().zip(self.durations)
     }
 
-    /// The duration of one stage by its name.
+    /// Returns the duration of the stage with a name.
     pub fn get(&self, name: &str) -> Option<Span> {
         let at = ORDER.iter().position(|stage| stage == name)?;
         self.durations[at]
     }
 
-    /// `upload` and `download` together, free of any offset; `None` unless the answer is back.
+    /// Returns the sum of `upload` and `download`, which needs no offset; `None` unless the answer arrived.
     pub const fn transport(&self) -> Option<Span> {
         self.transport
     }
 
-    /// From handing the sample to the network to having the whole answer, on the edge's clock; `None` unless
-    /// there was exactly one such trip and its answer is back.
+    /// Returns the time from handing the sample to the network until the whole answer arrived, on the edge's clock;
+    /// `None` unless there was exactly one such round trip and its answer arrived.
     pub const fn round_trip(&self) -> Option<Span> {
         self.round_trip
     }
 
-    /// From the intended start to the end, on the edge's monotonic clock.
+    /// Returns the time from the intended start to the end on the edge's monotonic clock.
     pub const fn total(&self) -> Option<Span> {
         self.total
     }
 
-    /// The sum of all stages that are there; `None` when one of them is unfinished, or a direction's delay is
+    /// Returns the sum of all existing stages; `None` if one of them is unfinished, or the delay of one direction is
     /// unknown and the other direction is missing.
     pub const fn stages_total(&self) -> Option<Span> {
         self.stages_total
     }
 
-    /// What the total holds beyond the sum of the stages; negative when stages overlapped.
+    /// Returns the part of the total that no stage accounts for; negative if stages overlapped.
     pub fn unattributed(&self) -> Option<Span> {
         Some(self.total? - self.stages_total?)
     }
@@ -192,8 +195,8 @@ mod tests {
         clocks.iter().for_each(|clock| clock.advance(Span::from_nanos(nanos)));
     }
 
-    /// One offloaded iteration: 10 sensing, `up`, 20 inference, `down`, 5 actuation, 3 unattributed; the cloud's
-    /// clock is `offset` ahead and steps by `step` while the sample is there.
+    /// Returns the tree of an offloaded iteration in nanoseconds: 10 sensing, `up`, 20 inference, `down`, 5 actuation,
+    /// 3 unattributed. The cloud's clock is ahead by `offset` and stepped by `step` while the sample is there.
     fn offloaded(offset: i64, up: i64, down: i64, step: i64) -> Tree {
         let (edge, cloud) = (clock(1_000_000), clock(1_000_000 + offset));
         let both = [&edge, &cloud];
@@ -215,9 +218,9 @@ mod tests {
         }
         cloud.step_wall(Span::from_nanos(step));
         let download = remote.depart(stage::DOWNLOAD, cloud_stamp(&cloud));
-        let growth = remote.into_growth().expect("resumed");
+        let delta = remote.into_tree_delta().expect("resumed");
         pass(both, down);
-        log.tree_mut().absorb(growth).expect("fits");
+        log.tree_mut().absorb(delta).expect("fits");
         let back = log.clock().wall();
         log.arrive(download, back);
         {
@@ -249,7 +252,7 @@ mod tests {
     }
 
     #[test]
-    fn stages_that_are_absent_have_no_duration_and_add_nothing() {
+    fn absent_stages_have_no_duration() {
         let clock = clock(0);
         let mut log = Recorder::begin(Arc::<ManualClock>::clone(&clock), HostId::random());
         for (name, nanos) in
@@ -274,7 +277,7 @@ mod tests {
     }
 
     #[test]
-    fn an_answer_that_never_came_leaves_the_sum_open() {
+    fn missing_answer_leaves_sum_unknown() {
         let clock = clock(0);
         let mut log = Recorder::begin(Arc::<ManualClock>::clone(&clock), HostId::random());
         let sent = log.clock().stamp();

@@ -1,12 +1,13 @@
-//! A tree as an indented text for people.
+//! Text form of a tree for people.
 //!
-//! The published form, four spaces a level and `name --> Time: 0.1234`, with what it lacked: units, bounds, hosts.
+//! It follows the published program, with four spaces per level and `name --> Time: 0.1234`, and adds units, bounds and
+//! hosts.
 
 use std::fmt;
 
 use crate::{HostIndex, Measure, NodeId, Tree};
 
-/// Shows a tree; made by [`Tree::text`].
+/// Formatter of a tree, created by [`Tree::text`].
 #[derive(Clone, Copy, Debug)]
 pub struct Text<'a>(&'a Tree);
 
@@ -40,13 +41,14 @@ impl Tree {
 impl fmt::Display for Text<'_> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let tree = self.0;
-        // Children in the order of opening; one pass, as parents stand before their children.
+        // Children in the order of opening. One pass is enough, because parents precede their children.
         let mut children = vec![Vec::new(); tree.nodes().len()];
         for (id, node) in tree.iter() {
             if let Some(parent) = node.parent {
                 children[parent.index()].push(id);
             }
         }
+        // A stack instead of recursion, so that a hostile tree cannot exhaust the call stack.
         let mut waiting = vec![(NodeId::ROOT, 0)];
         while let Some((id, depth)) = waiting.pop() {
             let Some(node) = tree.get(id) else { continue };
@@ -106,7 +108,8 @@ fn within(f: &mut fmt::Formatter<'_>, lo: f64, hi: f64) -> fmt::Result {
     number(f, hi)
 }
 
-/// Four decimals, or as many as four significant digits of a small number take; whole numbers as they are.
+/// Writes whole numbers without decimals, and other numbers with four decimals or four significant digits if they are
+/// small.
 fn number(f: &mut fmt::Formatter<'_>, number: f64) -> fmt::Result {
     if number == number.trunc() && number.abs() < 1e15 {
         return write!(f, "{number}");

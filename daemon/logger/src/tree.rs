@@ -1,8 +1,9 @@
-//! The tree of typed nodes that describes one iteration, across hosts.
+//! The tree of typed nodes that describes one iteration on all its hosts.
 //!
-//! Stored flat, parents before children, so that growing it costs one push and sending it one pass. Starts
-//! are offsets on the host's monotonic clock from that host's [`Anchor`], the moment at which the host joined
-//! the tree: durations and order within a host carry no wall-clock error, and a wall time is one addition.
+//! Nodes are stored in one list, with parents before their children, so that adding a node is one push and sending the
+//! tree is one pass. The start of a node is an offset on its host's monotonic clock from the host's [`Anchor`], the
+//! moment at which the host joined the tree. Durations and order within a host therefore contain no wall-clock error,
+//! and the wall-clock time of a node is one addition.
 
 use peernet_clock::{Span, WallTime};
 use serde::{Deserialize, Serialize};
@@ -17,84 +18,84 @@ use crate::{HostId, Name, TreeError};
 pub struct NodeId(pub u32);
 
 impl NodeId {
-    /// The root, present in every tree.
+    /// Position of the root, which every tree has.
     pub const ROOT: Self = Self(0);
 
-    /// No position: what a recorder returns for a node that it had to leave out. Doing something to it does
-    /// nothing.
+    /// Invalid position, which a recorder returns for a node that it left out. Operations on it have no effect.
     pub const NOWHERE: Self = Self(u32::MAX);
 
-    /// The position as an index.
+    /// Returns the position as an index.
     pub const fn index(self) -> usize {
         self.0 as usize
     }
 }
 
-/// Position of a host among the tree's anchors; 0 is the host that began the tree, the edge.
+/// Position of a host among the tree's anchors. Position 0 is the host that began the tree, the edge.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(transparent)]
 pub struct HostIndex(pub u8);
 
 impl HostIndex {
-    /// The host that began the tree.
+    /// Position of the host that began the tree.
     pub const EDGE: Self = Self(0);
 }
 
-/// A host that has nodes in the tree, and when it joined.
+/// A host that has nodes in the tree, and the time at which it joined.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Anchor {
-    /// Whose clock.
+    /// Host that the anchor belongs to.
     pub host: HostId,
-    /// What the host's wall clock showed at the anchor, the zero of its nodes' starts.
+    /// Time of the host's wall clock at the anchor, which is the origin of its nodes' starts.
     pub wall: WallTime,
 }
 
 /// One entry of the tree.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Node {
-    /// What it belongs to; only the root belongs to nothing.
+    /// Parent of the node; `None` only for the root.
     pub parent: Option<NodeId>,
-    /// Standard name ([`crate::stage`]) or one of the user's own.
+    /// Standard name ([`crate::stage`]) or a name supplied by the user.
     pub name: Name,
-    /// The host on which it was opened.
+    /// Host on which the node was opened.
     pub host: HostIndex,
-    /// When it was opened, on that host's monotonic clock, from that host's anchor.
+    /// Time of opening on that host's monotonic clock, relative to that host's anchor.
     pub start: Span,
-    /// Its kind and what was measured.
+    /// Kind and value of the node.
     pub measure: Measure,
 }
 
 /// The nodes of one iteration.
 ///
-/// Serialised, it is its [wire form](crate::wire) as a byte string; in formats for people, such as JSON, it is an
-/// object of `anchors` and `nodes`. Whichever way it is read, it is checked.
+/// The serialised form is the [wire form](crate::wire) as a byte string. In human-readable formats such as JSON it is
+/// an object of `anchors` and `nodes`. Both forms are checked when they are read.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Tree {
     pub(crate) anchors: Vec<Anchor>,
     pub(crate) nodes: Vec<Node>,
 }
 
-/// What another host added to a tree that was sent to it: the transit it closed and the nodes it appended.
+/// Additions of another host to a tree that was sent to it: the transit that it closed and the nodes that it appended.
 ///
-/// Sent back instead of the whole tree, so that a peer can add to what it was shown but never rewrite it.
-/// Serialised like a [`Tree`].
+/// Only the delta is sent back, not the whole tree, so that a peer can add to the tree but not rewrite it. It is
+/// serialised like a [`Tree`].
 #[derive(Clone, Debug, PartialEq)]
-pub struct Growth {
-    /// Nodes of the tree when it was received.
+pub struct TreeDelta {
+    /// Number of nodes of the tree when it was received.
     pub base: u32,
-    /// The host that grew it.
+    /// Anchor of the host that added the nodes.
     pub anchor: Anchor,
-    /// Further hosts that have nodes in it: those whose trees were inserted.
+    /// Anchors of further hosts with nodes in the delta: those whose trees were inserted.
     pub others: Vec<Anchor>,
-    /// The transit that ended at this host and the wall-clock stamp of its end.
+    /// Transit that ended at this host, and the wall-clock time of its end.
     pub closed: (NodeId, WallTime),
-    /// The appended nodes.
+    /// Appended nodes.
     pub nodes: Vec<Node>,
 }
 
 impl Tree {
-    /// A tree of a root container alone.
+    /// Creates a tree that contains a root container only.
     pub fn new(name: Name, anchor: Anchor) -> Self {
+        // Enough for the nodes of a usual iteration, so that recording does not reallocate.
         let mut nodes = Vec::with_capacity(24);
         nodes.push(Node {
             parent: None,
@@ -106,42 +107,43 @@ impl Tree {
         Self { anchors: vec![anchor], nodes }
     }
 
-    /// A tree of given anchors and nodes, checked.
+    /// Creates a tree of given anchors and nodes.
     ///
     /// # Errors
-    /// When the nodes do not form a tree or name hosts that are not there.
+    /// If the nodes do not form a tree within the limits or refer to missing hosts.
     pub fn from_parts(anchors: Vec<Anchor>, nodes: Vec<Node>) -> Result<Self, TreeError> {
         let tree = Self { anchors, nodes };
         tree.check(0)?;
         Ok(tree)
     }
 
-    /// The hosts, in the order in which they joined.
+    /// Returns the hosts in the order in which they joined.
     pub fn anchors(&self) -> &[Anchor] {
         &self.anchors
     }
 
-    /// All nodes, parents before children, in the order in which they were opened.
+    /// Returns all nodes in the order in which they were opened, with parents before their children.
     pub fn nodes(&self) -> &[Node] {
         &self.nodes
     }
 
-    /// All nodes with their positions.
+    /// Returns all nodes with their positions.
     pub fn iter(&self) -> impl Iterator<Item = (NodeId, &Node)> {
         self.nodes.iter().enumerate().map(|(index, node)| (NodeId(index as u32), node))
     }
 
-    /// The node at a position.
+    /// Returns the node at a position.
     pub fn get(&self, id: NodeId) -> Option<&Node> {
         self.nodes.get(id.index())
     }
 
-    /// The children of a node, in order.
+    /// Returns the children of a node in the order in which they were opened.
     pub fn children(&self, of: NodeId) -> impl Iterator<Item = (NodeId, &Node)> {
+        // Parents precede their children, so the search begins behind the node.
         self.iter().skip(of.index() + 1).filter(move |(_, node)| node.parent == Some(of))
     }
 
-    /// The node at a path of names below the root: `find(&["sensing", "capture"])`.
+    /// Returns the node at a path of names below the root: `find(&["sensing", "capture"])`.
     pub fn find(&self, path: &[&str]) -> Option<(NodeId, &Node)> {
         let mut at = (NodeId::ROOT, self.nodes.first()?);
         for name in path {
@@ -150,7 +152,7 @@ impl Tree {
         Some(at)
     }
 
-    /// Wall-clock time of a node's start on its own host's clock, uncorrected.
+    /// Returns the wall-clock time of a node's start on its own host's clock, without correction.
     pub fn wall_start(&self, node: &Node) -> Option<WallTime> {
         self.anchors.get(usize::from(node.host.0)).map(|anchor| anchor.wall + node.start)
     }
@@ -163,37 +165,41 @@ impl Tree {
         id
     }
 
-    /// Appends a finished node of the edge under a parent: what is computed after the fact. A parent that is
-    /// not there stands for the root.
+    /// Appends a node of the edge that is computed afterwards. If `parent` does not exist, the node becomes a child of
+    /// the root.
     pub fn add(&mut self, parent: NodeId, name: Name, start: Span, measure: Measure) -> NodeId {
+        // `parent` may be `NodeId::NOWHERE`, if the recorder left that node out.
         let parent = if parent.index() < self.nodes.len() { parent } else { NodeId::ROOT };
         let measure = measure.without_nan();
         self.push(Node { parent: Some(parent), name, host: HostIndex::EDGE, start, measure })
     }
 
-    /// Changes what was measured at a node: how the edge records a correction.
+    /// Returns the value of a node for modification; the edge records corrections with it.
     pub fn measure_mut(&mut self, id: NodeId) -> Option<&mut Measure> {
         self.nodes.get_mut(id.index()).map(|node| &mut node.measure)
     }
 
-    /// Takes over what another host added: closes the transit that ended there and appends its nodes.
+    /// Adds the nodes of another host, and closes the transit that ended there.
     ///
     /// # Errors
-    /// When the growth does not fit this tree; the tree is then unchanged.
-    pub fn absorb(&mut self, growth: Growth) -> Result<(), TreeError> {
+    /// If the delta does not fit this tree. The tree is then unchanged.
+    pub fn absorb(&mut self, delta: TreeDelta) -> Result<(), TreeError> {
         let base = self.nodes.len();
-        if growth.base as usize != base {
-            return Err(TreeError::OtherTree { expected: growth.base as usize, actual: base });
+        // The delta's parents are positions in the tree that was sent, so its length must not have changed.
+        if delta.base as usize != base {
+            return Err(TreeError::OtherTree { expected: delta.base as usize, actual: base });
         }
-        let (closed, at) = growth.closed;
+        let (closed, at) = delta.closed;
+        // A peer may close only the transit with which it received the tree: it must still be open.
         match self.nodes.get(closed.index()).map(|node| &node.measure) {
             Some(Measure::Transit(transit)) if transit.received.is_none() => {}
             _ => return Err(TreeError::NotUnderWay(closed.index())),
         }
         let hosts = self.anchors.len();
-        self.nodes.extend(growth.nodes);
-        self.anchors.push(growth.anchor);
-        self.anchors.extend(growth.others);
+        // Appended before the check, because parents and hosts are checked against the whole tree.
+        self.nodes.extend(delta.nodes);
+        self.anchors.push(delta.anchor);
+        self.anchors.extend(delta.others);
         if let Err(error) = self.check(base) {
             self.nodes.truncate(base);
             self.anchors.truncate(hosts);
@@ -205,7 +211,7 @@ impl Tree {
         Ok(())
     }
 
-    /// Puts a copy of another tree below a node. When it does not fit, this tree is unchanged.
+    /// Inserts a copy of another tree below a node. If it does not fit, this tree is unchanged.
     pub(crate) fn graft(&mut self, below: NodeId, other: &Self) -> Result<NodeId, TreeError> {
         let (base, hosts) = (self.nodes.len(), self.anchors.len());
         let root = NodeId(base as u32);
@@ -225,8 +231,9 @@ impl Tree {
         Ok(root)
     }
 
-    /// The place of a host among the anchors, made if it has none, and how much later its own anchor is.
+    /// Returns the position of a host among the anchors, added if necessary, and how much later its own anchor is.
     fn join(&mut self, anchor: &Anchor) -> (HostIndex, Span) {
+        // A host that is known already has one anchor only; the wall clock relates the two origins.
         if let Some(place) = self.anchors.iter().position(|known| known.host == anchor.host) {
             return (HostIndex(place as u8), anchor.wall - self.anchors[place].wall);
         }
@@ -234,10 +241,10 @@ impl Tree {
         (HostIndex((self.anchors.len() - 1) as u8), Span::ZERO)
     }
 
-    /// Checks the nodes from position `from` on, the others being known to be good.
+    /// Checks the nodes from position `from` on. The nodes before it must have been checked.
     ///
     /// # Errors
-    /// The first that is wrong: the wire form of such a tree is refused.
+    /// The first rule that is violated. The wire form of such a tree is refused.
     pub fn check(&self, from: usize) -> Result<(), TreeError> {
         if self.nodes.is_empty() {
             return Err(TreeError::Orphan(0));
@@ -252,6 +259,7 @@ impl Tree {
             if node.parent.is_none() != (index == 0) {
                 return Err(TreeError::Orphan(index));
             }
+            // This order excludes cycles, and lets readers process a tree in one pass.
             if node.parent.is_some_and(|parent| parent.index() >= index) {
                 return Err(TreeError::Order(index));
             }
@@ -266,9 +274,10 @@ impl Tree {
         Ok(())
     }
 
-    /// How many levels down a node lies, the root on level 1; `None` below [`MAX_DEPTH`].
+    /// Returns the level of a node, with the root on level 1; `None` below [`MAX_DEPTH`].
     ///
-    /// Climbs instead of remembering: trees are shallow, and a hostile one costs 32 steps a node.
+    /// The level is computed from the ancestors and not stored: trees are shallow, and a hostile tree costs 32 steps
+    /// per node.
     pub(crate) fn level(&self, id: NodeId) -> Option<usize> {
         let mut parent = self.nodes.get(id.index())?.parent;
         let mut level = 1;

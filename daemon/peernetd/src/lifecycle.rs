@@ -18,7 +18,7 @@ use tokio_util::sync::CancellationToken;
 use tracing::{debug, error, info, warn};
 
 use peernet_cli::exit::{Exit, in_one_line};
-use peernet_cli::wish::Wishes;
+use peernet_cli::shutdown_request::ShutdownRequests;
 
 /// `[lifecycle]`
 #[derive(Clone, Debug, Serialize, Deserialize)]
@@ -79,7 +79,7 @@ pub(crate) struct Lifecycle {
 struct Signals {
     terminate: Signal,
     interrupt: Signal,
-    wishes: Wishes,
+    shutdown_requests: ShutdownRequests,
 }
 
 impl Signals {
@@ -89,7 +89,7 @@ impl Signals {
                 _ = self.terminate.recv() => (SignalKind::terminate(), "SIGTERM"),
                 _ = self.interrupt.recv() => (SignalKind::interrupt(), "SIGINT"),
             };
-            if self.wishes.is_another(kind, Instant::now()) {
+            if self.shutdown_requests.is_another(kind, Instant::now()) {
                 return name;
             }
         }
@@ -107,7 +107,7 @@ impl Lifecycle {
             signals: Signals {
                 terminate: signal(SignalKind::terminate())?,
                 interrupt: signal(SignalKind::interrupt())?,
-                wishes: Wishes::default(),
+                shutdown_requests: ShutdownRequests::default(),
             },
             deadline: Duration::from_secs(config.shutdown_deadline_s),
         })

@@ -1,27 +1,27 @@
-//! Whose file it is, by its tables.
+//! Recognition of an SQLite file by its tables.
 
 use sqlx::SqliteConnection;
 
-/// What an SQLite file holds.
+/// Kind of an SQLite file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Contents {
-    /// Nothing yet.
+    /// An empty file.
     Nothing,
-    /// What an aggregator stored.
+    /// An aggregator's database.
     Database,
-    /// What waits on an agent.
+    /// An agent's spool.
     Spool,
-    /// Something of another program.
+    /// The database of another program.
     Other,
 }
 
-/// Tables: all but those that note migrations, and of them those of the aggregator and of a spool.
+/// Counts the tables except those that note migrations, and among them those of the aggregator and of a spool.
 const TABLES: &str = "SELECT count(*), coalesce(sum(name IN ('host', 'run', 'iteration')), 0), \
      coalesce(sum(name IN ('stream', 'batch', 'reached', 'unreported', 'unresolved')), 0) \
      FROM sqlite_schema WHERE type = 'table' AND name NOT LIKE '\\_%' ESCAPE '\\' AND name NOT LIKE 'sqlite\\_%' ESCAPE '\\'";
 
 impl Contents {
-    /// Looks at a file.
+    /// Recognises a file.
     ///
     /// # Errors
     /// When it cannot be read.
@@ -30,13 +30,13 @@ impl Contents {
         Ok(match (all, database, spool) {
             (0, ..) => Self::Nothing,
             (_, 3, _) => Self::Database,
-            // Fewer in one of an earlier version.
+            // A spool of an earlier version has fewer tables.
             (3..=5, _, spool) if spool == all => Self::Spool,
             _ => Self::Other,
         })
     }
 
-    /// What it is where an aggregator's database was expected; `None` where it is one.
+    /// Returns what the file is instead of an aggregator's database; `None` if it is one.
     pub(crate) fn instead_of_database(self) -> Option<&'static str> {
         match self {
             Self::Database => None,

@@ -13,24 +13,26 @@ use super::rebuild::make_coarser;
 use crate::database_error::{DatabaseError, is_damage};
 use crate::error::OpenError;
 
-/// Pages that the writing connection keeps, in negative KiB: 64 MiB, so that the tables' growing ends stay in memory.
+/// Page cache of the writing connection in negative KiB: 64 MiB, so that the growing ends of the tables stay in memory.
 const CACHE: &str = "-65536";
 
-/// Pages in the log before they are carried over into the file, 64 MiB of them. A commit of 100,000 nodes from a thousand
-/// agents changes some thousand pages, most of them again in the next one: with SQLite's 1,000 every commit would carry
-/// over, sync the file once more, and take a third to three quarters longer (1,000 interleaved runs, a busy machine).
+/// Number of pages in the log (WAL) before they are carried over into the file: 64 MiB of them.
+///
+/// A commit of 100,000 nodes from a thousand agents changes some thousand pages, most of them again in the next commit. With
+/// SQLite's default of 1,000 every commit would carry over, sync the file once more, and take a third to three quarters
+/// longer (1,000 interleaved runs, a busy machine).
 const CARRY_OVER: &str = "16000";
 
-/// Bytes to which the log's file is cut when it is begun again after a reader had kept it growing: as many as it has
-/// anyway, 16,000 pages with their frames' headers.
+/// Size in bytes to which the log's file is cut when it is restarted after a reader kept it growing. It is the usual size:
+/// 16,000 pages with their frames' headers.
 const LOG_BYTES: &str = "65920032";
 
 pub(crate) static MIGRATIONS: Migrator = sqlx::migrate!("../../migrations");
 
-/// Settings of the connection that writes.
+/// Returns the settings of the connection that writes.
 ///
-/// WAL lets readers read while it writes. `synchronous=FULL` syncs the log at each commit: with NORMAL a power
-/// cut would lose batches that were acknowledged, and that their agents have deleted.
+/// WAL lets readers read while it writes. `synchronous=FULL` syncs the log at each commit: with NORMAL a power cut would lose
+/// batches that were acknowledged, and that their agents have deleted.
 pub(crate) fn writing(path: &Path) -> SqliteConnectOptions {
     SqliteConnectOptions::new()
         .filename(path)
@@ -45,12 +47,12 @@ pub(crate) fn writing(path: &Path) -> SqliteConnectOptions {
         .disable_statement_logging()
 }
 
-/// Opens the file for writing, making it when missing, and brings its schema up to date.
+/// Opens the file for writing, creates it if it is missing, and brings its schema up to date.
 pub(crate) async fn open(path: &Path) -> Result<SqliteConnection, OpenError> {
     prepare(path, writing(path)).await
 }
 
-/// The same for a file that must exist.
+/// Opens an existing file for writing, and brings its schema up to date.
 pub(crate) async fn open_existing(path: &Path) -> Result<SqliteConnection, OpenError> {
     prepare(path, writing(path).create_if_missing(false)).await
 }
@@ -58,7 +60,7 @@ pub(crate) async fn open_existing(path: &Path) -> Result<SqliteConnection, OpenE
 async fn prepare(path: &Path, options: SqliteConnectOptions) -> Result<SqliteConnection, OpenError> {
     let cannot_open = |source| OpenError::opening(path, source);
     let mut connection = options.connect().await.map_err(cannot_open)?;
-    // A read-only file opens without complaint and fails at the first batch: find out now.
+    // A read-only file opens without an error and fails at the first batch: find out now.
     sqlx::raw_sql("BEGIN IMMEDIATE; ROLLBACK").execute(&mut connection).await.map_err(cannot_open)?;
     let contents = Contents::of(&mut connection).await.map_err(cannot_open)?;
     if let (true, Some(what)) = (contents != Contents::Nothing, contents.instead_of_database()) {
@@ -76,7 +78,7 @@ async fn prepare(path: &Path, options: SqliteConnectOptions) -> Result<SqliteCon
         path: path.to_owned(),
         source: DatabaseError::new(MigrateError::Execute(source)),
     })?;
-    // On a full disk, say, the file is still good for reading, and the first commit tells.
+    // On a full disk the file can still be read. The first commit reports the error.
     if let Err(error) = mark(&mut connection).await {
         tracing::warn!(%error, database = %path.display(), "cannot write to the database yet");
     }

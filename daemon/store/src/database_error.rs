@@ -1,4 +1,4 @@
-//! What SQLite refuses, without the names of the library that asks it.
+//! Errors of SQLite. Their type hides the SQL library from other crates.
 
 use std::io;
 
@@ -8,17 +8,17 @@ use sqlx::migrate::MigrateError;
 const CORRUPT: i32 = 11;
 const NOT_A_DATABASE: i32 = 26;
 
-/// Whether an error says that the file itself is wrong.
+/// Returns whether an error means that the file itself is damaged or not a database.
 pub(crate) fn is_damage(error: &sqlx::Error) -> bool {
     matches!(primary_code(error), Some(CORRUPT | NOT_A_DATABASE))
 }
 
-/// Whether an error says that the file is a database of which a part is damaged, so that the rest may be salvaged.
+/// Returns whether an error means that a part of a database is damaged, so that the rest may be salvaged.
 pub(crate) fn is_partial_damage(error: &sqlx::Error) -> bool {
     primary_code(error) == Some(CORRUPT)
 }
 
-/// What SQLite, or the system beneath it, cannot do; the text is in its own words.
+/// Error of SQLite or of the system beneath it; the text is theirs.
 #[derive(Debug, thiserror::Error)]
 #[error(transparent)]
 pub struct DatabaseError(Cause);
@@ -38,17 +38,17 @@ impl From<io::Error> for Cause {
 }
 
 impl DatabaseError {
-    // No `From`: the library would be named in what other crates see.
+    // No `From`: it would name the library in the public interface.
     pub(crate) fn new(cause: impl Into<Cause>) -> Self {
         Self(cause.into())
     }
 
-    /// Whether the file itself is damaged or was never a database.
+    /// Returns whether the file itself is damaged or was never a database.
     pub fn is_damage(&self) -> bool {
         self.statement().is_some_and(is_damage)
     }
 
-    /// Whether the database is full or another program locks it: the same statement may succeed later.
+    /// Returns whether the database is full or locked by another program: the same statement may succeed later.
     pub fn is_passing(&self) -> bool {
         /// Primary result codes: BUSY, LOCKED, FULL.
         const PASSING: [i32; 3] = [5, 6, 13];
@@ -63,9 +63,9 @@ impl DatabaseError {
     }
 }
 
-/// SQLite's primary result code.
+/// Returns SQLite's primary result code.
 pub(crate) fn primary_code(error: &sqlx::Error) -> Option<i32> {
     let code = error.as_database_error().and_then(|error| error.code());
-    // Extended codes have the primary one in their lowest byte.
+    // Extended codes have the primary code in their lowest byte.
     Some(code?.parse::<i32>().ok()? & 0xff)
 }

@@ -18,39 +18,39 @@ pub enum OpenError {
     Open {
         /// The configured file.
         path: PathBuf,
-        /// SQLite's own words.
+        /// SQLite's error.
         source: DatabaseError,
     },
-    /// Some of what is needed to start is damaged.
+    /// A part that the start needs is damaged.
     #[error("cannot open the database {}: it is damaged: {source}; agents keep their events; {}", path.display(), remedy(path, *is_repairable))]
     Damaged {
         /// The configured file.
         path: PathBuf,
-        /// SQLite's own words.
+        /// SQLite's error.
         source: DatabaseError,
-        /// Whether rows can be found in it.
+        /// `true` if rows can be found in it.
         is_repairable: bool,
     },
-    /// The file has no header of a database, or no longer.
+    /// The file has no database header, or no longer has one.
     #[error("cannot open the database {}: {source}; if it was one, its first page is lost: put the newest backup in its place, agents send again what they still have in their spools; or choose another file with `database`", path.display())]
     Unrecognised {
         /// The configured file.
         path: PathBuf,
-        /// SQLite's own words.
+        /// SQLite's error.
         source: DatabaseError,
     },
-    /// The file is something else.
+    /// The file is of another kind.
     #[error("{} is {what} and not an aggregator's database; choose another file with `database`", path.display())]
     NotADatabase {
         /// The configured file.
         path: PathBuf,
-        /// What it is.
+        /// Kind of the file.
         what: &'static str,
     },
-    /// Another process has the database.
+    /// Another process has locked the database.
     #[error("cannot start the aggregator: {0}")]
     Lock(#[from] LockError),
-    /// Beside the database is the log of another one.
+    /// The log of another database lies beside the file.
     #[error(transparent)]
     ForeignLog(#[from] ForeignLog),
     /// The database was written by a newer version.
@@ -74,12 +74,12 @@ pub enum OpenError {
 }
 
 impl OpenError {
-    /// The error for a folder of the database that cannot be made.
+    /// Makes the error for a database folder that cannot be created.
     pub fn no_folder(database: &Path, error: std::io::Error) -> Self {
         Self::Open { path: database.to_owned(), source: DatabaseError::new(error) }
     }
 
-    /// SQLite could not open or read the database.
+    /// Makes the error for a database that SQLite could not open or read.
     pub(crate) fn opening(path: &Path, source: sqlx::Error) -> Self {
         let (path, is_partial_damage, is_damage) =
             (path.to_owned(), is_partial_damage(&source), is_damage(&source));
@@ -91,7 +91,7 @@ impl OpenError {
         }
     }
 
-    /// The same, where the database's file tells whether rows can be found in it.
+    /// Completes a `Damaged` error: the file shows whether rows can be found in it.
     pub(crate) fn with_file(mut self, file: &Arc<File>) -> Self {
         if let Self::Damaged { is_repairable, .. } = &mut self {
             *is_repairable = has_table_list(Arc::clone(file));
@@ -100,77 +100,77 @@ impl OpenError {
     }
 }
 
-/// Why a question to the store has no answer, or a wish was not fulfilled.
+/// The reason why a question to the store has no answer, or a change was not made.
 #[derive(Debug, thiserror::Error)]
 pub enum StoreError {
-    /// The database refused.
+    /// SQLite reported an error.
     #[error("cannot read {what} from the database: {source}")]
     Database {
-        /// What was asked for.
+        /// Subject of the question.
         what: &'static str,
-        /// SQLite's own words.
+        /// SQLite's error.
         source: DatabaseError,
     },
     /// The database is damaged.
     #[error("cannot read or write {what}: {refusal}")]
     Damaged {
-        /// What was asked for.
+        /// Subject of the question.
         what: &'static str,
-        /// What is damaged, and what to do.
+        /// Description of the damage and of what to do.
         refusal: String,
     },
-    /// The database refused to take something, or the task that writes is gone.
+    /// SQLite refused a change, or the task that writes has ended.
     #[error(
         "cannot write {what} to the database: {source}; the aggregator's log tells whether it stores at all"
     )]
     Write {
-        /// What was to be written.
+        /// Data that was to be written.
         what: &'static str,
-        /// SQLite's own words.
+        /// SQLite's error.
         source: DatabaseError,
     },
-    /// It took longer than a reader's statement may.
+    /// The question took longer than a reader's statement may.
     #[error(
         "reading {what} from the database took longer than the {} s of [aggregator] question_limit_ms and was stopped; ask for less, or raise the limit",
         limit.as_secs_f64()
     )]
     TooLong {
-        /// What was asked for.
+        /// Subject of the question.
         what: &'static str,
-        /// How long it may take.
+        /// The time limit of a statement.
         limit: Duration,
     },
-    /// No connection was free for some seconds.
+    /// No connection became free within the time limit.
     #[error(
         "cannot read {what} from the database: all connections of [aggregator] readers are busy; ask again, or raise their number"
     )]
     Busy {
-        /// What was asked for.
+        /// Subject of the question.
         what: &'static str,
     },
-    /// The database is away, or its file cannot be used now.
+    /// The database is closed at present.
     #[error("cannot read {what}: the database is not open now; /readyz says why")]
     Closed {
-        /// What was asked for.
+        /// Subject of the question.
         what: &'static str,
     },
-    /// The database holds something that this version cannot have written.
+    /// The database holds a value that this version cannot have written.
     #[error("cannot make sense of {what} in the database: {detail}")]
     Corrupt {
-        /// What was asked for.
+        /// Subject of the question.
         what: &'static str,
-        /// What is wrong with it.
+        /// Description of the invalid value.
         detail: String,
     },
 }
 
 impl StoreError {
-    /// The error for a wish that comes after the writing task has ended.
+    /// Makes the error for a change that is requested after the writing task has ended.
     pub fn no_writer() -> Self {
         Self::pinning(DatabaseError::new(sqlx::Error::WorkerCrashed))
     }
 
-    /// The error for a wish that comes while the database is closed.
+    /// Makes the error for a change that is requested while the database is closed.
     pub fn no_database() -> Self {
         Self::pinning(DatabaseError::new(std::io::Error::other("the database is not open now")))
     }

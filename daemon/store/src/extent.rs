@@ -8,17 +8,17 @@ pub(crate) struct Extent {
 }
 
 impl Extent {
-    /// The range of one number.
+    /// Makes the range of one number.
     pub(crate) const fn of(number: i64) -> Self {
         Self { first: number, last: number }
     }
 
-    /// The smallest range that holds both.
+    /// Returns the smallest range that contains both.
     pub(crate) fn hull(self, other: Self) -> Self {
         Self { first: self.first.min(other.first), last: self.last.max(other.last) }
     }
 
-    /// What of this range is in none of the others, in rising order.
+    /// Returns the parts of this range that none of the others contains, in rising order.
     pub(crate) fn without(self, mut others: Vec<Self>) -> Vec<Self> {
         others.sort_unstable_by_key(|other| other.first);
         let mut left = Vec::new();
@@ -48,7 +48,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn without_leaves_exactly_what_no_other_holds(
+        fn without_keeps_numbers_that_no_other_contains(
             (first, length) in (-10i64..30, 0i64..30),
             others in prop::collection::vec((-20i64..50, 0i64..20), 0..6),
         ) {

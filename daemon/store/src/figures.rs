@@ -1,4 +1,4 @@
-//! A summary as it is shown: with no quantile that its samples do not support.
+//! Figures of a summary, without quantiles that its samples do not support.
 
 use peernet_clock::Verdict;
 use peernet_logger::{Name, stage};
@@ -12,7 +12,7 @@ pub const P95_NEEDS: u64 = 60;
 pub const P99_NEEDS: u64 = 300;
 
 /// Statistics of one quantity, in its SI unit. Quantiles are within 1 % of the true ones.
-// The REST API sends this type as it is: its documentation is the API's, where an absent number is null.
+// The REST API sends this type as it is: these comments are its documentation, where an absent number is null.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, ToSchema)]
 #[expect(missing_docs, reason = "the names of the other fields say what they are")]
 pub struct Figures {
@@ -31,7 +31,7 @@ pub struct Figures {
 }
 
 impl Figures {
-    /// The figures of a summary; `None` when it holds no samples.
+    /// Returns the figures of a summary, or `None` when it holds no samples.
     pub fn of(summary: &Summary) -> Option<Self> {
         let moments = &summary.moments;
         let from = |needed, q| (moments.count >= needed).then(|| summary.quantile(q)).flatten();
@@ -48,19 +48,19 @@ impl Figures {
     }
 }
 
-/// How well the delays of one direction are known.
+/// Accuracy of the delays of one direction.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Bound {
     /// `upload` or `download`.
     pub stage: Name,
     /// Half the width of the interval that contains the delay, seconds; `None` when no delay had one.
     pub half_width: Option<Figures>,
-    /// How often each verdict was given, in the order of [`Verdict::ALL`], those never given left out.
+    /// Number of delays per verdict, in the order of [`Verdict::ALL`]; verdicts without delays are left out.
     pub verdicts: Vec<(Verdict, u64)>,
 }
 
-/// Sorts names as every table shows them: the stages in their order, then `total`, `stages-total`,
-/// `unattributed`, throughputs, sizes, and what users added, by name.
+/// Returns the sort key of a name in tables: the stages in their order, then `total`, `stages-total`, `unattributed`,
+/// throughputs, sizes, and users' names in alphabetical order.
 pub fn rank(name: &str) -> (usize, &str) {
     const AFTER: [Name; 9] = [
         stage::TOTAL,
@@ -88,7 +88,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn quantiles_wait_for_their_samples() {
+    fn quantiles_need_enough_samples() {
         let mut summary = Summary::default();
         assert_eq!(Figures::of(&summary), None);
         let figures_at = |summary: &mut Summary, count: u64| {
@@ -106,7 +106,7 @@ mod tests {
     }
 
     #[test]
-    fn tables_show_stages_first_and_users_names_last() {
+    fn tables_show_stages_first_and_user_names_last() {
         let mut names = ["zeta", "upload-bytes", "total", "upload", "capture", "alpha", "encode", "sensing"];
         names.sort_by_key(|name| rank(name));
         assert_eq!(

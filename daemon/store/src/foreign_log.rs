@@ -1,6 +1,8 @@
-//! Whether the log beside a database is its own. SQLite applies whatever `-wal` lies there: that of another file, which a
-//! backup took the place of, would spoil the backup and be gone itself. So each file has a number of its own, in the header
-//! field that SQLite leaves to programs (`user_version`). <https://www.sqlite.org/fileformat2.html#the_write_ahead_log>
+//! Detection of a log (`-wal`) that belongs to another database file.
+//!
+//! SQLite applies any log that lies beside the file. If a backup takes the place of a database, the log of the old file would
+//! spoil the backup and be lost itself. Therefore each file has a random number in the header field that SQLite leaves to
+//! programs (`user_version`). <https://www.sqlite.org/fileformat2.html#the_write_ahead_log>
 
 use std::ffi::OsString;
 use std::fs::{self, File};
@@ -13,9 +15,9 @@ use uuid::Uuid;
 
 use super::integrity::pages::be32;
 
-/// Where page 1, and so the file, has the number.
+/// Offset of the number within page 1, and so within the file.
 const ID_AT: usize = 60;
-/// The log's first word. Its lowest bit says in which order the bytes of a word are added up.
+/// First word of a log. Its lowest bit gives the byte order of the checksum's words.
 const MAGIC: u32 = 0x377f_0682;
 const LOG_HEADER: usize = 32;
 const FRAME_HEADER: usize = 24;
@@ -25,8 +27,10 @@ const FRAME_HEADER: usize = 24;
 #[error("the log {} belongs to the database that was there before; move it to where that file went, or delete it", .0.display())]
 pub struct ForeignLog(pub(crate) PathBuf);
 
-/// Gives the file a number if it has none. Writes page 1 in any case, so that the log tells whose it is: pages that
-/// change in place, as those of an aggregator without agents, do not bring page 1 along.
+/// Gives the file a number if it has none.
+///
+/// Writes page 1 in any case, so that the log contains the number: commits that change other pages only, as those of an
+/// aggregator without agents, would leave page 1 out.
 pub(crate) async fn mark(connection: &mut SqliteConnection) -> Result<(), sqlx::Error> {
     let id: i32 = sqlx::query_scalar("PRAGMA user_version").fetch_one(&mut *connection).await?;
     let id = if id == 0 { random_id() } else { id };
@@ -34,7 +38,7 @@ pub(crate) async fn mark(connection: &mut SqliteConnection) -> Result<(), sqlx::
     Ok(())
 }
 
-/// Gives a whole file without a log another number than that of the file it was copied from. No connection has it open.
+/// Gives a copied file without a log a new number. No connection may have it open.
 pub(crate) fn mark_copy(file: &File) -> io::Result<()> {
     file.write_all_at(&random_id().to_be_bytes(), ID_AT as u64)
 }
@@ -43,9 +47,10 @@ fn random_id() -> i32 {
     ((Uuid::new_v4().as_u128() & 0x7fff_ffff) as i32).max(1)
 }
 
-/// To be asked before SQLite opens the file, with a descriptor that stays open as long as SQLite's (see
-/// [`DatabaseLock`](super::lock::DatabaseLock)). A file without a number, of an earlier version, is not checked. What cannot
-/// be read is for SQLite to tell.
+/// Refuses the log beside a database if it belongs to another file. Has to be called before SQLite opens the file.
+///
+/// The descriptor has to stay open as long as SQLite's (see [`DatabaseLock`](super::lock::DatabaseLock)). A file without a
+/// number, of an earlier version, is not checked. Read errors are left to SQLite to report.
 pub(crate) fn refuse_foreign_log(database: &Path, file: &File) -> Result<(), ForeignLog> {
     let mut log = fs::canonicalize(database).map_or_else(|_| database.into(), OsString::from);
     log.push("-wal");
@@ -60,19 +65,19 @@ pub(crate) fn refuse_foreign_log(database: &Path, file: &File) -> Result<(), For
     }
 }
 
-/// The same of a file that no connection of this process has open.
+/// Does the same for a file that no connection of this process has open.
 pub(crate) fn refuse_foreign_log_of(database: &Path) -> Result<(), ForeignLog> {
     File::open(database).map_or(Ok(()), |file| refuse_foreign_log(database, &file))
 }
 
-/// The number of a database, if it is one and has one.
+/// Returns the number of a database; `None` if the file is no database or has no number.
 fn own_id(file: &File) -> io::Result<Option<u32>> {
     let mut header = [0; 100];
     let is_database = read_whole(file, &mut header, 0)? && header.starts_with(b"SQLite format 3\0");
     Ok(Some(be32(&header, ID_AT)).filter(|id| is_database && *id != 0))
 }
 
-/// Whether SQLite would apply pages 1 with another number, and none with this one.
+/// Returns whether SQLite would apply a page 1 with another number, and none with this one.
 fn is_foreign(log: &Path, own: u32) -> io::Result<bool> {
     let log = match File::open(log) {
         Err(error) if error.kind() == ErrorKind::NotFound => return Ok(false),
@@ -108,7 +113,7 @@ fn is_foreign(log: &Path, own: u32) -> io::Result<bool> {
     Ok(foreign)
 }
 
-/// SQLite's sum over all that the log has up to a frame.
+/// SQLite's checksum over the log up to a frame.
 struct Checksum {
     big_endian: bool,
     words: (u32, u32),
@@ -132,7 +137,7 @@ impl Checksum {
     }
 }
 
-/// Whether there are so many bytes.
+/// Fills `bytes` from the file; returns `false` if the file is too short.
 fn read_whole(file: &File, bytes: &mut [u8], at: u64) -> io::Result<bool> {
     match file.read_exact_at(bytes, at) {
         Err(error) if error.kind() == ErrorKind::UnexpectedEof => Ok(false),

@@ -6,17 +6,18 @@ use sqlx::SqliteConnection;
 use super::wall_clock::WallClockWatch;
 use crate::types::AggregatorIncidentKind;
 
-/// Incidents of the aggregator that are kept: more than a year of one an hour.
+/// Number of the aggregator's own incidents that are kept: more than a year of one an hour.
 const KEPT: i64 = 10_000;
-/// Incidents that wait while the database cannot be written; the first ones say most.
+/// Number of incidents that may wait while the database cannot be written. Later ones are dropped: the first ones are the
+/// most useful.
 const MOST_PENDING: usize = 64;
 
 const INSERT: &str = "INSERT INTO incident (host, at_ns, kind, text) VALUES (NULL, ?1, ?2, ?3)";
-/// ?1 how many are kept.
+/// ?1 number of incidents to keep.
 const DELETE_OLDEST: &str = "DELETE FROM incident WHERE host IS NULL AND id <= \
      (SELECT id FROM incident WHERE host IS NULL ORDER BY id DESC LIMIT 1 OFFSET ?1)";
 
-/// Stores an incident of the aggregator itself and returns its id; the newest [`KEPT`] stay.
+/// Stores an incident of the aggregator itself and returns its id. Only the newest [`KEPT`] remain.
 pub(crate) async fn record(
     connection: &mut SqliteConnection,
     kind: AggregatorIncidentKind,
@@ -29,8 +30,8 @@ pub(crate) async fn record(
     Ok(id)
 }
 
-/// Incidents of the aggregator that wait to be stored, within a second or when the database can be written again. They
-/// outlive a database that is opened anew.
+/// Incidents of the aggregator that wait to be stored, within a second or as soon as the database can be written. They
+/// survive a reopening of the database.
 #[derive(Debug)]
 pub struct PendingIncidents {
     wall_clock: WallClockWatch,
@@ -45,25 +46,25 @@ struct PendingIncident {
 }
 
 impl PendingIncidents {
-    /// Begins to watch the wall clock.
+    /// Starts watching the wall clock.
     pub const fn new(now: Stamp) -> Self {
         Self { wall_clock: WallClockWatch::new(now), waiting: Vec::new() }
     }
 
-    /// Takes an incident.
+    /// Adds an incident, or drops it if too many wait.
     pub fn add(&mut self, kind: AggregatorIncidentKind, at: WallTime, text: String) {
         if self.waiting.len() < MOST_PENDING {
             self.waiting.push(PendingIncident { kind, at, text });
         }
     }
 
-    /// Looks whether the wall clock was stepped since the last look.
-    pub(super) fn look(&mut self, now: Stamp) {
-        let step = self.wall_clock.look(now);
+    /// Adds an incident if the wall clock was stepped since the last call.
+    pub(super) fn check_step(&mut self, now: Stamp) {
+        let step = self.wall_clock.check_step(now);
         self.add_step(step, now);
     }
 
-    /// Looks whether the wall clock is behind what it showed when something was last stored.
+    /// Adds an incident if the wall clock is behind its reading at the last commit.
     pub(super) fn compare(&mut self, now: Stamp, last_stored: WallTime) {
         self.add_step(WallClockWatch::compare(now, last_stored), now);
     }
@@ -72,7 +73,7 @@ impl PendingIncidents {
         self.waiting.is_empty()
     }
 
-    /// Stores them within a transaction; [`Self::clear`] has to follow.
+    /// Stores all of them within a transaction. [`Self::clear`] has to follow its commit.
     pub(super) async fn store(&self, connection: &mut SqliteConnection) -> Result<(), sqlx::Error> {
         for PendingIncident { kind, at, text } in &self.waiting {
             record(connection, *kind, *at, text).await?;
@@ -80,7 +81,7 @@ impl PendingIncidents {
         Ok(())
     }
 
-    /// They are stored.
+    /// Removes all of them after their transaction was committed.
     pub(super) fn clear(&mut self) {
         self.waiting.clear();
     }

@@ -1,4 +1,4 @@
-//! Multi-row statements: the fast path into SQLite.
+//! Multi-row statements: the fastest way to insert rows into SQLite.
 
 use std::sync::Arc;
 
@@ -7,11 +7,11 @@ use sqlx::error::BoxDynError;
 use sqlx::sqlite::SqliteArguments;
 use sqlx::{Arguments, AssertSqlSafe, SqliteConnection};
 
-/// Rows of one statement, largest first. Few sizes, so that every statement stays prepared; the largest stays
-/// under SQLite's 32,766 parameters for up to 31 columns.
+/// Numbers of rows per statement, largest first. There are few sizes, so that every statement stays prepared; the largest
+/// stays under SQLite's 32,766 parameters for up to 31 columns.
 const SIZES: [usize; 5] = [1024, 256, 32, 4, 1];
 
-/// One table's statement in all sizes.
+/// Statement for one table in all sizes.
 #[derive(Debug)]
 pub(crate) struct Insert {
     statements: [Arc<str>; SIZES.len()],
@@ -19,7 +19,7 @@ pub(crate) struct Insert {
 }
 
 impl Insert {
-    /// A statement over rows of `columns` columns: `head VALUES (?, …), (?, …) tail`.
+    /// Makes a statement over rows of `columns` columns: `head VALUES (?, …), (?, …) tail`.
     pub(crate) fn new(head: &str, columns: usize, tail: &str) -> Self {
         let row = format!("({})", vec!["?"; columns].join(","));
         let statements = SIZES
@@ -27,9 +27,9 @@ impl Insert {
         Self { statements, columns }
     }
 
-    /// Executes it over all rows; `bind` adds one row's values in the order of the columns.
+    /// Executes the statement for all rows; `bind` adds one row's values in the order of the columns.
     ///
-    /// SQLite works on a thread of its own: while it executes one statement, the next one's values are bound.
+    /// SQLite works on its own thread: while it executes one statement, the values of the next one are bound.
     pub(crate) fn run<'a, R: 'a>(
         &'a self,
         connection: &'a mut SqliteConnection,
@@ -69,7 +69,7 @@ mod tests {
     use super::*;
 
     #[tokio::test]
-    async fn every_number_of_rows_arrives_whole_and_in_order() {
+    async fn any_number_of_rows_is_inserted_in_order() {
         let mut connection = SqliteConnection::connect("sqlite::memory:").await.expect("opens");
         sqlx::raw_sql("CREATE TABLE t (a INTEGER PRIMARY KEY, b TEXT)")
             .execute(&mut connection)

@@ -1,7 +1,7 @@
-//! The store: the aggregator's SQLite database, and the only place that knows SQL.
+//! The store: the aggregator's SQLite database, and the only crate that contains SQL.
 //!
-//! [`Store`] answers what people and programs ask, over connections of its own. `write` is the writer's, `retention` what
-//! the writer deletes between commits, `maintenance` what an operator does with the file.
+//! [`Store`] answers the questions of people and programs over read-only connections. `write` stores batches, `retention`
+//! deletes old data between commits, and `maintenance` holds the commands that an operator applies to the file.
 
 mod column;
 pub(crate) mod contents;
@@ -67,53 +67,53 @@ pub mod writing {
     };
 }
 
-/// Read-only access to what is stored, over connections of its own: never blocks the writer.
+/// Read-only access to the database. It has its own connections and never blocks the writer.
 #[derive(Clone, Debug)]
 pub struct Store {
     readers: Readers,
 }
 
 impl Store {
-    /// Answers over these connections.
+    /// Makes a store that answers over these connections.
     pub fn new(readers: Readers) -> Self {
         Self { readers }
     }
 
-    /// Closes the connections; questions that are under way are answered first. Later ones are refused.
+    /// Closes the connections after the questions that are under way are answered. Later questions are refused.
     pub async fn close(&self) {
         self.readers.close().await;
     }
 
-    /// Answers questions again, over new connections.
+    /// Opens new connections in place of the closed ones, so that questions are answered again.
     pub fn reopen(&self) {
         self.readers.reopen();
     }
 
-    /// Runs, newest first.
+    /// Returns runs, newest first.
     ///
     /// # Errors
-    /// When the database cannot be read; so for all questions here.
+    /// When the database cannot be read. This holds for all questions here.
     pub async fn runs(&self, filter: &RunFilter) -> Result<Vec<RunSummary>, StoreError> {
         read::runs::runs(&self.readers, filter).await
     }
 
-    /// One run; `None` when there is no run of that number. So for all questions about a run.
+    /// Returns one run, or `None` when no run has this number. All questions about one run treat unknown numbers so.
     pub async fn run(&self, number: i64) -> Result<Option<RunDetail>, StoreError> {
         read::runs::run(&self.readers, number).await
     }
 
-    /// The first runs of an experiment, oldest first; `limit` is 1 to 1,000. None where there is no such experiment.
+    /// Returns the first runs of an experiment, oldest first; `limit` is 1 to 1,000. Empty for an unknown experiment.
     pub async fn runs_of_experiment(&self, id: &str, limit: u32) -> Result<Vec<RunSummary>, StoreError> {
         read::runs::runs_of_experiment(&self.readers, id, limit).await
     }
 
-    /// Experiments, the one with the newest run first; `limit` is 1 to 1,000.
+    /// Returns experiments, the one with the newest run first; `limit` is 1 to 1,000.
     pub async fn experiments(&self, limit: u32) -> Result<Vec<ExperimentSummary>, StoreError> {
         read::runs::experiments(&self.readers, limit).await
     }
 
-    /// Node names over the time of a run, each in at most `most_buckets` summaries; in the order asked for, those
-    /// without samples left out.
+    /// Returns node names over the time of a run, each in at most `most_buckets` summaries, in the order of `stages`. Names
+    /// without samples are left out.
     pub async fn course(
         &self,
         run: i64,
@@ -123,7 +123,7 @@ impl Store {
         read::statistics::course(&self.readers, run, stages, most_buckets).await
     }
 
-    /// As [`Store::course`], of which only counts and means are wanted: a tenth of the work.
+    /// Returns counts and means over the time of a run, divided as in [`Store::course`]. It costs a tenth of the work.
     pub async fn means(
         &self,
         run: i64,
@@ -133,17 +133,17 @@ impl Store {
         read::statistics::means(&self.readers, run, stages, most_buckets).await
     }
 
-    /// What is known of whole runs, in the order asked for; empty of one that is not stored.
+    /// Returns the statistics of whole runs, in the order of `runs`; they are empty for a run that is not stored.
     pub async fn statistics(&self, runs: &[i64]) -> Result<Vec<RunStatistics>, StoreError> {
         read::statistics::statistics(&self.readers, runs).await
     }
 
-    /// As [`Store::statistics`], of one run.
+    /// Returns the statistics of one run, as [`Store::statistics`] does.
     pub async fn statistics_of(&self, run: i64) -> Result<RunStatistics, StoreError> {
         Ok(self.statistics(&[run]).await?.pop().unwrap_or_default())
     }
 
-    /// The distribution of one node name over at most `bins` bins (1 to 500).
+    /// Returns the distribution of one node name over at most `bins` bins (1 to 500).
     pub async fn histogram(
         &self,
         run: i64,
@@ -153,23 +153,23 @@ impl Store {
         read::statistics::histogram(&self.readers, run, stage, bins).await
     }
 
-    /// Node names over the time of a run, in at most `max_points` buckets of 1, 2, 5, 10, 20, 30, 60 … seconds. Where
-    /// retention deleted fine ones of a part of the run, all are made of coarser ones.
+    /// Returns node names over the time of a run, in at most `max_points` buckets of 1, 2, 5, 10, 20, 30, 60 … seconds. Where
+    /// retention deleted the fine buckets of a part of the run, all points are made of coarser ones.
     pub async fn series(&self, run: i64, stages: &[Name], max_points: usize) -> Result<Series, StoreError> {
         read::statistics::series(&self.readers, run, stages, max_points).await
     }
 
-    /// Episodes, warm-up and what had no answer, for pictures of a run over time: a few hundred rows at most.
+    /// Returns episodes, warm-up and unanswered iterations for charts of a run over time: at most a few hundred rows.
     pub async fn episodes(&self, run: i64) -> Result<Episodes, StoreError> {
         read::episodes::episodes(&self.readers, run).await
     }
 
-    /// The `n` slowest successful iterations (at most 1,000), slowest first.
+    /// Returns the `n` slowest successful iterations (at most 1,000), slowest first.
     pub async fn slowest(&self, run: i64, n: u32) -> Result<Vec<IterationRow>, StoreError> {
         read::iterations::slowest(&self.readers, run, n).await
     }
 
-    /// Iterations by rising number.
+    /// Returns iterations by rising number.
     pub async fn iterations(
         &self,
         run: i64,
@@ -178,8 +178,10 @@ impl Store {
         read::iterations::iterations(&self.readers, run, filter).await
     }
 
-    /// Two node names in at most `most` iterations, evenly spread over those that are stored: few of a long run are read.
-    /// A standard name is the sum of its nodes below the root, one of the users' own its first node, as in `data.csv`.
+    /// Returns the values of two node names in at most `most` iterations, evenly spread over the stored ones.
+    ///
+    /// The value of a standard name is the sum of its nodes below the root; that of a user's name is its first node, as in
+    /// `data.csv`. Only a few iterations of a long run are read.
     pub async fn pairs(&self, run: i64, names: [&str; 2], most: u32) -> Result<Pairs, StoreError> {
         read::pairs::pairs(&self.readers, run, names, most).await
     }
@@ -189,8 +191,8 @@ impl Store {
         read::iterations::iteration(&self.readers, run, number).await
     }
 
-    /// The next iterations after a number, as the agent sent them, by rising number, and the last number that was
-    /// looked at. `None` behind the last iteration.
+    /// Returns the next iterations after a number, as the agent sent them, by rising number, together with the last number
+    /// that was examined. `None` behind the last iteration.
     pub async fn whole(
         &self,
         run: &RunSummary,
@@ -199,8 +201,8 @@ impl Store {
         read::whole::whole(&self.readers, run, after).await
     }
 
-    /// As [`Store::whole`], of a few thousand iterations the first of each shape of tree: they have all columns that a
-    /// table of the run needs.
+    /// Returns, of the next few thousand iterations, the first of each shape of tree; otherwise as [`Store::whole`]. Together
+    /// they have all columns that a table of the run needs.
     pub async fn shapes(
         &self,
         run: &RunSummary,
@@ -209,23 +211,23 @@ impl Store {
         read::whole::shapes(&self.readers, run, after).await
     }
 
-    /// Incidents, newest first; `before` is the id of the last of the page before.
+    /// Returns incidents, newest first; `before` is the id of the last incident of the previous page.
     pub async fn incidents(&self, limit: u32, before: Option<i64>) -> Result<Vec<IncidentRow>, StoreError> {
         read::incidents::incidents(&self.readers, limit, before).await
     }
 
-    /// All hosts by name.
+    /// Returns all hosts by name.
     pub async fn hosts(&self) -> Result<Vec<HostRow>, StoreError> {
         read::incidents::hosts(&self.readers).await
     }
 
-    /// All links by the edge's and the cloud's name and the network.
+    /// Returns all links, ordered by the edge's name, the cloud's name and the network.
     pub async fn links(&self) -> Result<Vec<LinkRow>, StoreError> {
         read::clocks::links(&self.readers).await
     }
 
-    /// What was known of a link's clocks from `from` to `to`, on the edge's wall clock, in at most `most_points`
-    /// (1 to 10,000) buckets of 1, 2, 5, 10, 30, 60 … seconds. No points for a link that the store does not know.
+    /// Returns the clock relation of a link from `from` to `to`, on the edge's wall clock, in at most `most_points`
+    /// (1 to 10,000) buckets of 1, 2, 5, 10, 30, 60 … seconds. The result has no points for an unknown link.
     pub async fn clock_series(
         &self,
         link: &LinkKey,
@@ -236,12 +238,12 @@ impl Store {
         read::clocks::series(&self.readers, link, (from, to), most_points).await
     }
 
-    /// What the one-way delays of a link rest on, by its newest window. `None` for a link that the store does not know.
+    /// Returns the assumptions behind the one-way delays of a link's newest window, or `None` for an unknown link.
     pub async fn link_assumptions(&self, link: &LinkKey) -> Result<Option<DelayAssumptions>, StoreError> {
         read::clocks::of_link(&self.readers, link).await
     }
 
-    /// Judges the one-way delays of a run again, with the exchanges that came after them too. Writes nothing.
+    /// Judges the one-way delays of a run again, including the exchanges after them. Writes nothing.
     pub async fn recompute(&self, run: i64) -> Result<Option<Recomputed>, StoreError> {
         read::recompute::recompute(&self.readers, run).await
     }

@@ -2,5 +2,5 @@
 
 use std::time::Duration;
 
-/// Time that a connection waits for another program that locks the file.
+/// Longest wait of a connection for another program that locks the file.
 pub(crate) const BUSY: Duration = Duration::from_secs(1);

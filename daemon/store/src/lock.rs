@@ -1,4 +1,4 @@
-//! One writer per database: a second aggregator, or a command that rewrites, is refused while the first is there.
+//! Exclusive lock of a database: a second aggregator, or a command that rewrites the file, is refused meanwhile.
 
 use std::fs::{File, Metadata, TryLockError};
 use std::io;
@@ -6,10 +6,10 @@ use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-/// Why a database could not be taken.
+/// The reason why a database could not be locked.
 #[derive(Debug, thiserror::Error)]
 pub enum LockError {
-    /// Another process has it.
+    /// Another process holds the lock.
     #[error("the database {} is in use by {holder}; stop it, or name another file", path.display())]
     Taken {
         /// The database.
@@ -17,37 +17,38 @@ pub enum LockError {
         /// The other process, as far as it is known.
         holder: String,
     },
-    /// The file cannot be made, opened or locked.
+    /// The file cannot be created, opened or locked.
     #[error("cannot lock {}: {source}; check that its folder exists and that this user may write there", path.display())]
     Failed {
         /// The database.
         path: PathBuf,
-        /// The system's own words.
+        /// The system's error.
         source: io::Error,
     },
 }
 
-/// The right to write to a database: a lock on the file itself, let go when this is dropped or the process ends, however
-/// it ends. Whatever name leads to the file (link, hard link, another mount), there is one lock.
+/// The right to write to a database: a lock on the file itself, released when this is dropped or the process ends.
+///
+/// There is one lock for a file, whatever name leads to it (link, hard link, another mount).
 //
-// It is the lock of flock(2), because SQLite uses those of fcntl(2): the two do not see each other, and SQLite closing
-// another descriptor of the file does not let this one go. The other way round it would: closing *this* descriptor
-// lets go of what SQLite has locked with fcntl in this process. So it is closed after SQLite's last connection.
+// It is a lock of flock(2), because SQLite uses those of fcntl(2). The two are independent: when SQLite closes another
+// descriptor of the file, this lock stays. The reverse does not hold: closing *this* descriptor would release the locks that
+// SQLite holds with fcntl in this process. So it is closed after SQLite's last connection.
 #[derive(Debug)]
 pub struct DatabaseLock {
     file: Arc<File>,
 }
 
 impl DatabaseLock {
-    /// Takes the database, which is made when missing. Its folder must exist.
+    /// Locks the database and creates it if it is missing. Its folder must exist.
     ///
     /// # Errors
-    /// When another process has it, or it cannot be opened for writing.
+    /// When another process holds the lock, or the file cannot be opened for writing.
     pub fn take(database: &Path) -> Result<Self, LockError> {
         Self::open(database, true)
     }
 
-    /// The same for a database that must exist.
+    /// Locks a database that must exist.
     pub(crate) fn take_existing(database: &Path) -> Result<Self, LockError> {
         Self::open(database, false)
     }
@@ -71,20 +72,20 @@ impl DatabaseLock {
         }
     }
 
-    /// The locked file, for reading: another descriptor of it must not be closed while SQLite has the file open. Whoever
-    /// has it lets it go before the lock is.
+    /// Returns the locked file for reading: no other descriptor of it may be closed while SQLite has the file open. The caller
+    /// has to drop it before the lock.
     pub(crate) fn file(&self) -> Arc<File> {
         Arc::clone(&self.file)
     }
 
-    /// Whether a path leads to the locked file.
+    /// Returns whether a path leads to the locked file.
     pub(crate) fn is_of(&self, path: &Path) -> io::Result<bool> {
         let identity = |file: Metadata| (file.dev(), file.ino());
         Ok(identity(self.file.metadata()?) == identity(std::fs::metadata(path)?))
     }
 }
 
-/// The process that holds the lock of a file, by the kernel's list of locks: lines such as
+/// Returns the process that holds the lock of a file, by the kernel's list of locks: lines such as
 /// `1: FLOCK  ADVISORY  WRITE 1234 fe:00:5678 0 EOF` with the process, the device and the inode.
 fn holder(file: &Metadata) -> Option<u32> {
     let (device, inode) = (file.dev(), file.ino());
@@ -102,7 +103,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_database_has_one_holder_at_a_time_by_whatever_name() {
+    fn database_has_one_holder_under_any_name() {
         let folder = tempfile::tempdir().expect("a folder");
         let path = folder.path().join("peernet.sqlite");
         assert!(matches!(DatabaseLock::take_existing(&path), Err(LockError::Failed { .. })));
@@ -126,7 +127,7 @@ mod tests {
     }
 
     #[test]
-    fn a_folder_that_is_not_there_is_named() {
+    fn missing_folder_is_named() {
         let folder = tempfile::tempdir().expect("a folder");
         let refused = DatabaseLock::take(&folder.path().join("no/peernet.sqlite")).expect_err("no folder");
         assert!(refused.to_string().contains("no/peernet.sqlite"), "{refused}");

@@ -1,4 +1,7 @@
-//! The database open for writing: taken, checked, and read as far as memory has to agree with it.
+//! Opening of the database for writing, at the start and again after the file was moved, replaced or unmounted.
+//!
+//! Reopening is one mechanism for read-only descriptors and for moved, replaced and unmounted files, because it assumes
+//! nothing about the contents of the file. It takes the same steps as the start, but never accepts an empty or missing file.
 
 use std::path::{Path, PathBuf};
 
@@ -17,58 +20,58 @@ use crate::error::OpenError;
 use crate::retention_config::RetentionConfig;
 use crate::stored::Stored;
 
-/// Runs whose numbers are known from the start: those that agents may still be executing.
+/// Number of newest runs that are read at the opening: agents may still be executing them.
 const RUNS: u32 = 1_000;
-/// Hosts whose stored counts are known from the start.
+/// Number of hosts whose stored counts are read at the opening.
 const HOSTS: u32 = 4_096;
 
 /// A database that this process may write.
 #[derive(Debug)]
 pub struct OpenDatabase {
-    /// The one connection that writes.
+    /// The only connection that writes.
     pub writer: Writer,
     check: IntegrityCheck,
-    /// Let go after the connection: see [`DatabaseLock`].
+    /// Released after the connection is closed: see [`DatabaseLock`].
     lock: DatabaseLock,
 }
 
-/// What a database held when it was opened: what ingest and the live picture begin with.
+/// Contents of a database at its opening, from which ingest and the live picture start.
 #[derive(Debug)]
 pub struct StoredState {
-    /// How far each stream is stored.
+    /// Position up to which each stream is stored.
     pub streams: Streams,
-    /// The newest runs and their numbers.
+    /// The newest runs with their numbers.
     pub runs: Vec<(HostId, RunId, i64)>,
     /// Open runs of which only iterations are stored.
     pub unknown: Vec<(HostId, RunId)>,
-    /// What is stored of each host.
+    /// Counts of each host's stored data.
     pub hosts: Vec<(HostId, Stored)>,
-    /// Every host of which something is stored, those first that came first, and its secret.
+    /// All stored hosts in the order of their first contact, with their secrets.
     pub known: Vec<(HostId, Option<HostSecret>)>,
 }
 
-/// Why a database that was in use could not be opened again.
+/// The reason why a database that was in use could not be opened again.
 #[derive(Debug, thiserror::Error)]
 pub enum ReopenError {
     /// The path names no file.
     #[error(transparent)]
     Missing(CommitError),
-    /// The path names a file without anything in it.
+    /// The file at the path is empty.
     #[error("the database file {} is empty; put the right one there, or restart to begin with this one", .0.display())]
     Empty(PathBuf),
     /// The log at the path belongs to the file that was there before. SQLite would apply it to the new one.
     #[error(transparent)]
     ForeignLog(ForeignLog),
-    /// Another process has it, or it cannot be opened for writing.
+    /// Another process holds the lock, or the file cannot be opened for writing.
     #[error(transparent)]
     Lock(#[from] LockError),
-    /// The same reasons as at the start.
+    /// The database cannot be opened, for a reason that also prevents a start.
     #[error(transparent)]
     Start(#[from] OpenError),
 }
 
 impl OpenDatabase {
-    /// Opens a database, which is made when missing, and brings its schema up to date.
+    /// Opens a database, creates it if it is missing, and brings its schema up to date.
     pub async fn open(
         path: &Path,
         retention: RetentionConfig,
@@ -78,8 +81,9 @@ impl OpenDatabase {
         Self::with(lock, path, retention, integrity).await
     }
 
-    /// Opens what stands now at the path of a database that was in use: the same file, or another one in its place. An
-    /// empty one is refused: it would hide that the right one is missing.
+    /// Opens the file that is now at the path of a database that was in use: the same file or another one.
+    ///
+    /// An empty file is refused: it would hide that the right one is missing.
     pub async fn reopen(
         path: &Path,
         retention: RetentionConfig,
@@ -104,7 +108,7 @@ impl OpenDatabase {
         }
         let (mut database, state) = Self::with(lock, path, retention, integrity).await?;
         if let Err(source) = database.writer.write_nothing().await {
-            // What is only dropped keeps the file, and with it the lock and the file system, for some time.
+            // A connection that is only dropped keeps the file, and so the lock and the file system, for some time.
             let (_, closed) = database.close().await;
             if let Err(error) = closed {
                 tracing::debug!(%error, database = %path.display(), "the database was not closed well");
@@ -123,7 +127,7 @@ impl OpenDatabase {
         let cannot_open = |source| OpenError::opening(path, source);
         integrity.recall().map_err(|error| cannot_open(error.into()))?;
         refuse_foreign_log(path, &lock.file())?;
-        // The lock has made it; one that has gone since then must not be made.
+        // Taking the lock has created the file; if it has gone since then, it must not be created again.
         let mut connection =
             database::open_existing(path).await.map_err(|error| error.with_file(&lock.file()))?;
         let runs = newest_runs(&mut connection, RUNS).await.map_err(cannot_open)?;
@@ -131,7 +135,7 @@ impl OpenDatabase {
         let known = known_hosts(&mut connection).await.map_err(cannot_open)?;
         let hosts = stored_hosts(&mut connection, HOSTS).await.map_err(cannot_open)?;
         let writer = Writer::new(path.to_owned(), connection, retention).await.map_err(cannot_open)?;
-        // The file that was locked could have been replaced before it was opened.
+        // The locked file could have been replaced before SQLite opened it.
         if !lock.is_of(path).map_err(|error| cannot_open(error.into()))? {
             let moved = CommitError::Moved(path.to_owned()).to_string();
             return Err(cannot_open(std::io::Error::other(moved).into()));
@@ -141,8 +145,8 @@ impl OpenDatabase {
         Ok((Self { writer, check, lock }, state))
     }
 
-    /// Closes the connection and lets the file go. When it is the last one to the file, SQLite carries its log over into
-    /// it and removes it. Returns which files they were.
+    /// Closes the connection and releases the lock. If it is the last connection to the file, SQLite carries its log over into
+    /// it and removes the log. Returns which files they were.
     pub async fn close(self) -> (FormerFiles, Result<(), DatabaseError>) {
         let Self { writer, check, lock } = self;
         check.stop().await;

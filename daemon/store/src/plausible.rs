@@ -1,10 +1,10 @@
-//! What an agent says of clocks, as far as it can be true: shared by the store and the live picture, so that both show
-//! the same.
+//! Removal of impossible values from what agents report about clocks. The store and the live picture share it, so that both
+//! show the same.
 
 use peernet_clock::{DelaySource, Interval, Offset, Span};
 use peernet_stream::{DelayPoint, DelaySecond, EstimateBasis};
 
-/// The offset with each source once; `None` when its bounds are no interval or exclude the estimate.
+/// Returns the offset with each source once, or `None` if its bounds are no interval or exclude the estimate.
 pub fn offset(offset: &Offset) -> Option<Offset> {
     if !offset.bounds.contains(offset.estimate) {
         return None;
@@ -19,7 +19,7 @@ pub fn offset(offset: &Offset) -> Option<Offset> {
     Some(Offset { sources, skew_ppm, ..*offset })
 }
 
-/// The basis without figures that are no numbers or below zero, and without a proven skew whose ends are the wrong way round.
+/// Returns the basis without numbers that are not finite or negative, and without a proven skew whose ends are reversed.
 pub fn basis(basis: EstimateBasis) -> EstimateBasis {
     let change = |change: &f64| change.is_finite() && *change >= 0.0;
     let skew = |(min, max): &(f64, f64)| min.is_finite() && max.is_finite() && min <= max;
@@ -31,7 +31,7 @@ pub fn basis(basis: EstimateBasis) -> EstimateBasis {
     }
 }
 
-/// The second without its median where that is below zero or outside its own bounds.
+/// Returns the second without its median if that is negative or outside its own bounds.
 pub fn delays(second: DelaySecond) -> DelaySecond {
     let median = second.median.filter(|it| !it.value.is_negative() && it.bounds.contains(it.value));
     let rate = |rate: &f64| rate.is_finite() && *rate >= 0.0;

@@ -1,7 +1,7 @@
-//! Transactions of a connection that stays open, whatever SQLite does to them.
+//! Transactions of a connection that stays open, even where SQLite undoes them.
 //!
-//! SQLite undoes a transaction by itself when the disk is full, for example. sqlx's `Transaction` takes it for open from then on and
-//! begins no other one on this connection, so these statements are sent as they are.
+//! SQLite undoes a transaction by itself when the disk is full, for example. sqlx's `Transaction` still considers it open and
+//! cannot begin another one on this connection, so these statements are sent directly.
 
 use sqlx::SqliteConnection;
 
@@ -10,12 +10,12 @@ pub(crate) async fn begin(connection: &mut SqliteConnection) -> Result<(), sqlx:
     sqlx::query("BEGIN IMMEDIATE").execute(connection).await.map(drop)
 }
 
-/// Stores what the transaction has written.
+/// Commits the transaction.
 pub(crate) async fn commit(connection: &mut SqliteConnection) -> Result<(), sqlx::Error> {
     sqlx::query("COMMIT").execute(connection).await.map(drop)
 }
 
-/// Undoes a transaction if there is one.
+/// Rolls back a transaction if there is one.
 pub(crate) async fn roll_back(connection: &mut SqliteConnection) -> Result<(), sqlx::Error> {
     /// SQLITE_ERROR: there is no transaction. It did not begin, or SQLite undid it by itself.
     const NO_TRANSACTION: &str = "1";

@@ -1,4 +1,4 @@
-//! The connections that answer questions: read-only, few, and none of them for longer than a limit.
+//! Read-only connections that answer questions, few in number and with a time limit for each statement.
 
 use std::path::Path;
 use std::sync::{Arc, PoisonError, RwLock};
@@ -14,26 +14,29 @@ use super::limits::BUSY;
 use crate::database_error::DatabaseError;
 use crate::error::StoreError;
 
-/// How long a question waits for a connection.
+/// Longest wait of a question for a connection.
 const ACQUIRE: Duration = Duration::from_secs(5);
-/// Instructions of SQLite's machine between two looks at the clock: some tens of microseconds.
+/// Instructions of SQLite's virtual machine between two checks of the deadline: some tens of microseconds.
 const INSTRUCTIONS: i32 = 2_000;
-/// SQLite's code for a statement that was stopped (SQLITE_INTERRUPT).
+/// SQLite's code for an interrupted statement (SQLITE_INTERRUPT).
 const INTERRUPTED: &str = "9";
 
-/// Read-only connections, opened when needed. SQLite itself interrupts a statement that goes on for longer than the
-/// limit; the connection is as good as before.
+/// Read-only connections, opened when needed.
+///
+/// SQLite's progress handler interrupts a statement that takes longer than the limit; the connection stays usable.
 #[derive(Clone, Debug)]
 pub struct Readers {
-    /// Closed while the database is.
+    /// Closed while the database is closed.
     pool: Arc<RwLock<SqlitePool>>,
     limit: Duration,
     integrity: Integrity,
 }
 
 impl Readers {
-    /// At most so many connections to the file, which is opened at the first question, and so long for each statement,
-    /// from getting the connection until its last row was taken. What damage they meet is taken down.
+    /// Makes at most `connections` connections to the file, which is opened at the first question.
+    ///
+    /// `limit` bounds each statement, from the moment it gets the connection until its last row was read. Damage that a statement
+    /// meets is noted in `integrity`.
     pub fn open(
         path: &Path,
         connections: u32,
@@ -62,24 +65,24 @@ impl Readers {
         Self { pool: Arc::new(RwLock::new(pool)), limit, integrity }
     }
 
-    /// The connections, as they are now.
+    /// Returns the present connections.
     pub(super) fn pool(&self) -> SqlitePool {
         self.pool.read().unwrap_or_else(PoisonError::into_inner).clone()
     }
 
-    /// Closes the connections when the questions under way are answered; later ones are refused.
+    /// Closes the connections after the questions that are under way are answered; later ones are refused.
     pub(super) async fn close(&self) {
         self.pool().close().await;
     }
 
-    /// Takes new connections in place of those that were closed.
+    /// Makes new connections in place of the closed ones.
     pub(super) fn reopen(&self) {
         let mut pool = self.pool.write().unwrap_or_else(PoisonError::into_inner);
         let options = pool.connect_options().as_ref().clone();
         *pool = pool.options().clone().connect_lazy_with(options);
     }
 
-    /// Turns a failed statement into an error that says what was asked for.
+    /// Returns a function that turns a failed statement into an error that names what was asked for.
     pub(super) fn failed(&self, what: &'static str) -> impl Fn(sqlx::Error) -> StoreError + Copy + use<'_> {
         let Self { limit, integrity, .. } = self;
         let limit = *limit;
@@ -101,7 +104,7 @@ impl Readers {
     }
 }
 
-/// When the statement that a connection is given out for must have ended.
+/// Deadline of the statement for which a connection is given out.
 #[derive(Clone)]
 struct Deadline {
     limit: Span,

@@ -1,19 +1,21 @@
-//! How long what is stored is kept: the `[aggregator.retention]` table.
+//! The `[aggregator.retention]` table: how long stored data is kept.
 
 use serde::{Deserialize, Serialize};
 
 const DAY_S: i64 = 86_400;
-/// A hundred years.
+/// Longest period: a hundred years.
 const MOST_DAYS: u32 = 36_525;
 /// Smallest size limit that a run fits into.
 const LEAST_BYTES: u64 = 16 << 20;
 
-/// The `[aggregator.retention]` table. Ages count from when something was stored, in time during which an aggregator ran
-/// and stored into the database: no wall clock makes data old. Runs that are pinned are left alone.
+/// The `[aggregator.retention]` table.
+///
+/// Ages count from when something was stored, in time during which an aggregator ran and stored into the database: no wall
+/// clock makes data old. Pinned runs are exempt.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct RetentionConfig {
-    /// Iterations with their trees of nodes, days; 0 for ever, as for all of these.
+    /// Iterations with their trees of nodes, days; 0 keeps them for ever, as for all of these.
     pub nodes_days: u32,
     /// Statistics per second.
     pub seconds_days: u32,
@@ -23,10 +25,10 @@ pub struct RetentionConfig {
     pub minutes_days: u32,
     /// Statistics per hour. Those of whole runs stay for ever.
     pub hours_days: u32,
-    /// What was known of the relation between two hosts' clocks, second by second.
+    /// Samples of the relation between two hosts' clocks, one per second.
     pub clock_samples_days: u32,
-    /// Bytes that the database may use; 0 for no limit. Above, the oldest nodes go, then the oldest of the finer
-    /// statistics, however young.
+    /// Bytes that the database may use; 0 for no limit. Above it, the oldest nodes are deleted, then the oldest of the finer
+    /// statistics, at any age.
     pub size_limit_bytes: u64,
 }
 
@@ -45,7 +47,7 @@ impl Default for RetentionConfig {
 }
 
 impl RetentionConfig {
-    /// What cannot work, by key.
+    /// Returns invalid settings: the key and what is wrong with it.
     pub fn problems(&self) -> Vec<(&'static str, String)> {
         let mut problems = Vec::new();
         let widths = [
@@ -82,7 +84,7 @@ impl RetentionConfig {
     }
 }
 
-/// Days as seconds; none for what is kept for ever.
+/// Converts days to seconds; `None` for data that is kept for ever.
 pub(crate) fn kept_s(days: u32) -> Option<i64> {
     (days > 0).then(|| i64::from(days) * DAY_S)
 }
@@ -98,12 +100,12 @@ mod tests {
     }
 
     #[test]
-    fn what_cannot_work_is_named_by_its_key() {
+    fn invalid_setting_is_named_by_key() {
         assert!(problems(|_| {}).is_empty());
         assert!(problems(|config| (config.nodes_days, config.size_limit_bytes) = (0, 1 << 30)).is_empty());
         assert_eq!(problems(|config| config.nodes_days = 40_000), ["retention.nodes_days"]);
         assert_eq!(problems(|config| config.size_limit_bytes = 1), ["retention.size_limit_bytes"]);
-        // The coarser ones carry the pages over what the finer ones no longer have.
+        // The coarser statistics serve pages for the time of which the finer ones are deleted.
         assert_eq!(problems(|config| config.seconds_days = 8), ["retention.ten_seconds_days"]);
         assert_eq!(problems(|config| config.minutes_days = 0), Vec::<&str>::new());
         assert_eq!(

@@ -1,4 +1,7 @@
-//! What iterations sent, and how long it was on its way.
+//! Bytes sent by iterations, and the time for which they were in transit.
+//!
+//! *Speed while sending* and *traffic* are defined here only, for live windows and stored runs. The throughput of a single
+//! iteration is a node; the mean of these is not a speed, because small messages would count as much as large ones.
 
 use peernet_clock::Direction;
 use peernet_logger::{Name, stage};
@@ -16,7 +19,7 @@ pub struct Transfer {
 }
 
 impl Transfer {
-    /// The sums of a direction; `None` when nothing was sent in it. `of` gives how many samples of a name there are, and
+    /// Returns the sums of a direction, or `None` when nothing was sent in it. `of` returns the number of samples of a name and
     /// their mean in its SI unit.
     pub fn of(direction: Direction, of: impl Fn(&Name) -> Option<(u64, f64)>) -> Option<Self> {
         let (payload, metadata, delay) = match direction {
@@ -27,24 +30,24 @@ impl Transfer {
         let sum = |(count, mean): (u64, f64)| count as f64 * mean;
         let bytes = sum((messages, mean)) + of(&metadata).map_or(0.0, sum);
         let (timed, seconds) = of(&delay).map_or((0, 0.0), |delay| (delay.0, sum(delay)));
-        // Sizes are known of every message. Where some delays are not, those that are count with their share of the bytes.
+        // Sizes are known for every message. If some delays are unknown, the known ones count with their share of the bytes.
         let share = (timed as f64 / messages.max(1) as f64).min(1.0);
         Some(Self { bytes, timed_bytes: bytes * share, seconds })
     }
 
-    /// Speed while sending in bits per second: the bytes over the time that they were on their way. `None` while no delay
-    /// is known.
+    /// Returns the speed while sending in bits per second: bytes divided by the sum of one-way delays. `None` while no delay is
+    /// known.
     pub fn speed(&self) -> Option<f64> {
         (self.seconds > 0.0 && self.timed_bytes > 0.0).then(|| 8.0 * self.timed_bytes / self.seconds)
     }
 
-    /// Traffic in bits per second: the bytes over so many seconds of wall time.
+    /// Returns the traffic in bits per second: bytes divided by `wall_s` seconds of wall time.
     pub fn traffic(&self, wall_s: f64) -> Option<f64> {
         (wall_s > 0.0).then(|| 8.0 * self.bytes / wall_s)
     }
 }
 
-/// Both directions.
+/// Sums of both directions.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct Transfers {
     /// From the edge to the cloud; `None` when nothing was sent.
@@ -54,7 +57,7 @@ pub struct Transfers {
 }
 
 impl Transfers {
-    /// The sums of both directions; `of` as for [`Transfer::of`].
+    /// Returns the sums of both directions; `of` as for [`Transfer::of`].
     pub fn of(of: impl Fn(&Name) -> Option<(u64, f64)>) -> Self {
         Self { up: Transfer::of(Direction::Up, &of), down: Transfer::of(Direction::Down, &of) }
     }
@@ -64,7 +67,7 @@ impl Transfers {
 mod tests {
     use super::*;
 
-    /// A small message that is fast and a large one that is slow, as (bytes, seconds).
+    /// A small, fast message and a large, slow one, as (bytes, seconds).
     const MESSAGES: [(f64, f64); 2] = [(2e3, 1e-6), (122e3, 3.58e-3)];
 
     fn means(name: &Name) -> Option<(u64, f64)> {
@@ -77,7 +80,7 @@ mod tests {
     }
 
     #[test]
-    fn speed_is_bytes_over_transfer_times_and_no_mean_of_ratios() {
+    fn speed_is_total_bytes_per_total_transfer_time() {
         let Transfers { up, down } = Transfers::of(means);
         let up = up.expect("something was sent");
         let speed = up.speed().expect("delays are known") / 8e6;

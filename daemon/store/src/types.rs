@@ -1,4 +1,4 @@
-//! What the store answers: plain data in SI units.
+//! Types of the store's answers: plain data in SI units.
 
 mod episodes;
 mod experiment;
@@ -8,7 +8,7 @@ mod statistics;
 pub use episodes::Episodes;
 pub use experiment::{ExperimentSummary, MeanBucket, StageCourse, StageMeans};
 pub use pairs::Pairs;
-pub(crate) use statistics::Known;
+pub(crate) use statistics::NameSummary;
 pub use statistics::{Kept, RunStatistics, StageStatistics};
 
 use peernet_analysis::deadline::Misses;
@@ -24,16 +24,16 @@ use serde::Serialize;
 use crate::figures::Figures;
 use crate::stored::{ClockPoint, Stored};
 
-/// Which runs to list, newest first.
+/// Selection of the runs to list, newest first.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct RunFilter {
-    /// Only runs of pipelines of this name.
+    /// Name of the pipelines; `None` for all.
     pub pipeline: Option<Slug>,
-    /// Only runs of this edge host.
+    /// Edge host; `None` for all.
     pub host: Option<HostId>,
-    /// At most so many, 1 to 1,000.
+    /// Maximum number of runs, 1 to 1,000.
     pub limit: u32,
-    /// Only runs of smaller number: the number of the last run of the page before.
+    /// Only runs with a smaller number: the number of the last run of the previous page.
     pub before: Option<i64>,
 }
 
@@ -46,9 +46,9 @@ impl Default for RunFilter {
 /// A run in a list.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct RunSummary {
-    /// The small number people use: shown as `#412`, never used twice.
+    /// The small number that people use: shown as `#412`, never used twice.
     pub number: i64,
-    /// The id its agent gave it.
+    /// The id that its agent gave it.
     pub id: RunId,
     /// The edge host.
     pub host: HostId,
@@ -56,43 +56,42 @@ pub struct RunSummary {
     pub host_name: Slug,
     /// The pipeline's name; `unknown` when the run's beginning never reached the store.
     pub pipeline: Slug,
-    /// Where it computed, with the peer's name.
+    /// Place where it computed, with the peer's name.
     pub placement: Placement,
-    /// When it began, on the edge's wall clock.
+    /// Time of its start on the edge's wall clock.
     pub started: WallTime,
-    /// When it ended; `None` while it goes on, or when its end never reached the store.
+    /// Time of its end; `None` while it is running, or when its end never reached the store.
     pub ended: Option<WallTime>,
-    /// Why it ended.
+    /// Reason of its end.
     pub reason: Option<EndReason>,
-    /// When the newest stored iteration began, on the edge's wall clock.
+    /// Start of the newest stored iteration on the edge's wall clock.
     pub last_iteration: Option<WallTime>,
     /// Iterations by outcome, warm-up left out.
     pub counts: OutcomeCounts,
-    /// Iterations of the warm-up, stored but in no statistic.
+    /// Iterations of the warm-up: stored, but excluded from statistics.
     pub warm_up: u64,
-    /// Starts of an open loop that were skipped before its iterations, whatever became of these; warm-up left out.
+    /// Skipped starts of an open loop before its iterations, whatever their outcome; warm-up left out.
     pub skipped_starts: u64,
-    /// How long an iteration may take, seconds; `None` without a deadline.
+    /// Longest allowed duration of an iteration in seconds; `None` without a deadline.
     pub deadline_s: Option<f64>,
-    /// How many iterations missed it; `None` without a deadline.
+    /// Iterations that missed the deadline; `None` without a deadline.
     pub misses: Option<Misses>,
     /// Figures of `total`, seconds; successful iterations only.
     pub total: Option<Figures>,
-    /// Whether the clock of one of its hosts was made wrong on purpose.
+    /// `true` if the clock of one of its hosts was made wrong on purpose.
     pub rehearsed: bool,
-    /// Whether it is kept whole, whatever its age.
+    /// `true` if retention keeps it whole at any age.
     pub pinned: bool,
-    /// Iterations up to and including this number were deleted, because of their age or for want of room; 0 when none
-    /// were.
+    /// Last of the numbers whose iterations were deleted because of their age or the size limit; 0 when none were deleted.
     pub nodes_from: u64,
     /// Its place in an experiment, if it belongs to one.
     pub experiment: Option<ExperimentPlace>,
 }
 
-/// A run with all that is known of it.
+/// A run with everything that the store knows of it.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct RunDetail {
-    /// As in a list.
+    /// The run as it appears in a list.
     #[serde(flatten)]
     pub summary: RunSummary,
     /// Sensor, transforms, load and so on, as pairs for people, in the order of the configuration.
@@ -101,14 +100,14 @@ pub struct RunDetail {
     pub configuration: String,
     /// Version of the agent.
     pub version: String,
-    /// What was found of the hosts before it began; empty when nobody looked.
+    /// Conditions of the hosts before the run began; empty when none were recorded.
     pub conditions: Vec<Condition>,
-    /// What is missing, oldest first, at most 1,000.
+    /// Missing events, oldest first, at most 1,000.
     pub gaps: Vec<GapRow>,
 }
 
 impl From<RunSummary> for RunDetail {
-    /// A run of which no more is known than a list says.
+    /// Makes a run from the facts of a list only.
     fn from(summary: RunSummary) -> Self {
         Self {
             summary,
@@ -124,19 +123,19 @@ impl From<RunSummary> for RunDetail {
 /// Events that never reached the store.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct GapRow {
-    /// When the first was dropped, on the host's wall clock.
+    /// Time at which the first was dropped, on the host's wall clock.
     pub from: WallTime,
-    /// When the last was dropped.
+    /// Time at which the last was dropped.
     pub to: WallTime,
-    /// How many; 0 when that is not known.
+    /// Number of missing events; 0 when unknown.
     pub count: u64,
-    /// Why.
+    /// Reason for the loss.
     pub reason: String,
 }
 
 /// Distribution of one node name over a run, in bins of equal width.
 ///
-/// Made from a sketch whose own bins are 2 % wide, each spread evenly over the bins it overlaps.
+/// It is made from a sketch whose bins are 2 % wide. The count of each is spread evenly over the bins that it overlaps.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Histogram {
     /// The node's name.
@@ -160,7 +159,7 @@ pub struct Series {
     pub bucket_s: u32,
     /// One entry per name that has samples, in the order asked for.
     pub stages: Vec<StageSeries>,
-    /// What is missing, oldest first.
+    /// Missing events, oldest first.
     pub gaps: Vec<GapRow>,
 }
 
@@ -175,12 +174,12 @@ pub struct StageSeries {
     pub points: Vec<SeriesPoint>,
 }
 
-/// One bucket.
+/// Statistics of one bucket.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct SeriesPoint {
-    /// Begin of the bucket, on the edge's wall clock; a multiple of the bucket's width.
+    /// Begin of the bucket on the edge's wall clock; a multiple of the bucket's width.
     pub at: WallTime,
-    /// Samples.
+    /// Number of samples.
     pub count: u64,
     /// Mean.
     pub mean: f64,
@@ -190,14 +189,14 @@ pub struct SeriesPoint {
     pub p95: Option<f64>,
 }
 
-/// Which iterations of a run to list, by rising number.
+/// Selection of the iterations of a run to list, by rising number.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct IterationFilter {
-    /// Only iterations of greater number: the last number of the page before; 0 begins.
+    /// Only iterations with a greater number: the last number of the previous page; 0 for the first page.
     pub after: u64,
-    /// At most so many, 1 to 1,000.
+    /// Maximum number of iterations, 1 to 1,000.
     pub limit: u32,
-    /// Only iterations without an answer: failed, lost, timeout.
+    /// `true` for iterations without an answer only: failed, lost, timeout.
     pub unsuccessful: bool,
 }
 
@@ -210,39 +209,39 @@ impl Default for IterationFilter {
 /// An iteration in a list.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct IterationRow {
-    /// Contiguous from 1 within the run.
+    /// Number within the run, contiguous from 1.
     pub number: u64,
-    /// Episode, from 0.
+    /// Number of the episode, from 0.
     pub episode: u32,
     /// Step within the episode, from 0.
     pub step: u32,
-    /// Left out of statistics.
+    /// `true` if it belongs to the warm-up and is left out of statistics.
     pub warm_up: bool,
     /// `ok`, `failed`, `lost` or `timeout`.
     pub outcome: String,
-    /// Why it failed or was lost.
+    /// Reason for which it failed or was lost.
     pub reason: Option<String>,
-    /// When it began, on the edge's wall clock.
+    /// Time of its start on the edge's wall clock.
     pub started: WallTime,
     /// Seconds from the intended start to the end.
     pub total: Option<f64>,
-    /// `total` over the run's median of it.
+    /// `total` divided by the run's median of `total`.
     pub factor: Option<f64>,
-    /// What made it slow, the largest excess first: stages, `lateness`, `unattributed`, or [`BOTH_WAYS`]. Empty where it took
+    /// Causes of its slowness, the largest excess first: stages, `lateness`, `unattributed`, or [`BOTH_WAYS`]. Empty if it took
     /// no longer than the run's median.
     pub causes: Vec<Cause>,
-    /// Seconds per stage, in the order of the stages; a stage that occurs several times is added up.
+    /// Seconds per stage, in the order of the stages; several nodes of one stage are added up.
     pub stages: Vec<(Name, f64)>,
-    /// Seconds that the total holds beyond its stages, as the agent measured it; `None` where it could not tell.
+    /// Seconds of the total beyond its stages, as the agent measured them; `None` where it could not tell.
     pub unattributed: Option<f64>,
-    /// Seconds of `upload` and `download` together where the two are not known apart: the total less the other stages
-    /// and `unattributed`. `None` where each is known, or nothing was sent.
+    /// Seconds of `upload` and `download` together where they are not known separately: the total less the other stages and
+    /// `unattributed`. `None` where each is known, or nothing was sent.
     pub both_ways: Option<f64>,
-    /// The one-way delays that were judged, in the order of the tree.
+    /// The judged one-way delays, in the order of the tree.
     pub delays: Vec<DelayRow>,
 }
 
-/// What `upload` and `download` are called together, where the clocks do not tell them apart.
+/// Name for `upload` and `download` together, where the clocks cannot separate them.
 pub const BOTH_WAYS: &str = "upload + download";
 
 /// A one-way delay, seconds.
@@ -252,30 +251,30 @@ pub struct DelayRow {
     pub stage: Name,
     /// The estimate; `None` when it is not known.
     pub value: Option<f64>,
-    /// The bounds that contain the truth; `None` when nothing is known.
+    /// Bounds that contain the truth; `None` when nothing is known.
     pub bounds: Option<(f64, f64)>,
-    /// The receiver's stamp less the sender's: may be negative.
+    /// The receiver's stamp less the sender's; may be negative.
     pub raw: f64,
-    /// What the correction rests on.
+    /// Source of the correction.
     pub source: DelaySource,
-    /// How far it can be trusted.
+    /// Trust in the estimate.
     pub verdict: Verdict,
-    /// What its bounds rest on; `None` where no clock sample of its time is stored, and where both ends are on one clock.
+    /// Assumptions behind its bounds; `None` where no clock sample of its time is stored, and where both ends are on one clock.
     pub assumptions: Option<DelayAssumptions>,
 }
 
-/// What the bounds of one-way delays rest on, beside the exchanges and the source.
+/// Assumptions behind the bounds of one-way delays, besides the exchanges and the source.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct DelayAssumptions {
-    /// The clocks that were related.
+    /// The related clocks.
     pub clocks: RelatedClocks,
-    /// The fastest that the two clocks may drift apart, parts per million; `None` where it was not told.
+    /// Highest drift between the two clocks, parts per million; `None` if not reported.
     pub max_drift_ppm: Option<f64>,
-    /// How fast that rate may change, parts per million per second; `None` where nothing was assumed of it.
+    /// Highest change of that rate, parts per million per second; `None` if nothing was assumed.
     pub max_drift_change_ppm_per_s: Option<f64>,
-    /// Whether claims of time daemons might narrow the interval; `None` where it was not told (releases before 0.3).
+    /// `true` if claims of time daemons might narrow the interval; `None` if not reported (releases before 0.3).
     pub claims_trusted: Option<bool>,
-    /// Whether all probes were authenticated; `None` where there were none or it was not told.
+    /// `true` if all probes were authenticated; `None` if there were none or it was not reported.
     pub probes_authenticated: Option<bool>,
 }
 
@@ -294,48 +293,48 @@ impl From<&ClockSample> for DelayAssumptions {
 /// One iteration with its tree.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct IterationDetail {
-    /// As in a list.
+    /// The iteration as it appears in a list.
     #[serde(flatten)]
     pub row: IterationRow,
     /// The tree as the agent sent it.
     pub tree: Tree,
-    /// The names of the hosts of the tree's anchors, in their order; `None` for one that never reported here and is not
-    /// the run's server.
+    /// Names of the hosts of the tree's anchors, in their order; `None` for a host that never reported here and is not the
+    /// run's server.
     pub hosts: Vec<Option<Slug>>,
-    /// Place among the slowest successful iterations of the run, from 1; `None` beyond the 1,000 slowest, and for
-    /// iterations that are in no statistic.
+    /// Place among the slowest successful iterations of the run, from 1; `None` beyond the 1,000 slowest, and for iterations
+    /// that are excluded from statistics.
     pub rank: Option<u64>,
-    /// The stored iteration before.
+    /// Number of the stored iteration before.
     pub previous: Option<u64>,
-    /// The stored iteration after.
+    /// Number of the stored iteration after.
     pub next: Option<u64>,
-    /// The successful iteration that is slower by one place; `None` without a `rank`.
+    /// The successful iteration one place slower; `None` without a `rank`.
     pub slower: Option<u64>,
-    /// The one that is faster by one place; `None` without a `rank`.
+    /// The successful iteration one place faster; `None` without a `rank`.
     pub faster: Option<u64>,
     /// Figures of the run per node name, for comparison; in the order of tables.
     pub run_figures: Vec<(Name, Figures)>,
 }
 
-/// Something that happened beside the measurements.
+/// An incident: something that happened besides the measurements.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct IncidentRow {
-    /// Rises with the order of arrival: for paging.
+    /// Number in the order of arrival, for paging.
     pub id: i64,
-    /// When, on the reporting host's wall clock.
+    /// Time on the reporting host's wall clock.
     pub at: WallTime,
-    /// Of a host: `disconnected`, `connected`, `refused`, `model-loaded`, `clock-step`, `gap`, `pipeline-failed`,
-    /// `control`. Of the aggregator: the names of [`AggregatorIncidentKind`].
+    /// Kind of the incident. Of a host: `disconnected`, `connected`, `refused`, `model-loaded`, `clock-step`, `gap`,
+    /// `pipeline-failed`, `control`. Of the aggregator: the names of [`AggregatorIncidentKind`].
     pub kind: String,
-    /// The reporting host; `None`: the aggregator itself.
+    /// The reporting host; `None` for the aggregator itself.
     pub host: Option<HostId>,
-    /// Its name; `None`: the aggregator itself.
+    /// The host's name; `None` for the aggregator itself.
     pub host_name: Option<Slug>,
-    /// The pipeline concerned, if one.
+    /// The pipeline concerned, if any.
     pub pipeline: Option<String>,
-    /// The number of the run concerned, if one.
+    /// The number of the run concerned, if any.
     pub run: Option<i64>,
-    /// The other host's name, if one is concerned; its id where it never introduced itself here.
+    /// The name of the other host concerned, if any; its id if it never introduced itself here.
     pub peer: Option<String>,
     /// One sentence for people.
     pub text: String,
@@ -353,7 +352,7 @@ pub enum AggregatorIncidentKind {
 }
 
 impl AggregatorIncidentKind {
-    /// The name used in storage, in the API and on the pages.
+    /// Returns the name used in storage, in the API and on the pages.
     pub const fn name(self) -> &'static str {
         match self {
             Self::ClockStep => "clock-step",
@@ -363,24 +362,24 @@ impl AggregatorIncidentKind {
     }
 }
 
-/// A host that once introduced itself.
+/// A host that has introduced itself.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct HostRow {
-    /// Decides.
+    /// Random identifier of the host; stays the same when the host is renamed.
     pub id: HostId,
-    /// Its last name.
+    /// Its latest name.
     pub name: Slug,
-    /// As it last introduced itself.
+    /// Its latest description of itself.
     pub description: HostDescription,
-    /// When it first came, on the aggregator's wall clock.
+    /// Time of its first message, on the aggregator's wall clock.
     pub first_seen: WallTime,
-    /// When it last said hello or had something stored, on the aggregator's wall clock.
+    /// Time of its last hello or stored event, on the aggregator's wall clock.
     pub last_seen: WallTime,
-    /// What the database holds of it.
+    /// Counts of its stored data.
     pub stored: Stored,
 }
 
-/// What a link is known by: two hosts that use several networks have a link over each.
+/// Key of a link: two hosts that use several networks have one link over each.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize)]
 pub struct LinkKey {
     /// The edge.
@@ -391,7 +390,7 @@ pub struct LinkKey {
     pub network: NetworkName,
 }
 
-/// A link that the store knows.
+/// A link in a list.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct LinkRow {
     /// The edge.
@@ -404,14 +403,14 @@ pub struct LinkRow {
     pub cloud_name: Slug,
     /// The network.
     pub network: NetworkName,
-    /// The first stored sample, on the edge's wall clock.
+    /// Time of the first stored sample, on the edge's wall clock.
     pub first: WallTime,
-    /// The last one.
+    /// Time of the last stored sample.
     pub last: WallTime,
 }
 
 impl LinkRow {
-    /// What the link is known by.
+    /// Returns the key of the link.
     pub fn key(&self) -> LinkKey {
         LinkKey { edge: self.edge, cloud: self.cloud, network: self.network.clone() }
     }
@@ -420,24 +419,26 @@ impl LinkRow {
 /// The clock relation of a link over time.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct ClockSeries {
-    /// Width of a bucket, seconds; 1 is as stored.
+    /// Width of a bucket, seconds; 1 means samples as stored.
     pub bucket_s: u32,
     /// Oldest first; buckets without samples are absent.
     pub points: Vec<ClockPoint>,
 }
 
-/// The one-way delays of a run as they were judged while it ran, and as all exchanges judge them, those after it
-/// included. What was stamped is never touched.
+/// The one-way delays of a run as they were judged while it ran, and as all exchanges judge them, later ones included.
+/// The recorded stamps stay unchanged.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Recomputed {
-    /// The run.
+    /// The number of the run.
     pub number: i64,
-    /// Stored clock samples that were used.
+    /// Number of stored clock samples that were used.
     pub samples: u64,
-    /// The clocks by whose stamps delays were judged again. Wall clocks are those of runs that were recorded before free-running clocks were
-    /// stamped: their steps and slews reach these delays. Empty where all delays stay as they were judged.
+    /// Clocks by whose stamps delays were judged again; empty where all delays keep their first judgement.
+    ///
+    /// Wall clocks are those of runs that were recorded before free-running clocks were stamped: their steps and slews affect
+    /// these delays.
     pub clocks: Vec<RelatedClocks>,
-    /// `upload`, `download`.
+    /// `upload` and `download`.
     pub stages: Vec<RecomputedStage>,
 }
 
@@ -446,9 +447,9 @@ pub struct Recomputed {
 pub struct RecomputedStage {
     /// The node's name.
     pub stage: Name,
-    /// As stored.
+    /// Judgement as stored.
     pub before: Judgement,
-    /// As computed again.
+    /// Judgement as computed again.
     pub after: Judgement,
 }
 
@@ -459,6 +460,6 @@ pub struct Judgement {
     pub delay: Option<Figures>,
     /// Figures of half the width of their bounds, seconds.
     pub half_width: Option<Figures>,
-    /// How often each verdict was given.
+    /// Number of delays per verdict.
     pub verdicts: Vec<(Verdict, u64)>,
 }

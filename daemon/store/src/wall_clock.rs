@@ -1,23 +1,24 @@
-//! Notices when the aggregator's wall clock is stepped. No I/O: it is told what the clocks show.
+//! Detection of steps of the aggregator's wall clock. No I/O: the readings of the clocks are arguments.
 
 use peernet_clock::{Span, Stamp, WallTime};
 
-/// A change that is smaller is left to the time daemon: nothing is deleted because of it, and pages show seconds.
+/// Smallest step that is reported. Smaller ones are left to the time daemon: nothing is deleted because of them, and pages
+/// show seconds.
 const LEAST_STEP: Span = Span::from_seconds(10);
 
-/// Compares the wall clock with the monotonic one.
+/// Comparison of the wall clock with the monotonic clock.
 #[derive(Debug)]
 pub(super) struct WallClockWatch {
     last: Stamp,
 }
 
 impl WallClockWatch {
-    /// Begins to watch.
+    /// Starts watching.
     pub(super) const fn new(now: Stamp) -> Self {
         Self { last: now }
     }
 
-    /// What is odd, in words, where the wall clock is behind what it showed when an aggregator last stored something.
+    /// Returns a description if the wall clock is behind its reading at the last commit of an aggregator.
     pub(super) fn compare(now: Stamp, last_stored: WallTime) -> Option<String> {
         let step = now.wall - last_stored;
         (step <= -LEAST_STEP).then(|| {
@@ -29,8 +30,8 @@ impl WallClockWatch {
         })
     }
 
-    /// Looks once more. Returns what is odd, in words.
-    pub(super) fn look(&mut self, now: Stamp) -> Option<String> {
+    /// Returns a description if the wall clock was stepped since the last call.
+    pub(super) fn check_step(&mut self, now: Stamp) -> Option<String> {
         let step = (now.wall - self.last.wall) - (now.mono - self.last.mono);
         self.last = now;
         (step.abs() >= LEAST_STEP).then(|| {
@@ -41,7 +42,7 @@ impl WallClockWatch {
     }
 }
 
-/// A length of time without its sign.
+/// Formats a length of time without its sign.
 fn in_words(span: Span) -> String {
     let seconds = span.abs().seconds();
     match seconds {
@@ -66,20 +67,20 @@ mod tests {
     }
 
     #[test]
-    fn step_is_told_once_with_amount_and_direction() {
+    fn step_is_reported_once_with_amount_and_direction() {
         let mut watch = WallClockWatch::new(stamp(1_000, 0));
-        // However long nobody looked, both clocks went alike.
-        assert_eq!(watch.look(stamp(9_000_009, 9_000_000 - 1_000)), None);
+        // However long ago the last look was, both clocks advanced alike.
+        assert_eq!(watch.check_step(stamp(9_000_009, 9_000_000 - 1_000)), None);
         let month = 30 * 86_400;
-        let forward = watch.look(stamp(9_000_010 + month, 9_000_001 - 1_000)).expect("told");
+        let forward = watch.check_step(stamp(9_000_010 + month, 9_000_001 - 1_000)).expect("told");
         assert!(forward.contains("set forward by 30.0 days"), "{forward}");
-        assert_eq!(watch.look(stamp(9_000_011 + month, 9_000_002 - 1_000)), None);
-        let back = watch.look(stamp(9_000_012 - 60, 9_000_003 - 1_000)).expect("told");
+        assert_eq!(watch.check_step(stamp(9_000_011 + month, 9_000_002 - 1_000)), None);
+        let back = watch.check_step(stamp(9_000_012 - 60, 9_000_003 - 1_000)).expect("told");
         assert!(back.contains("set back by 30.0 days"), "{back}");
     }
 
     #[test]
-    fn start_behind_stored_time_is_told() {
+    fn start_before_stored_time_is_reported() {
         assert_eq!(WallClockWatch::compare(stamp(1_000, 0), stamp(1_009, 0).wall), None);
         assert_eq!(WallClockWatch::compare(stamp(9_000_000, 0), stamp(1_000, 0).wall), None);
         let odd = WallClockWatch::compare(stamp(1_000, 0), stamp(1_000 + 10_800, 0).wall).expect("told");

@@ -1,4 +1,4 @@
-//! Lists that arrive from anyone: bounded where a byte on the wire becomes many in memory.
+//! Lists from an untrusted peer, with a limit on their length. A byte on the wire may become many bytes in memory.
 
 use std::fmt;
 use std::marker::PhantomData;
@@ -6,7 +6,7 @@ use std::marker::PhantomData;
 use serde::de::{Error, SeqAccess, Visitor};
 use serde::{Deserialize, Deserializer};
 
-/// Reads a list of at most so many items; a longer one is refused before it is in memory.
+/// Reads a list of at most `MOST` items. A longer list is refused before it is in memory.
 pub(super) fn at_most<'de, const MOST: usize, T, D>(deserializer: D) -> Result<Vec<T>, D::Error>
 where
     T: Deserialize<'de>,
@@ -45,7 +45,7 @@ mod tests {
     struct Few(#[serde(deserialize_with = "at_most::<3, _, _>")] Vec<u8>);
 
     #[test]
-    fn a_list_that_is_too_long_is_refused() {
+    fn too_long_list_is_refused() {
         let read = |items: usize| {
             rmp_serde::from_slice::<Few>(&rmp_serde::to_vec(&vec![7_u8; items]).expect("writes"))
         };

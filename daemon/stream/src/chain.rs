@@ -1,22 +1,22 @@
-//! The hash that stands for a batch and for every one before it in its stream.
+//! Hash of a batch together with all batches before it in its stream.
 
 use std::fmt;
 
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 
-/// SHA-256 over the chain of the batch before, the number of events and their bytes, cut to 128 bits.
+/// SHA-256 over the chain of the previous batch, the number of events and their bytes, cut to 128 bits.
 ///
-/// Two spools that were one and went apart (a copied machine, a restored disk) have batches of the same stream and
-/// number with different chains, so that they are told apart however long ago that was.
+/// Two spools that were one and diverged (a copied machine, a restored disk) have batches with the same stream and
+/// number but with different chains. The comparison of one chain therefore detects a divergence at any earlier batch.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub struct Chain(#[serde(with = "serde_bytes")] [u8; 16]);
 
 impl Chain {
-    /// Before the first batch.
+    /// Chain before the first batch.
     pub const START: Self = Self([0; 16]);
 
-    /// The chain of a batch that follows this one: so many events, in wire form.
+    /// Returns the chain of the next batch, which has `events` events with the wire form `body`.
     pub fn then(self, events: u32, body: &[u8]) -> Self {
         let digest = Sha256::new().chain_update(self.0).chain_update(events.to_be_bytes()).chain_update(body);
         let (chain, _) =
@@ -24,12 +24,12 @@ impl Chain {
         Self(chain)
     }
 
-    /// Its 16 bytes.
+    /// Returns the 16 bytes of the chain.
     pub const fn as_bytes(&self) -> &[u8; 16] {
         &self.0
     }
 
-    /// The chain of these 16 bytes.
+    /// Creates the chain with the given bytes.
     pub const fn from_bytes(bytes: [u8; 16]) -> Self {
         Self(bytes)
     }
@@ -47,7 +47,7 @@ mod tests {
 
     #[test]
     fn a_chain_is_the_hash_of_all_that_came_before() {
-        // (head -c 16 /dev/zero; printf '\0\0\0\2ab') | sha256sum
+        // The expected value is that of `(head -c 16 /dev/zero; printf '\0\0\0\2ab') | sha256sum`.
         let chain = Chain::START.then(2, b"ab");
         assert_eq!(chain.to_string(), "406eafa51a022395ef1bb1ee145156df");
         assert_eq!(Chain::from_bytes(*chain.as_bytes()), chain);

@@ -1,8 +1,8 @@
-//! What is told of clocks: the relation of two hosts' clocks, and what each host's time daemon says.
+//! Messages about clocks: the relation between two hosts' clocks, and the claims of each host's time daemon.
 
 use peernet_clock::{
-    Discipline, Exchange, ExchangeCounts, Interval, Offset, RehearsalDescription, RelatedClocks, Span,
-    Verdict, WallTime,
+    ClockFaults, Discipline, Exchange, ExchangeCounts, Interval, Offset, RelatedClocks, Span, Verdict,
+    WallTime,
 };
 use serde::ser::SerializeStruct;
 use serde::{Deserialize, Serialize, Serializer};
@@ -12,59 +12,61 @@ use super::{Connection, EstimateBasis, NetworkName};
 use crate::limits::{MAX_NETWORKS, MAX_PIPELINES};
 use peernet_logger::{HostId, Slug};
 
-/// One second of a link: the relation between a clock of an edge and one of a cloud, and the delays of data over one network.
-/// Stored, so that the delays of a past run can be computed again with what was learnt after it.
+/// State of a link in one second: the relation between a clock of the edge and one of the cloud, and the delays of data
+/// over one network.
 ///
-/// The relation belongs to the pair of hosts. Where two hosts use several networks in a second, the sample of each has the
-/// same window, exchanges, offset and probes, and delays of its own.
+/// It is stored, so that the delays of a past run can be computed again with later exchanges.
+///
+/// The relation belongs to the pair of hosts. If two hosts use several networks in a second, the sample of each network
+/// has the same window, exchanges, offset and probes, but its own delays.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 pub struct ClockSample {
-    /// The cloud.
+    /// Id of the cloud.
     pub peer: HostId,
-    /// Its name.
+    /// Name of the cloud.
     pub peer_name: Slug,
-    /// The end of the second, on the edge's wall clock.
+    /// End of the second on the edge's wall clock.
     pub at: WallTime,
-    /// A random number per relation, which changes when either clock is stepped: exchanges of different windows
-    /// say nothing about each other.
+    /// Random number of the relation, which changes when either clock is stepped. Exchanges of different windows cannot
+    /// be combined.
     pub window: u64,
-    /// The limit of drift that the bounds rest on, parts per million.
+    /// Limit of drift that the bounds rest on, parts per million.
     pub max_drift_ppm: f64,
-    /// Of this second's exchanges the one that bounds the offset best from above; `None` when there was none.
+    /// Exchange of this second with the lowest upper bound of the offset; `None` without exchanges.
     pub upper: Option<Exchange>,
-    /// The one that bounds it best from below.
+    /// Exchange of this second with the highest lower bound of the offset.
     pub lower: Option<Exchange>,
-    /// What was known at the end of the second; `None` while nothing is.
+    /// Offset at the end of the second; `None` if it is unknown.
     pub offset: Option<Offset>,
     /// Probes of this second.
     pub probes: ProbeCounts,
-    /// What became of all exchanges so far.
+    /// Numbers of all accepted and refused exchanges so far.
     pub exchanges: ExchangeCounts,
-    /// Round trips of this second's probes; `None` when none came back.
+    /// Round trips of this second's probes; `None` if none was answered.
     pub round_trip: Option<RoundTrip>,
-    /// Delays of data from edge to cloud, judged in this second; `None` when there were none.
+    /// Delays of data from edge to cloud that were judged in this second; `None` without any.
     pub up: Option<DelaySecond>,
-    /// From cloud to edge.
+    /// Delays of data from cloud to edge.
     pub down: Option<DelaySecond>,
-    /// The network of the link. Left out where it is `zmq-tcp` and nothing follows.
+    /// Network of the link. Its serialised form is omitted if it is `zmq-tcp` and no later field follows.
     #[serde(default)]
     pub network: NetworkName,
-    /// What the bounds rest on; `None` in samples of releases before 0.3, which related wall clocks. Since version 7 of the event
-    /// stream.
+    /// Assumptions that the bounds rest on; `None` in samples of releases before 0.3, which related wall clocks. Since
+    /// version 7 of the event stream.
     #[serde(default)]
     pub basis: Option<EstimateBasis>,
 }
 
 impl ClockSample {
-    /// The clocks that the stamps of the exchanges are of.
+    /// Returns the clocks that stamped the exchanges.
     pub fn clocks(&self) -> RelatedClocks {
         self.basis.map_or(RelatedClocks::Wall, |basis| basis.clocks)
     }
 }
 
 impl Serialize for ClockSample {
-    /// Leaves out the last values where they say nothing, so that a sample of an earlier release keeps its bytes. Values of an array
-    /// are known by their positions: the network can only be left out together with what follows.
+    /// Omits the last fields if they have their defaults, so that a sample of an earlier release keeps its bytes. The
+    /// fields of an array are identified by position: the network can only be omitted together with the field after it.
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
         let has_network = self.basis.is_some() || !self.network.is_default();
         let fields = 13 + usize::from(has_network) + usize::from(self.basis.is_some());
@@ -92,38 +94,39 @@ impl Serialize for ClockSample {
     }
 }
 
-/// The delays of data in one direction within a second.
+/// Delays of data in one direction within a second.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct DelaySecond {
-    /// How many were judged.
+    /// Number of delays that were judged.
     pub count: u32,
-    /// The median of those that have a value, with the bounds of that very one; `None` when none has.
+    /// Median of the delays that have a value, with the bounds of that delay; `None` if none has a value.
     pub median: Option<DelayPoint>,
-    /// The worst verdict that at least a twentieth of them were given.
+    /// Worst verdict that applies to at least a twentieth of them.
     pub verdict: Verdict,
 }
 
-/// A delay as a point with its error bar.
+/// A delay with its interval.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct DelayPoint {
-    /// The estimate.
+    /// Estimate.
     pub value: Span,
-    /// Contains the truth.
+    /// Interval that contains the true delay.
     pub bounds: Interval,
-    /// Bits per second over the estimate; `None` when the size is not known.
+    /// Size divided by the estimate, bits per second; `None` if the size is unknown.
     pub bits_per_second: Option<f64>,
 }
 
-/// What became of the probes of a second.
+/// Numbers of probes within a second.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct ProbeCounts {
-    /// Sent.
+    /// Probes sent.
     pub sent: u32,
-    /// Came back.
+    /// Probes answered.
     pub answered: u32,
-    /// Did not come back in time.
+    /// Probes not answered in time.
     pub lost: u32,
-    /// Packets that arrived and were refused as answers, and probes that could not be sent. Since version 7 of the event stream.
+    /// Packets that arrived and were refused as answers, and probes that could not be sent. Since version 7 of the
+    /// event stream.
     #[serde(default, skip_serializing_if = "is_zero")]
     pub refused: u32,
 }
@@ -136,47 +139,46 @@ const fn is_zero(count: &u32) -> bool {
 /// Round trips of probes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct RoundTrip {
-    /// The shortest.
+    /// Shortest round trip.
     pub min: Span,
-    /// The median.
+    /// Median round trip.
     pub median: Span,
 }
 
-/// A link of an agent, now: one cloud over one network. The relation of the clocks is that of the pair of hosts, fed by all
-/// of the agent's pipelines and probes to the cloud.
+/// Current state of a link of an agent: one cloud over one network. The relation of the clocks belongs to the pair of
+/// hosts; all of the agent's pipelines and probes to the cloud contribute exchanges.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 pub struct LinkLive {
-    /// The cloud.
+    /// Id of the cloud.
     pub peer: HostId,
-    /// Its name.
+    /// Name of the cloud.
     pub peer_name: Slug,
-    /// Kinds of network in use: that of the link, which counts as [`network`](Self::network). At most [`MAX_NETWORKS`].
+    /// Kinds of network in use. The network of the link is [`network`](Self::network). At most [`MAX_NETWORKS`].
     #[serde(deserialize_with = "at_most::<MAX_NETWORKS, _, _>")]
     pub networks: Vec<String>,
-    /// The pipelines that use it, at most [`MAX_PIPELINES`].
+    /// Pipelines that use the link, at most [`MAX_PIPELINES`].
     #[serde(deserialize_with = "at_most::<MAX_PIPELINES, _, _>")]
     pub pipelines: Vec<Slug>,
-    /// Whether it is proven that the processes of both hosts read one clock.
+    /// `true` if it is proven that the processes of both hosts read one clock.
     pub same_clock: bool,
-    /// How it is probed.
+    /// State of the probes.
     pub probing: Probing,
-    /// What the edge's time daemon says.
+    /// Clock of the edge.
     pub edge: Option<HostClock>,
-    /// What the cloud's says.
+    /// Clock of the cloud.
     pub cloud: Option<HostClock>,
-    /// The last second, or as much of it as has passed.
+    /// Sample of the last second, or of its elapsed part.
     pub now: ClockSample,
-    /// Open connections, one for each pipeline, at most [`MAX_PIPELINES`]; since version 6 of the event
-    /// stream.
+    /// Open connections, one per pipeline, at most [`MAX_PIPELINES`]. Since version 6 of the event stream.
     #[serde(default, deserialize_with = "at_most::<MAX_PIPELINES, _, _>")]
     pub connections: Vec<Connection>,
-    /// The reflector that the edge's configuration names for the cloud; since version 7 of the event stream.
+    /// Reflector that the edge's configuration names for the cloud. Since version 7 of the event stream.
     #[serde(default)]
     pub reflector: Option<ReflectorLive>,
 }
 
 impl Serialize for LinkLive {
-    /// Leaves out the last values where they say nothing: older versions cannot read them.
+    /// Omits the last fields if they have their defaults, because older versions cannot read them.
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
         let has_connections = self.reflector.is_some() || !self.connections.is_empty();
         let fields = 9 + usize::from(has_connections) + usize::from(self.reflector.is_some());
@@ -200,67 +202,68 @@ impl Serialize for LinkLive {
     }
 }
 
-/// A STAMP reflector that an edge's configuration names for a cloud, now. Its clock is its own: nothing says that it is the clock of the
-/// cloud, and no delay of data rests on it.
+/// Current state of a STAMP reflector that an edge's configuration names for a cloud. Its clock need not be the
+/// cloud's, so that no delay of data rests on it.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ReflectorLive {
-    /// As it is configured: `udp://host:port`.
+    /// Configured address: `udp://host:port`.
     pub address: String,
-    /// How it is probed.
+    /// State of the probes.
     pub probing: Probing,
-    /// Probes since the link was opened.
+    /// Numbers of probes since the link was opened.
     pub probes: ProbeCounts,
     /// Round trips of the newest hundred answers; `None` before the first.
     pub round_trip: Option<RoundTrip>,
-    /// The reflector's wall clock minus that of the edge; `None` while nothing is known.
+    /// Wall clock of the reflector minus that of the edge; `None` if it is unknown.
     pub offset: Option<Offset>,
 }
 
 impl LinkLive {
-    /// The network of the link.
+    /// Returns the network of the link.
     pub const fn network(&self) -> &NetworkName {
         &self.now.network
     }
 }
 
-/// How a link is probed.
+/// State of the probes of a link.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Probing {
-    /// Probes go out.
+    /// Probes are sent.
     On {
-        /// Where to: `udp://host:port`.
+        /// Destination: `udp://host:port`.
         address: String,
-        /// How many per second now.
+        /// Current number of probes per second.
         rate_hz: f64,
-        /// Where the stamps are made, in words: `kernel, send and receive`, `kernel, receive only`, `program`.
+        /// Origin of the stamps: `kernel, send and receive`, `kernel, receive only`, or `program`.
         stamps: String,
     },
-    /// Probes go out and none has come back lately: blocked, or the reflector is gone.
+    /// Probes are sent, but none was answered recently: they are blocked, or the reflector does not run.
     Unanswered {
-        /// Where to.
+        /// Destination: `udp://host:port`.
         address: String,
-        /// What is known to be wrong, such as a key that only one end has; `None` when nothing is.
+        /// Known cause, such as a key that only one end has; `None` if it is unknown.
         #[serde(default)]
         reason: Option<String>,
     },
-    /// No probes; the text says why.
+    /// No probes are sent; the text gives the reason.
     Off(String),
 }
 
-/// What is known of one host's wall clock.
+/// State of a host's wall clock.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct HostClock {
-    /// What the host's time daemon, or the kernel, claims; `None` when the clock is not synchronised or nobody says.
+    /// Error bounds that the host's time daemon or its kernel claims; `None` if the clock is not synchronised or
+    /// nothing claims any.
     pub discipline: Option<Discipline>,
-    /// In words: `chrony, stratum 2, to 10.0.0.1`, `kernel, synchronised`, `not synchronised`.
+    /// Description for people, such as `chrony, stratum 2, to 10.0.0.1`, `kernel, synchronised`, `not synchronised`.
     pub text: String,
-    /// How often the clock was found stepped, run off or asleep, since the agent started.
+    /// Number of steps, slews and sleeps of the clock since the agent started.
     pub epoch: u32,
-    /// How the clock is made wrong on purpose.
-    pub rehearsal: Option<RehearsalDescription>,
-    /// What the kernel reads the time from, such as `tsc` (Linux: `current_clocksource`); `None` where it does not tell. Since
-    /// version 7 of the event stream.
+    /// Faults that are injected into the clock.
+    pub rehearsal: Option<ClockFaults>,
+    /// Clock hardware that the kernel reads, such as `tsc` (Linux: `current_clocksource`); `None` if the kernel does
+    /// not state it. Since version 7 of the event stream.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub clocksource: Option<String>,
 }

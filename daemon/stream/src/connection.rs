@@ -1,4 +1,4 @@
-//! Connections between an edge and a cloud: what was sent and received on them, and over which interface.
+//! Connections between an edge and a cloud: counts of sent and received data, and the network interface.
 
 use peernet_clock::Span;
 use peernet_logger::Slug;
@@ -6,36 +6,36 @@ use serde::{Deserialize, Serialize};
 
 use crate::NetworkName;
 
-/// A connection of a link, by the account of its edge and, where that is known, of its cloud.
+/// A connection of a link, as counted by its edge and, where that is known, by its cloud.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Connection {
-    /// The pipeline that uses it.
+    /// Pipeline that uses the connection.
     pub pipeline: Slug,
     /// Kind of network, such as `zmq-tcp`.
     pub network: NetworkName,
-    /// The edge's address and port; `None` where the transport has none.
+    /// Address and port of the edge; `None` if the transport has none.
     pub local: Option<String>,
-    /// The cloud's address and port.
+    /// Address and port of the cloud.
     pub remote: Option<String>,
-    /// The interface of the edge that it leaves by; `None` where it is not known.
+    /// Interface of the edge that the connection uses; `None` if it is unknown.
     pub interface: Option<NetworkInterface>,
-    /// What was sent and received on it.
+    /// Counts at the edge's end.
     pub statistics: ConnectionStatistics,
-    /// What the cloud counted at its end, some seconds ago at most; `None` where it did not tell. Since version 7 of the event
-    /// stream.
+    /// Counts at the cloud's end, at most some seconds old; `None` if the cloud did not send them. Since version 7 of
+    /// the event stream.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub cloud: Option<ConnectionStatistics>,
 }
 
-/// An interface of a host.
+/// A network interface of a host.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct NetworkInterface {
-    /// Such as `eth0`.
+    /// Name, such as `eth0`.
     pub name: String,
-    /// `ethernet`, `wireless`, `loopback`, `tunnel`, or `type N` with a hardware type of Linux (`ARPHRD_*`); `None` where
-    /// the system does not tell.
+    /// `ethernet`, `wireless`, `loopback`, `tunnel`, or `type N` with a hardware type of Linux (`ARPHRD_*`); `None` if
+    /// the system does not state it.
     pub kind: Option<String>,
-    /// The largest packet that it sends in one piece, bytes.
+    /// Largest packet that it sends in one piece, bytes.
     pub mtu_bytes: Option<u32>,
 }
 
@@ -46,44 +46,43 @@ pub struct ConnectionStatistics {
     pub sent: DirectionStatistics,
     /// From the peer to this end.
     pub received: DirectionStatistics,
-    /// Messages that arrived and made no sense; they were dropped.
+    /// Messages that arrived malformed and were dropped.
     pub malformed_messages: u64,
-    /// Answers that arrived after the request had been given up.
+    /// Answers that arrived after the request had timed out.
     pub late_messages: u64,
-    /// On the edge requests that will never be answered, because they or their answers were lost on the way or the
-    /// connection ended. On the cloud answers that could not
-    /// be handed to the network.
+    /// On the edge, requests that will never be answered, because they or their answers were lost or the connection
+    /// ended. On the cloud, answers that could not be handed to the network.
     pub lost_messages: u64,
-    /// The round trip of the transport's own packets; `None` where the transport does not measure one.
+    /// Round trip of the transport's own packets; `None` if the transport does not measure it.
     pub round_trip: Option<TransportRoundTrip>,
 }
 
-/// Totals of one direction of a connection. What this end cannot know of a direction is `None`.
+/// Totals of one direction of a connection. Counts that this end cannot know are `None`.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct DirectionStatistics {
-    /// Bytes of the messages' frames, without what the transport adds around them.
+    /// Bytes of the messages' frames, without the overhead of the transport.
     pub bytes: u64,
-    /// Whole messages.
+    /// Number of whole messages.
     pub messages: u64,
-    /// Datagrams with data, with TCP segments with data; those sent again count again.
+    /// Number of datagrams with data (for TCP, of segments with data), including retransmissions.
     pub datagrams: Option<u64>,
-    /// Datagrams that were sent and did not arrive, or too late to tell.
+    /// Number of datagrams that were sent and did not arrive, or arrived too late to tell.
     pub lost: Option<u64>,
-    /// Datagrams that arrived more than once.
+    /// Number of datagrams that arrived more than once.
     pub duplicated: Option<u64>,
-    /// Datagrams that arrived out of order.
+    /// Number of datagrams that arrived out of order.
     pub reordered: Option<u64>,
-    /// Datagrams that were sent again.
+    /// Number of datagrams that were retransmitted.
     pub retransmitted: Option<u64>,
 }
 
 /// Round trip of a transport's packets and their acknowledgements (RFC 6298).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct TransportRoundTrip {
-    /// The shortest lately; `None` before the first.
+    /// Shortest recent round trip; `None` before the first.
     pub min: Option<Span>,
-    /// The smoothed round trip, `SRTT`.
+    /// Smoothed round trip (`SRTT`).
     pub smoothed: Span,
-    /// Its smoothed mean deviation, `RTTVAR`.
+    /// Smoothed mean deviation of the round trip (`RTTVAR`).
     pub variation: Span,
 }

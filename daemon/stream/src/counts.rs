@@ -1,4 +1,4 @@
-//! Events that are handed in, counted by run: what a process that was killed took with it is known by them.
+//! Counts of the events that were handed in, per run. They show which events a killed process lost.
 
 use std::collections::BTreeMap;
 
@@ -7,86 +7,87 @@ use peernet_logger::{RunId, Slug};
 
 use crate::Gap;
 
-/// Runs that are counted separately, at most: one a pipeline, and some that have just ended.
+/// Largest number of runs that are counted separately: one per pipeline, and some that have just ended.
 pub const MOST_COUNTED_RUNS: usize = 256;
 
-/// Reason of the gap that takes the place of the events which were lost with their process.
+/// Reason of the gap in place of events that were lost with their process.
 pub const KILLED: &str = "the agent was killed before these events reached its spool";
 
 /// Numbers of events: of all, and of each run.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct RunCounts {
-    /// All events, with those that belong to no run.
+    /// Number of all events, including those without a run.
     pub all: u64,
-    /// Those of runs, of at most [`MOST_COUNTED_RUNS`].
+    /// Number of events of each run, for at most [`MOST_COUNTED_RUNS`] runs.
     pub runs: BTreeMap<RunId, u64>,
 }
 
-/// Events that were handed in to this process, by what became of them.
+/// Events that were handed in to this process, by result.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub struct HandedIn {
-    /// In a batch.
+pub struct HandedInEvents {
+    /// Events in batches.
     pub taken: RunCounts,
-    /// Dropped.
+    /// Dropped events.
     pub dropped: RunCounts,
-    /// When the last of them came; `None` before the first.
+    /// Time of the last event; `None` before the first.
     pub last: Option<WallTime>,
 }
 
-/// What a process counted at the moment at which each event was handed in: it outlives the process.
+/// Events that a process counted when each of them was handed in. The counts are in shared memory, which outlives the
+/// process.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct CountedEvents {
-    /// All events.
+    /// Number of all events.
     pub all: u64,
-    /// When the last of them came.
+    /// Time of the last event.
     pub last: WallTime,
-    /// The last batches that were sent without being in the spool.
+    /// Last batches that were sent without being in the spool.
     pub sent: Vec<SentUnspooled>,
-    /// The runs under way.
+    /// Counts of the active runs.
     pub runs: Vec<CountedRun>,
 }
 
-/// What a spool says of the events that were handed in to the process which wrote it.
+/// Events of a process that its spool accounts for.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub struct Settled {
-    /// Those in a batch and those that were dropped.
+pub struct SettledEvents {
+    /// Events in batches, and dropped events.
     pub events: RunCounts,
-    /// Those in a batch.
+    /// Number of events in batches.
     pub taken: u64,
-    /// When the last of them came.
+    /// Time of the last event.
     pub last: Option<WallTime>,
 }
 
-/// A batch that was sent and is not in the spool. All numbers count up to its last event.
+/// A batch that was sent and is not in the spool. All counts include its last event.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct SentUnspooled {
-    /// The process that sent it ([`super::Hello::process`]).
+    /// Process that sent the batch ([`super::Hello::process`]).
     pub process: u64,
-    /// Its number.
+    /// Number of the batch.
     pub number: u64,
-    /// Events that were handed in to that process and are in batches.
+    /// Number of events that were handed in to that process and are in batches.
     pub taken: u64,
-    /// Dropped events that gaps have reported, as [`super::Totals::told`].
+    /// Number of dropped events that gaps have reported, like [`super::Totals::told`].
     pub told: u64,
-    /// Events in batches since the spool was made, with the gaps.
+    /// Number of events in batches since the spool was created, including gaps.
     pub events: u64,
 }
 
-/// One run of [`CountedEvents`].
+/// Count of one run of [`CountedEvents`].
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct CountedRun {
-    /// The run.
+    /// Id of the run.
     pub run: RunId,
-    /// Its pipeline, where it is known.
+    /// Pipeline of the run, if known.
     pub pipeline: Option<Slug>,
-    /// Its events.
+    /// Number of events.
     pub events: u64,
-    /// When the last of them came.
+    /// Time of the last event.
     pub last: WallTime,
 }
 
 impl RunCounts {
-    /// Counts so many events more. A run that finds no place of its own counts among all.
+    /// Adds events. If a run has no separate count because there are too many runs, its events count among all.
     pub fn add(&mut self, run: Option<RunId>, events: u64) {
         self.all += events;
         let Some(run) = run else { return };
@@ -95,24 +96,24 @@ impl RunCounts {
         }
     }
 
-    /// The events of a run.
+    /// Returns the number of events of a run.
     pub fn of(&self, run: RunId) -> u64 {
         self.runs.get(&run).copied().unwrap_or_default()
     }
 }
 
-impl HandedIn {
-    /// What the spool is to say of them.
-    pub fn settled(&self) -> Settled {
+impl HandedInEvents {
+    /// Returns the counts that the spool records.
+    pub fn settled(&self) -> SettledEvents {
         let mut events = self.taken.clone();
         events.all += self.dropped.all;
         for (run, count) in &self.dropped.runs {
             *events.runs.entry(*run).or_default() += count;
         }
-        Settled { events, taken: self.taken.all, last: self.last }
+        SettledEvents { events, taken: self.taken.all, last: self.last }
     }
 
-    /// What was taken and is not in `kept` counts as dropped.
+    /// Moves the events in batches that are not in `kept` to the dropped ones.
     pub(super) fn give_up(&mut self, kept: &RunCounts) {
         let taken = std::mem::replace(&mut self.taken, kept.clone());
         self.dropped.all += taken.all.saturating_sub(kept.all);
@@ -128,9 +129,9 @@ impl HandedIn {
 }
 
 impl CountedEvents {
-    /// The gaps of `lost` events. Of those that the spool does not have, so many were stored or told of all the same, nobody
-    /// knows of which runs.
-    pub(super) fn gaps(&self, settled: &Settled, known: u64, lost: u64) -> Vec<Gap> {
+    /// Returns the gaps for `lost` events. `known` events that the spool lacks were stored or reported anyway; their
+    /// runs are unknown.
+    pub(super) fn gaps(&self, settled: &SettledEvents, known: u64, lost: u64) -> Vec<Gap> {
         let mut left = lost;
         let gap = |pipeline, run, count, to: WallTime| {
             let from = settled.last.unwrap_or(to).min(to);
@@ -142,6 +143,7 @@ impl CountedEvents {
             left -= count;
             gaps.push(gap(pipeline.clone(), Some(*run), count, *last));
         }
+        // Events without a run, and those of runs that are not counted separately.
         gaps.push(gap(None, None, left, self.last));
         gaps.retain(|gap| gap.count > 0);
         gaps

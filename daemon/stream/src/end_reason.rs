@@ -1,21 +1,21 @@
-//! Why a run ended.
+//! Reason why a run ended.
 
 use std::fmt;
 
 use serde::{Deserialize, Serialize};
 
-/// The reason why a run ended. Messages, stored rows, `run.json` and the API hold its text.
+/// Reason why a run ended. Messages, stored rows, `run.json` and the API contain its text.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(from = "String", into = "String")]
 pub enum EndReason {
-    /// Not known: the text is empty, as in results of other programs.
+    /// The reason is unknown; the text is empty, as in results of other programs.
     #[default]
     Unknown,
     /// The run reached its limit, or its sensor has no more samples; the text is `finished`.
     Finished,
-    /// Somebody stopped the agent; the text is `stopped`.
+    /// The agent was stopped; the text is `stopped`.
     Stopped,
-    /// The run broke off; the text says what went wrong.
+    /// The run was aborted; the text is the error.
     Failed(String),
 }
 
@@ -23,7 +23,7 @@ const FINISHED: &str = "finished";
 const STOPPED: &str = "stopped";
 
 impl EndReason {
-    /// Returns the text that stands for it where it is sent, stored and shown.
+    /// Returns the text of the reason for messages, storage and display.
     pub fn as_str(&self) -> &str {
         match self {
             Self::Unknown => "",
@@ -33,7 +33,7 @@ impl EndReason {
         }
     }
 
-    /// Returns what went wrong, if the run broke off.
+    /// Returns the error if the run was aborted.
     pub fn failure(&self) -> Option<&str> {
         match self {
             Self::Failed(reason) => Some(reason),

@@ -1,4 +1,4 @@
-//! What the durable lane carries.
+//! Events of the durable lane.
 
 use std::fmt;
 
@@ -11,120 +11,121 @@ use super::experiment::{Condition, ExperimentPlace};
 use super::live::Placement;
 use peernet_logger::{HostId, RunId, Slug, Tree};
 
-/// Something that happened on an agent, on its way to the store.
+/// An event on an agent that is to be stored.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub enum Event {
     /// A run began.
     RunStarted(RunDescription),
     /// A run ended.
     RunEnded(RunEnded),
-    /// An iteration finished, well or not.
+    /// An iteration ended, successfully or not.
     Iteration(Iteration),
-    /// Something happened beside the measurements.
+    /// An incident: something that happened besides the measurements.
     Incident(Incident),
     /// Events were dropped.
     Gap(Gap),
-    /// A second of the relation between this host's clock and a cloud's.
+    /// One second of the relation between this host's clock and a cloud's.
     Clock(Box<ClockSample>),
 }
 
-/// What an event says something about. A host may speak of itself and of its own runs only.
+/// Run and host that an event reports about. A host may report only about itself and its own runs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Claim {
-    /// The run that it concerns, if one.
+    /// Run that the event reports about, if any.
     pub run: Option<RunId>,
-    /// The host that it says it was measured on, where it says so.
+    /// Host on which the event says it was measured, if it names one.
     pub reporter: Option<HostId>,
 }
 
 impl Event {
-    /// What this event says something about. Whoever stores events checks this, and nothing else, against the host that
-    /// sent them: every kind of event has to answer here.
+    /// Returns the run and the host that the event reports about. The aggregator checks the claim of every event
+    /// against the host that sent it before it stores anything of a batch; therefore each kind of event is handled
+    /// here.
     pub fn claim(&self) -> Claim {
         match self {
             Self::RunStarted(run) => Claim { run: Some(run.run), reporter: None },
             Self::RunEnded(end) => Claim { run: Some(end.run), reporter: None },
             Self::Iteration(iteration) => {
-                // Other hosts may stand in the tree: what the cloud did is reported by the edge.
+                // The tree may contain other hosts: the edge reports the cloud's part.
                 let edge = iteration.tree.anchors().first().map(|edge| edge.host);
                 Claim { run: Some(iteration.run), reporter: edge }
             }
             Self::Incident(incident) => Claim { run: incident.run, reporter: None },
             Self::Gap(gap) => Claim { run: gap.run, reporter: None },
-            // Its edge is whoever sends it.
+            // The edge of a sample is always the host that sends it.
             Self::Clock(_) => Claim { run: None, reporter: None },
         }
     }
 }
 
-/// One pipeline configuration about to be executed.
+/// Description of a run, sent when it begins.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct RunDescription {
-    /// The run.
+    /// Id of the run.
     pub run: RunId,
-    /// The pipeline's name on its host.
+    /// Name of the pipeline on its host.
     pub pipeline: Slug,
-    /// When, on the edge's wall clock.
+    /// Start on the edge's wall clock.
     pub started: WallTime,
-    /// Where it computes.
+    /// Placement of the computation.
     pub placement: Placement,
     /// Sensor, transforms, load and so on, as pairs for people, in the order of the configuration.
     pub facts: Vec<(String, String)>,
-    /// The pipeline's table of the configuration file, so that the run can be repeated.
+    /// Table of the pipeline in the configuration file, so that the run can be repeated.
     pub configuration: String,
     /// Version of the agent.
     pub version: String,
-    /// Its place in an experiment, if it belongs to one.
+    /// Place of the run in an experiment, if it belongs to one.
     pub experiment: Option<Box<ExperimentPlace>>,
-    /// What was found of the hosts before it began.
+    /// Conditions of the hosts that were found before the run.
     pub conditions: Vec<Condition>,
 }
 
-/// A run is over.
+/// End of a run.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct RunEnded {
-    /// The run.
+    /// Id of the run.
     pub run: RunId,
-    /// When, on the edge's wall clock.
+    /// End on the edge's wall clock.
     pub ended: WallTime,
-    /// Why.
+    /// Reason of the end.
     pub reason: EndReason,
 }
 
 /// One iteration and its tree.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Iteration {
-    /// The run it belongs to.
+    /// Run that the iteration belongs to.
     pub run: RunId,
-    /// Contiguous from 1 within the run.
+    /// Number within the run, contiguous from 1.
     pub number: u64,
     /// Episode, from 0.
     pub episode: u32,
     /// Step within the episode, from 0.
     pub step: u32,
-    /// Kept, but left out of statistics.
+    /// `true` for a warm-up iteration, which is stored but not included in statistics.
     pub warm_up: bool,
-    /// How it ended.
+    /// Outcome of the iteration.
     pub outcome: Outcome,
-    /// What was measured.
+    /// Measurements of the iteration.
     pub tree: Tree,
 }
 
-/// How an iteration ended.
+/// Outcome of an iteration.
 #[derive(Clone, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub enum Outcome {
-    /// With an answer.
+    /// An answer arrived.
     Ok,
-    /// The sample or the model failed; the text says how.
+    /// The sample or the model failed; the text is the error.
     Failed(String),
-    /// The answer will never come: the connection broke; the text says how.
+    /// The answer will never arrive, because the connection ended; the text gives details.
     Lost(String),
-    /// The answer did not come in time.
+    /// The answer did not arrive in time.
     Timeout,
 }
 
 impl Outcome {
-    /// `ok`, `failed`, `lost` or `timeout`.
+    /// Returns `ok`, `failed`, `lost` or `timeout`.
     pub const fn name(&self) -> &'static str {
         match self {
             Self::Ok => "ok",
@@ -134,7 +135,7 @@ impl Outcome {
         }
     }
 
-    /// The reason, where there is one.
+    /// Returns the text of the outcome, if it has one.
     pub fn reason(&self) -> Option<&str> {
         match self {
             Self::Failed(reason) | Self::Lost(reason) => Some(reason),
@@ -143,20 +144,20 @@ impl Outcome {
     }
 }
 
-/// Something that happened beside the measurements.
+/// An incident: something that happened besides the measurements.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Incident {
-    /// When, on the reporting host's wall clock.
+    /// Time on the reporting host's wall clock.
     pub at: WallTime,
-    /// What kind of thing.
+    /// Kind of the incident.
     pub kind: IncidentKind,
-    /// The pipeline concerned, if one.
+    /// Pipeline concerned, if any.
     pub pipeline: Option<Slug>,
-    /// The run concerned, if one.
+    /// Run concerned, if any.
     pub run: Option<RunId>,
-    /// The other host concerned, if one.
+    /// Other host concerned, if any.
     pub peer: Option<HostId>,
-    /// One sentence for people.
+    /// Description for people, one sentence.
     pub text: String,
 }
 
@@ -164,9 +165,9 @@ pub struct Incident {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum IncidentKind {
-    /// A link went away.
+    /// A link was lost.
     Disconnected,
-    /// A link came up, or came back.
+    /// A link was established, or established again.
     Connected,
     /// A peer refused a session.
     Refused,
@@ -176,14 +177,14 @@ pub enum IncidentKind {
     ClockStep,
     /// Events were dropped.
     Gap,
-    /// A pipeline could not start or had to stop.
+    /// A pipeline could not start, or had to stop.
     PipelineFailed,
-    /// Someone changed what runs.
+    /// A user changed the pipelines.
     Control,
 }
 
 impl IncidentKind {
-    /// The name used in storage, in the API and on the pages.
+    /// Returns the name used in storage, in the API and on the pages.
     pub const fn name(self) -> &'static str {
         match self {
             Self::Disconnected => "disconnected",
@@ -207,22 +208,22 @@ impl fmt::Display for IncidentKind {
 /// Events that were dropped because a queue was full: measuring never waits for storing.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Gap {
-    /// The pipeline whose events are missing; `None` for incidents.
+    /// Pipeline whose events are missing; `None` for incidents.
     pub pipeline: Option<Slug>,
-    /// The run, likewise.
+    /// Run whose events are missing; `None` for incidents.
     pub run: Option<RunId>,
-    /// When the first was dropped.
+    /// Time of the first dropped event.
     pub from: WallTime,
-    /// When the last was dropped.
+    /// Time of the last dropped event.
     pub to: WallTime,
-    /// How many.
+    /// Number of dropped events.
     pub count: u64,
-    /// Why.
+    /// Reason why they were dropped.
     pub reason: String,
 }
 
 impl Event {
-    /// The run that it belongs to.
+    /// Returns the run that the event belongs to.
     pub const fn run(&self) -> Option<RunId> {
         match self {
             Self::RunStarted(started) => Some(started.run),

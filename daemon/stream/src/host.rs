@@ -1,39 +1,39 @@
-//! What a host tells about itself.
+//! Messages of a host about itself.
 
 use peernet_clock::ClockIdentity;
 use serde::{Deserialize, Serialize};
 
 use peernet_logger::{HostId, Slug};
 
-/// A host as it introduces itself.
+/// Description of a host in its hello.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct HostDescription {
-    /// Decides.
+    /// Random identifier of the host; it stays the same when the host is renamed.
     pub id: HostId,
-    /// For people, unique among the agents of one aggregator.
+    /// Name for people, unique among the agents of one aggregator.
     pub name: Slug,
-    /// Which clock its stamps come from.
+    /// Clocks that the host's stamps are of.
     pub clock: ClockIdentity,
-    /// Version of its agent.
+    /// Version of the agent.
     pub version: String,
-    /// What it is made of.
+    /// Hardware of the host.
     pub hardware: Hardware,
-    /// Addresses at which it serves models, with `, ` between them, if it does.
+    /// Addresses at which the host serves models, separated by `, `; `None` if it serves none.
     pub serves: Option<String>,
-    /// Models it offers.
+    /// Models that the host serves.
     pub models: Vec<Slug>,
 }
 
-/// What a host is made of.
+/// Hardware and operating system of a host.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Hardware {
     /// Model name of the processor.
     pub cpu: String,
-    /// Logical cores.
+    /// Number of logical cores.
     pub cores: u32,
     /// Bytes of main memory.
     pub memory_bytes: u64,
-    /// Accelerators by name.
+    /// Names of the accelerators.
     pub gpus: Vec<String>,
     /// Operating system and its version.
     pub system: String,
@@ -41,21 +41,21 @@ pub struct Hardware {
     pub architecture: String,
 }
 
-/// How a host fares; fields that the host cannot read are `None`.
+/// Load and state of a host. Metrics that the host cannot read are `None`.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct HostMetrics {
-    /// Busy share of all cores, 0 to 1.
+    /// Utilisation of all cores, 0 to 1.
     pub cpu: Option<f64>,
     /// Bytes of main memory in use.
     pub memory_used_bytes: Option<u64>,
-    /// Busy share of the accelerators, 0 to 1.
+    /// Utilisation of the accelerators, 0 to 1.
     pub gpu: Option<f64>,
-    /// Hottest sensor of processor or board, °C.
+    /// Highest temperature of processor and board, °C.
     pub temperature_celsius: Option<f64>,
-    /// Power drawn by the board, watts.
+    /// Power consumption of the board, watts.
     pub power_watts: Option<f64>,
     /// CPU time of the agent itself as a share of one core.
     pub agent_cpu: Option<f64>,
-    /// Bytes of memory the agent itself holds.
+    /// Bytes of memory that the agent itself uses.
     pub agent_memory_bytes: Option<u64>,
 }

@@ -1,4 +1,4 @@
-//! What the live lane carries: everything in it is a state, not a change, so that a lost update harms nothing.
+//! Messages of the live lane. Each contains a state and not a change, so that a lost update has no lasting effect.
 
 use peernet_clock::WallTime;
 use peernet_statistics::Summary;
@@ -9,63 +9,63 @@ use super::{HostClock, HostMetrics, LinkLive};
 use crate::limits::MAX_LINKS;
 use peernet_logger::{HostId, Name, RunId, Slug};
 
-/// Sent every 250 ms while the connection is up, never queued behind older ones.
+/// State of an agent, sent every 250 ms while the connection is up and never queued behind older updates.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct LiveUpdate {
-    /// Whose.
+    /// Host of the agent.
     pub host: HostId,
-    /// The agent's wall clock when it was made.
+    /// Time of the agent's wall clock when the update was made.
     pub sent: WallTime,
-    /// Every pipeline of the agent.
+    /// All pipelines of the agent.
     pub pipelines: Vec<PipelineLive>,
-    /// Every cloud and network that the agent has to do with, at most [`MAX_LINKS`].
+    /// All clouds and networks that the agent uses, at most [`MAX_LINKS`].
     #[serde(deserialize_with = "at_most::<MAX_LINKS, _, _>")]
     pub links: Vec<LinkLive>,
-    /// The host's own clock.
+    /// Clock of the host.
     pub clock: HostClock,
-    /// How the host fares.
+    /// Load and state of the host.
     pub metrics: HostMetrics,
-    /// What became of the agent's events.
+    /// Numbers of the agent's events by state.
     pub accounting: Accounting,
 }
 
-/// One pipeline, now.
+/// Current state of a pipeline.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct PipelineLive {
-    /// Name on its host.
+    /// Name of the pipeline on its host.
     pub pipeline: Slug,
-    /// What it does at the moment.
+    /// Current activity.
     pub state: PipelineState,
-    /// The current or last run; `None` before the first.
+    /// Current or last run; `None` before the first.
     pub run: Option<RunId>,
-    /// Where it computes.
+    /// Placement of the computation.
     pub placement: Placement,
-    /// The intended load in words: `closed`, `5 Hz`.
+    /// Configured load as text: `closed`, `5 Hz`.
     pub load: String,
-    /// The seconds that changed since the last update, newest first, each complete up to now: a receiver
-    /// replaces what it has of that second.
+    /// Seconds that changed since the last update, newest first. Each is complete so far: a receiver replaces its copy
+    /// of that second.
     pub seconds: Vec<Second>,
 }
 
-/// What a pipeline does at the moment.
+/// Current activity of a pipeline.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum PipelineState {
-    /// Preparing its sensor and model.
+    /// It prepares its sensor and its model.
     Starting,
-    /// Waiting for its peer; the text says for what.
+    /// It waits for its peer; the text gives the reason.
     Waiting(String),
-    /// Measuring.
+    /// It runs iterations.
     Running,
-    /// Reached its limit, or was stopped with its agent.
+    /// It reached its limit, or was stopped together with its agent.
     Finished,
-    /// Could not start or had to stop; the text says why.
+    /// It could not start or had to stop; the text gives the reason.
     Failed(String),
-    /// Its host is not connected: what it does is not known. Said by the aggregator, never by an agent.
+    /// Its host is not connected, so that its activity is unknown. Only the aggregator uses this state.
     Away,
 }
 
 impl PipelineState {
-    /// The word for it in the API and on the pages.
+    /// Returns the name used in the API and on the pages.
     pub const fn name(&self) -> &'static str {
         match self {
             Self::Starting => "starting",
@@ -77,7 +77,7 @@ impl PipelineState {
         }
     }
 
-    /// Why it waits or failed.
+    /// Returns the reason of a waiting or failed pipeline.
     pub fn reason(&self) -> Option<&str> {
         match self {
             Self::Waiting(reason) | Self::Failed(reason) => Some(reason),
@@ -86,37 +86,37 @@ impl PipelineState {
     }
 }
 
-/// Where a pipeline computes.
+/// Placement of a pipeline's computation.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Placement {
-    /// Here or there.
+    /// Kind of the placement.
     pub kind: PlacementKind,
-    /// The serving host's name once known, for a remote placement.
+    /// Name of the serving host of a remote placement, once it is known.
     pub peer: Option<Slug>,
-    /// Kind of network, such as `zmq-tcp`, for a remote placement.
+    /// Kind of network of a remote placement, such as `zmq-tcp`.
     pub network: Option<String>,
-    /// Address of the peer, for a remote placement.
+    /// Address of the peer of a remote placement.
     pub address: Option<String>,
-    /// The model's name; `none` for a sensor alone.
+    /// Name of the model; `none` for a sensor without a model.
     pub model: Slug,
-    /// The device it runs on, once known.
+    /// Device that the model runs on, once it is known.
     pub device: Option<String>,
 }
 
 impl Placement {
-    /// A sensor alone: there is neither peer nor model.
+    /// Returns the placement of a sensor without a peer and a model.
     pub fn sensor_alone() -> Self {
         let (peer, network, address, device) = (None, None, None, None);
         Self { kind: PlacementKind::None, peer, network, address, model: Slug::none(), device }
     }
 
-    /// Nodes of another system that are observed: what computes there is no model of this program.
+    /// Returns the placement of observed nodes of another system, which use no model of this program.
     pub fn observed() -> Self {
         Self { kind: PlacementKind::Local, model: Slug::observed(), ..Self::sensor_alone() }
     }
 }
 
-/// Here, there or nowhere.
+/// Kinds of placement.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum PlacementKind {
@@ -124,12 +124,12 @@ pub enum PlacementKind {
     Local,
     /// On a cloud over a network.
     Remote,
-    /// Nowhere: a sensor alone.
+    /// No computation: a sensor only.
     None,
 }
 
 impl PlacementKind {
-    /// The word for it in storage, in results and in the API.
+    /// Returns the name used in storage, in results and in the API.
     pub const fn name(self) -> &'static str {
         match self {
             Self::Local => "local",
@@ -139,76 +139,74 @@ impl PlacementKind {
     }
 }
 
-/// What happened within one second of the edge's wall clock, by the iterations' ends.
+/// Summary of one second of the edge's wall clock, by the ends of its iterations.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Second {
     /// Seconds since the Unix epoch.
     pub at: i64,
-    /// Iterations by outcome, warm-up left out.
+    /// Iterations by outcome, without warm-up.
     pub counts: OutcomeCounts,
-    /// Summaries by node name: the stages, `total`, `unattributed`, throughputs and sizes, in SI units; those of
-    /// throughputs are of the ratios of single iterations;
-    /// successful iterations only, warm-up left out.
+    /// Summaries by node name in SI units: the stages, `total`, `unattributed`, throughputs and sizes. Those of
+    /// throughputs are of the ratios of single iterations. Only successful iterations count, without warm-up.
     pub values: Vec<(Name, Summary)>,
-    /// Half-widths of the clock bound of `upload` and `download` in seconds, and how often each verdict was
-    /// given: (`upload` | `download`, verdict, count).
+    /// Half-widths of the clock bounds of `upload` and `download` in seconds.
     pub bounds: Vec<(Name, Summary)>,
-    /// Verdicts of the one-way delays: node, verdict's name, count.
+    /// Verdicts of the one-way delays: node, name of the verdict, count.
     pub verdicts: Vec<(Name, Name, u64)>,
 }
 
-/// Iterations by outcome.
+/// Numbers of iterations by outcome.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct OutcomeCounts {
-    /// With an answer.
+    /// Iterations with an answer.
     pub ok: u64,
-    /// The sample or the model failed.
+    /// Iterations whose sample or model failed.
     pub failed: u64,
-    /// The connection broke.
+    /// Iterations whose connection ended.
     pub lost: u64,
-    /// No answer in time.
+    /// Iterations without an answer in time.
     pub timeout: u64,
 }
 
-/// What became of an agent's events since its spool was made. `produced = stored + waiting + dropped` at any time.
+/// Numbers of an agent's events since its spool was created. `produced = stored + waiting + dropped` always holds.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Accounting {
-    /// Events that were handed in; gaps that are reported count as events of their own.
+    /// Number of events that were handed in. Reported gaps count as events, too.
     pub produced: u64,
-    /// Of those, written to the spool, or stored without it while its disk failed.
+    /// Number of those that were written to the spool, or were stored without it while its disk failed.
     pub spooled: u64,
-    /// Of those, sent at least once.
+    /// Number of those that were sent at least once.
     pub sent: u64,
-    /// Acknowledged as stored.
+    /// Number of events that were acknowledged as stored.
     pub stored: u64,
-    /// Waiting on the agent, in memory or in the spool.
+    /// Number of events that wait on the agent, in memory or in the spool.
     pub waiting: u64,
-    /// Dropped for want of room or lost when the agent was killed, and counted in gaps.
+    /// Number of events that were dropped for lack of space or lost when the agent was killed. Gaps report them.
     pub dropped: u64,
-    /// Gaps that were reported.
+    /// Number of gaps that were reported.
     pub gaps: u64,
     /// Bytes of the batches in the spool.
     pub spool_bytes: u64,
-    /// Bytes that the spool may take.
+    /// Largest number of bytes of batches in the spool.
     pub spool_limit_bytes: u64,
     /// Bytes of events in memory that are not in the spool yet.
     pub memory_bytes: u64,
-    /// When the oldest event that waits came, on the agent's wall clock: storing is so far behind measuring.
+    /// Time of the oldest waiting event on the agent's wall clock. It shows how far storing is behind measuring.
     pub oldest: Option<WallTime>,
-    /// Batches carry their events compressed: that is configured, or they wait for acknowledgements, because of a slow
+    /// `true` if batches are compressed, because that is configured or because they wait for acknowledgements of a slow
     /// link or a slow store.
     pub compressed: bool,
-    /// Why the spool cannot be written or read, in words; events wait in memory meanwhile.
+    /// Error of the spool that prevents writing or reading it. Events wait in memory meanwhile.
     pub trouble: Option<String>,
 }
 
 impl OutcomeCounts {
-    /// All iterations.
+    /// Returns the number of all iterations.
     pub const fn total(&self) -> u64 {
         self.ok + self.failed + self.lost + self.timeout
     }
 
-    /// Adds the counts of another.
+    /// Adds the counts of `other`.
     pub const fn merge(&mut self, other: &Self) {
         self.ok += other.ok;
         self.failed += other.failed;

@@ -1,4 +1,4 @@
-//! What travels between an agent and the aggregator.
+//! Messages between an agent and the aggregator.
 
 use serde::{Deserialize, Serialize};
 
@@ -6,67 +6,69 @@ use peernet_logger::{HostId, Slug};
 
 use crate::{Chain, Event, Hello, HostSecret, LiveUpdate, Nonce, ProofCode, StreamId};
 
-/// Batches of one agent that may be under way at once, however small they are.
+/// Largest number of batches of one agent in flight, however small they are.
 pub const MOST_UNDER_WAY: usize = 1_024;
 
-/// What a batch counts in a window, bytes: those of its body, and no less than 1 KiB, because a small one takes its
-/// place in memory and in queues as well.
+/// Returns the weight of a batch in a window: the bytes of its body, and at least 1 KiB, because a small batch also
+/// takes space in memory and in queues.
 pub fn batch_weight(body_bytes: usize) -> u64 {
     body_bytes.max(1_024) as u64
 }
 
-/// From agent to aggregator. The host id is in the message, never in the transport's routing id.
+/// Messages from the agent to the aggregator. The host id is in the message, never in the transport's routing id.
 ///
-/// The durable lane's batches are frames of their own kind ([`super::codec::batch_frame`]): they are checked by hash
-/// before anything in them is read. One that is long for its way comes in parts ([`super::codec::part_frame`]), so that a
-/// live update can go between them.
+/// Batches of the durable lane are frames of another kind ([`super::codec::batch_frame`]): their hash is checked before
+/// they are decoded. A batch that is long for its link is sent in parts ([`super::codec::part_frame`]), so that live
+/// updates can be sent between them.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub enum ToAggregator {
-    /// Opens the connection; repeated after each reconnect. Answered by [`ToAgent::Challenge`].
+    /// Opens the connection; repeated after each reconnect. The answer is [`ToAgent::Challenge`].
     Hello(Hello),
     /// Answers [`ToAgent::Challenge`].
     Proof(Proof),
-    /// Live lane.
+    /// Update of the live lane.
     Live(LiveUpdate),
-    /// Asks for a [`ToAgent::Echo`]: by when that comes the agent knows how long the way is, and how much it carries.
+    /// Requests [`ToAgent::Echo`], by which the agent measures the round trip and the rate of delivery.
     Echo {
-        /// Whose.
+        /// Host that sends the request.
         host: HostId,
-        /// Bytes that the agent sent on this connection up to here.
+        /// Number of bytes that the agent sent on this connection before the request.
         bytes: u64,
     },
-    /// The agent is about to stop; nothing more will come.
+    /// The agent is about to stop, and sends nothing more.
     Goodbye(HostId),
 }
 
-/// That the host of a hello has the secret that belongs to its id.
+/// Proof that the host of a hello has the secret that belongs to its id.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Proof {
-    /// Whose.
+    /// Host that sends the proof.
     pub host: HostId,
-    /// Of the challenge that this answers.
+    /// Nonce of the challenge that the proof answers.
     pub nonce: Nonce,
-    /// Made with the secret from the challenge's nonce, the hello and the aggregator's name ([`HostSecret::prove`]).
+    /// Code computed with the secret from the challenge's nonce, the hello and the aggregator's name
+    /// ([`HostSecret::prove`]).
     pub code: ProofCode,
-    /// The secret, where the aggregator asked to be told it.
+    /// Secret of the host, if the aggregator asked for it.
     pub secret: Option<HostSecret>,
 }
 
-/// From aggregator to agent.
+/// Messages from the aggregator to the agent.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub enum ToAgent {
-    /// A hello came; the agent is to prove that it has the secret of the host.
+    /// A hello arrived; the agent must prove that it has the secret of the host.
     Challenge {
         /// Name of the aggregator's host.
         aggregator: Slug,
-        /// The stream of the hello that this answers.
+        /// Stream of the hello that this answers.
         stream: StreamId,
-        /// What the proof is made of besides the hello.
+        /// Random number that the proof must cover.
         nonce: Nonce,
-        /// No secret of this host is known here: the proof is to bring it.
+        /// `true` if the aggregator knows no secret of this host, so that the proof must contain it.
         enrol: bool,
-        /// Version of the event stream that was chosen for this connection; `None` is the oldest that the agent speaks.
-        // An agent of PEERNet 0.1.0 speaks one version and cannot read this field.
+        /// Version of the event stream that was chosen for this connection; `None` if it is the oldest that the agent
+        /// supports.
+        // An agent of PEERNet 0.1.0 supports one version and cannot read this field.
         #[serde(default, skip_serializing_if = "Option::is_none")]
         version: Option<u16>,
     },
@@ -74,83 +76,85 @@ pub enum ToAgent {
     Welcome {
         /// Name of the aggregator's host.
         aggregator: Slug,
-        /// The stream of the hello that this answers.
+        /// Stream of the hello that this answers.
         stream: StreamId,
-        /// All batches of the stream up to and including this number are stored; `first - 1` when none is.
+        /// All batches of the stream up to this number are stored; `first - 1` if none is.
         stored: u64,
-        /// Chain of that batch; `None` when it is not known here (none is stored).
+        /// Chain of that batch; `None` if it is unknown, because no batch is stored.
         chain: Option<Chain>,
-        /// The process that sent that batch ([`Hello::process`]); `None` when it is not known.
+        /// Process that sent that batch ([`Hello::process`]); `None` if it is unknown.
         process: Option<u64>,
-        /// What may be under way at once, see [`ToAgent::Ack`].
+        /// Window of batches in flight, see [`ToAgent::Ack`].
         window: u32,
     },
-    /// The hello was refused; the agent reports the reason and tries again later. Sent without a version that both ends
-    /// speak as well, so that its form never changes.
+    /// The hello was refused; the agent reports the reason and tries again later. It is sent even if the ends have no
+    /// version in common, so that its form never changes.
     Refused {
-        /// What is wrong and what to do about it.
+        /// Error and advice for the user.
         reason: String,
     },
-    /// All batches of the stream up to and including this number are stored.
+    /// All batches of the stream up to this number are stored.
     Ack {
-        /// The stream.
+        /// Stream of the batches.
         stream: StreamId,
-        /// The number.
+        /// Number of the last stored batch.
         through: u64,
-        /// What may be under way at once from now on, in units of a batch of [`Hello::batch_bytes`], at least 1:
-        /// batches whose weights ([`batch_weight`]) are no more together, at most [`MOST_UNDER_WAY`], and always one.
+        /// New window of batches in flight, in units of a batch of [`Hello::batch_bytes`], at least 1. The sum of the
+        /// weights ([`batch_weight`]) of batches in flight may not exceed it, nor their number [`MOST_UNDER_WAY`]; one
+        /// batch is always allowed.
         window: u32,
     },
-    /// Batches are missing here: send them again from this number on.
+    /// Batches are missing; the agent must send them again from this number on.
     Resend {
-        /// The stream.
+        /// Stream of the batches.
         stream: StreamId,
-        /// The first missing number.
+        /// Number of the first missing batch.
         from: u64,
     },
-    /// All that was sent before the message with this number has come, whatever becomes of it. Sent at once.
+    /// All bytes before the request of this echo have arrived, whatever happens to them. Sent at once, and separate
+    /// from acknowledgements, so that a slow store is not mistaken for a slow link.
     Echo {
-        /// As it was asked.
+        /// Number from the request.
         bytes: u64,
     },
-    /// A message came from a host that has not said hello (the aggregator was restarted), or a batch does not follow
-    /// the one before it: say hello again.
+    /// A message came from a host without a session (the aggregator was restarted), or a batch does not follow the one
+    /// before it. The agent must send a hello.
     Unknown,
 }
 
-/// What a batch's frame says of it, readable even when the events are not.
+/// Head of a batch's frame, which is readable even if the events are not.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct BatchHead {
-    /// Whose.
+    /// Host that sends the batch.
     pub host: HostId,
-    /// Which stream.
+    /// Stream of the batch.
     pub stream: StreamId,
-    /// Which process sends it ([`Hello::process`]).
+    /// Process that sends the batch ([`Hello::process`]).
     pub process: u64,
-    /// Contiguous from the stream's first.
+    /// Number of the batch, contiguous from the stream's first.
     pub number: u64,
     /// Chain of the batch before it.
     pub before: Chain,
-    /// Its own chain.
+    /// Chain of this batch.
     pub chain: Chain,
-    /// How many events it holds.
+    /// Number of events in the batch.
     pub events: u32,
     /// Number of events in all batches of the spool before it.
     pub events_before: u64,
 }
 
 impl BatchHead {
-    /// Number of events in all batches of the spool up to and including this one.
+    /// Returns the number of events in all batches of the spool up to and including this one.
     pub const fn events_through(&self) -> u64 {
         self.events_before.saturating_add(self.events as u64)
     }
 }
 
-/// Numbered events of one stream, checked and read.
+/// A decoded batch whose hash was checked.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Batch {
-    /// What the frame says of it.
+    /// Head of the frame.
     pub head: BatchHead,
-    /// What happened, in order.
+    /// Events in order.
     pub events: Vec<Event>,
 }

@@ -8,22 +8,22 @@ use serde::{Deserialize, Serialize};
 
 /// Name of a kind of network, such as `zmq-tcp`.
 ///
-/// The default is `zmq-tcp`, the only network up to PEERNet 0.2.0, whose agents name none. Messages therefore leave it out:
-/// on this network they are what earlier releases send and read.
+/// The default is `zmq-tcp`, the only network up to PEERNet 0.2.0, whose agents send no name. Messages omit the
+/// default, so that they have the form of earlier releases on this network.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(transparent)]
 pub struct NetworkName(Slug);
 
 impl NetworkName {
-    /// The network of whoever names none.
+    /// Network of agents that send no name.
     const UNNAMED: &'static str = "zmq-tcp";
 
-    /// The name as text.
+    /// Returns the name as text.
     pub fn as_str(&self) -> &str {
         self.0.as_str()
     }
 
-    /// Whether this is the network of whoever names none.
+    /// Returns whether this is the network of agents that send no name.
     pub fn is_default(&self) -> bool {
         self.as_str() == Self::UNNAMED
     }

@@ -1,9 +1,9 @@
-//! Host secrets, and the proof that an agent has the one that belongs to its host id.
+//! Host secrets, and the proof that an agent has the secret of its host id.
 //!
-//! The aggregator answers a hello with a challenge; the agent answers that with a proof: HMAC-SHA-256 (RFC 2104) with its
-//! secret as the key over the challenge's nonce and over what the hello claims. The secret itself is sent only when the
-//! aggregator asks to be told it, because it knows none of that host (trust on first use). Until the event stream is
-//! encrypted, that message can be read by whoever can read the network at that moment.
+//! The aggregator answers a hello with a challenge, and the agent answers that with a proof: HMAC-SHA-256 (RFC 2104)
+//! with its secret as the key, over the challenge's nonce and the claims of the hello. A hello by itself changes
+//! nothing. The secret is sent only if the aggregator asks for it, because it has none of that host (trust on first
+//! use). Until the event stream is encrypted, whoever can read the network at that moment can read the secret.
 
 use std::fmt;
 use std::str::FromStr;
@@ -15,59 +15,60 @@ use sha2::Sha256;
 use super::Hello;
 use peernet_logger::Slug;
 
-/// Keeps these codes apart from any other use of the same secret.
+/// Domain separator: keeps these codes apart from other uses of the same secret.
 const DOMAIN: &[u8] = b"peernet event stream: proof of a host secret\0";
 
-/// Bytes of a secret, of a nonce and of a proof.
+/// Number of bytes of a secret, of a nonce and of a proof.
 const BYTES: usize = 32;
 
-/// A random secret beside the host id, which proves that an agent is the host it says it is. `Debug` does not show it.
+/// Random secret stored next to the host id. It proves that an agent is the host that it claims to be. `Debug` does not
+/// show it.
 #[derive(Clone, Serialize, Deserialize)]
 #[serde(transparent)]
 pub struct HostSecret(#[serde(with = "serde_bytes")] [u8; BYTES]);
 
-/// A text that is not a host secret.
+/// Error for a text that is not a host secret.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("a host secret is written as {} hexadecimal digits", 2 * BYTES)]
 pub struct InvalidSecret;
 
-/// A random number that is used once: a proof that was overheard proves nothing later.
+/// Random number that is used once, so that a recorded proof is worthless later.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(transparent)]
 pub struct Nonce(#[serde(with = "serde_bytes")] [u8; BYTES]);
 
-/// A message authentication code. It is compared by [`HostSecret::verify`] only, in constant time.
+/// Message authentication code. Only [`HostSecret::verify`] compares it, in constant time.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(transparent)]
 pub struct ProofCode(#[serde(with = "serde_bytes")] [u8; BYTES]);
 
 impl HostSecret {
-    /// A new random secret.
+    /// Creates a random secret.
     pub fn random() -> Self {
         Self(rand::random())
     }
 
-    /// The secret of these bytes.
+    /// Creates the secret with the given bytes.
     pub const fn from_bytes(bytes: [u8; BYTES]) -> Self {
         Self(bytes)
     }
 
-    /// The bytes, to be kept where nobody else can read them.
+    /// Returns the bytes. They must be stored where only the owner can read them.
     pub const fn expose_bytes(&self) -> &[u8; BYTES] {
         &self.0
     }
 
-    /// The secret as hexadecimal digits, to be kept where nobody else can read them.
+    /// Returns the secret as hexadecimal digits. They must be stored where only the owner can read them.
     pub fn expose_text(&self) -> String {
         self.0.iter().map(|byte| format!("{byte:02x}")).collect()
     }
 
-    /// Returns the proof that whoever has this secret says this hello to the aggregator of this name now.
+    /// Returns the proof that the owner of this secret sends this hello to this aggregator in answer to this nonce.
     pub fn prove(&self, nonce: &Nonce, hello: &Hello, aggregator: &Slug) -> ProofCode {
         ProofCode(self.code(nonce, hello, aggregator).finalize().into_bytes().into())
     }
 
-    /// Whether a proof was made with this secret for this nonce, hello and aggregator. Takes constant time.
+    /// Returns whether a proof was made with this secret for this nonce, hello and aggregator. Takes constant time.
     pub fn verify(&self, proof: &ProofCode, nonce: &Nonce, hello: &Hello, aggregator: &Slug) -> bool {
         self.code(nonce, hello, aggregator).verify_slice(&proof.0).is_ok()
     }
@@ -76,13 +77,14 @@ impl HostSecret {
         let mut code =
             <Hmac<Sha256> as KeyInit>::new_from_slice(&self.0).expect("HMAC takes keys of any length");
         code.update(DOMAIN);
-        // Whoever makes the hello claim fewer versions on its way, to have an older one chosen, spoils the proof.
+        // The proof covers the newest version, so that nobody between the ends can make the hello claim fewer versions
+        // to force an older one.
         code.update(&hello.versions().newest().to_be_bytes());
         code.update(&nonce.0);
         code.update(hello.host.id.as_bytes());
         code.update(&hello.process.to_be_bytes());
         code.update(hello.stream.as_bytes());
-        // The only part of variable length comes last.
+        // The only part of variable length comes last, so that the parts cannot be divided in two ways.
         code.update(aggregator.as_str().as_bytes());
         code
     }
@@ -95,7 +97,7 @@ impl fmt::Debug for HostSecret {
 }
 
 impl PartialEq for HostSecret {
-    /// Takes constant time.
+    /// Compares in constant time.
     fn eq(&self, other: &Self) -> bool {
         self.0.iter().zip(&other.0).fold(0, |different, (a, b)| different | (a ^ b)) == 0
     }
@@ -106,7 +108,7 @@ impl Eq for HostSecret {}
 impl FromStr for HostSecret {
     type Err = InvalidSecret;
 
-    /// Reads what [`expose_text`](Self::expose_text) writes.
+    /// Reads the format of [`expose_text`](Self::expose_text).
     fn from_str(text: &str) -> Result<Self, InvalidSecret> {
         let digits = text.as_bytes();
         if digits.len() != 2 * BYTES || !digits.iter().all(u8::is_ascii_hexdigit) {
@@ -122,26 +124,26 @@ impl FromStr for HostSecret {
 }
 
 impl Nonce {
-    /// A new random nonce.
+    /// Creates a random nonce.
     pub fn random() -> Self {
         Self(rand::random())
     }
 
-    /// The nonce of these bytes.
+    /// Creates the nonce with the given bytes.
     pub const fn from_bytes(bytes: [u8; BYTES]) -> Self {
         Self(bytes)
     }
 }
 
 impl ProofCode {
-    /// The code of these bytes.
+    /// Creates the code with the given bytes.
     pub const fn from_bytes(bytes: [u8; BYTES]) -> Self {
         Self(bytes)
     }
 }
 
 impl PartialEq for ProofCode {
-    /// Takes constant time.
+    /// Compares in constant time.
     fn eq(&self, other: &Self) -> bool {
         HostSecret(self.0) == HostSecret(other.0)
     }

@@ -1,26 +1,26 @@
-//! What the agent's spool holds, as the state machine knows it. The spool itself, a file, is the agent's.
+//! Content of the agent's spool as known to the state machine. The file itself belongs to the agent.
 
 use bytes::Bytes;
 use peernet_clock::WallTime;
 
-use crate::counts::{CountedEvents, Settled};
-use crate::totals::{Reached, Totals};
-use crate::{Chain, Gap, StreamId, Unresolved};
+use crate::counts::{CountedEvents, SettledEvents};
+use crate::totals::{NewestSentBatch, Totals};
+use crate::{Chain, Gap, StreamId, UnresolvedBatches};
 
-/// Gaps of earlier processes that are kept apart, at most.
+/// Largest number of gaps of earlier processes that are kept separately.
 const MOST_UNREPORTED: usize = 64;
 
-/// Events and the bytes they take.
+/// A number of events and their bytes.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Usage {
-    /// How many events.
+    /// Number of events.
     pub events: u64,
-    /// Their bytes in wire form.
+    /// Number of bytes in wire form.
     pub bytes: u64,
 }
 
 impl Usage {
-    /// Whether both are within a limit.
+    /// Returns whether both numbers are within a limit.
     pub(super) const fn fits(self, limit: Self) -> bool {
         self.events <= limit.events && self.bytes <= limit.bytes
     }
@@ -28,7 +28,7 @@ impl Usage {
 
 impl std::ops::Sub for Usage {
     type Output = Self;
-    /// Saturates at zero.
+    /// Subtracts both numbers; saturates at zero.
     fn sub(self, other: Self) -> Self {
         let (events, bytes) =
             (self.events.saturating_sub(other.events), self.bytes.saturating_sub(other.bytes));
@@ -45,63 +45,63 @@ impl std::ops::Add for Usage {
     }
 }
 
-/// A batch as it is kept: the events encoded one after the other.
+/// A batch in the spool: events encoded one after the other.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct SpooledBatch {
-    /// Contiguous within the stream; never used twice.
+    /// Number of the batch, contiguous within the stream and never used twice.
     pub number: u64,
-    /// When its first event came, on the agent's wall clock.
+    /// Time of its first event on the agent's wall clock.
     pub since: WallTime,
-    /// How many events.
+    /// Number of events.
     pub events: u32,
-    /// Chain of this batch.
+    /// Chain of the batch.
     pub chain: Chain,
     /// Wire forms of the events.
     pub body: Bytes,
 }
 
 impl SpooledBatch {
-    /// What it takes.
+    /// Returns the number of events and bytes of the batch.
     pub(super) fn usage(&self) -> Usage {
         Usage { events: u64::from(self.events), bytes: self.body.len() as u64 }
     }
 }
 
-/// What a spool knows when it is opened.
+/// State of a spool when it is opened.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct SpoolState {
-    /// The stream that its numbers belong to.
+    /// Stream that its batches belong to.
     pub stream: StreamId,
-    /// The stream that this one replaced.
+    /// Stream that this one replaced.
     pub previous: Option<StreamId>,
     /// Number of the stream's first batch.
     pub first: u64,
-    /// Number of events in all batches before that; `None` when it is not known.
+    /// Number of events in all batches before that; `None` if it is unknown.
     pub events_before_first: Option<u64>,
-    /// Number of the oldest batch held; one more than the newest when none is.
+    /// Number of the oldest batch held; one more than the newest if none is held.
     pub oldest: u64,
     /// Chain of the batch before the oldest.
     pub before: Chain,
-    /// Chain of the newest batch ever written; `before` when none is held.
+    /// Number and chain of the newest batch that was ever written.
     pub newest: (u64, Chain),
-    /// When the first event of the oldest batch came.
+    /// Time of the first event of the oldest batch.
     pub since: Option<WallTime>,
-    /// What is held.
+    /// Number of events and bytes held.
     pub held: Usage,
-    /// What was counted up to the newest batch.
+    /// Totals up to the newest batch.
     pub totals: Totals,
-    /// How far the processes came that sent from this spool. It need not be all of them: a process that is forgotten
-    /// counts as one of a copy of the spool.
-    pub reached: Vec<Reached>,
-    /// Events of earlier processes that were dropped or lost with them, and that no gap reports yet.
+    /// Batches that processes may have sent from this spool. Processes may be missing from the list; one that is
+    /// missing is treated as a process of a copy of the spool.
+    pub reached: Vec<NewestSentBatch>,
+    /// Gaps of earlier processes that are not reported yet: dropped events, and events lost with the process.
     pub unreported: Vec<Gap>,
-    /// The end of an earlier process of which only the aggregator knows what is stored. No loss is reported before that is
-    /// known.
-    pub unresolved: Option<Unresolved>,
+    /// The last batches of an earlier process of which only the aggregator knows whether they are stored. No loss is
+    /// reported before that is known.
+    pub unresolved: Option<UnresolvedBatches>,
 }
 
 impl SpoolState {
-    /// A spool that was made just now.
+    /// Creates the state of a new spool.
     pub fn new(stream: StreamId) -> Self {
         Self {
             stream,
@@ -122,14 +122,15 @@ impl SpoolState {
 }
 
 impl SpoolState {
-    /// Takes into account that an earlier process counted these events when they were handed in, of which the spool has
-    /// `settled`: what is missing was lost with that process. Returns how many events that are; `None` when it sent batches
-    /// that are not in the spool, so that only the aggregator knows what is missing ([`Self::unresolved`]).
+    /// Records the losses of an earlier process, which counted events when they were handed in. The spool accounts for
+    /// `settled`; the others were lost with that process. Returns the number of lost events; `None` if the process sent
+    /// batches that are not in the spool, so that only the aggregator knows which events are lost
+    /// ([`Self::unresolved`]).
     ///
-    /// The number is exact; a run that was not counted separately leaves its losses to a gap that names no run.
-    pub fn lose_tail(&mut self, counted: CountedEvents, settled: Settled) -> Option<u64> {
+    /// The number is exact. The losses of a run that was not counted separately are reported in a gap without a run.
+    pub fn lose_tail(&mut self, counted: CountedEvents, settled: SettledEvents) -> Option<u64> {
         if self.unresolved.is_none() && counted.may_be_stored(&settled, &self.totals) {
-            self.unresolved = Some(Unresolved::new(counted, settled, &self.totals));
+            self.unresolved = Some(UnresolvedBatches::new(counted, settled, &self.totals));
             return None;
         }
         let lost = counted.all.saturating_sub(settled.events.all);
@@ -155,6 +156,7 @@ impl SpoolState {
         let full = self.unreported.len() >= MOST_UNREPORTED;
         match self.unreported.last_mut().filter(|_| full) {
             Some(gap) => {
+                // The merged gap covers several runs.
                 (gap.pipeline, gap.run) = (None, None);
                 merge(gap);
             }
@@ -179,8 +181,8 @@ mod tests {
         CountedEvents { all, last: at(10), sent: Vec::new(), runs: runs.iter().map(run).collect() }
     }
 
-    fn settled(all: u64, runs: &[(RunId, u64)], last: Option<WallTime>) -> Settled {
-        Settled { events: RunCounts { all, runs: runs.iter().copied().collect() }, taken: all, last }
+    fn settled(all: u64, runs: &[(RunId, u64)], last: Option<WallTime>) -> SettledEvents {
+        SettledEvents { events: RunCounts { all, runs: runs.iter().copied().collect() }, taken: all, last }
     }
 
     #[test]
@@ -197,9 +199,9 @@ mod tests {
         let expected =
             [(Some(first), 10, at(8), at(9)), (Some(second), 4, at(8), at(9)), (None, 1, at(8), at(10))];
         assert_eq!(gaps, expected);
-        // Another process that is killed at once changes only how many they are.
+        // Another process that is killed at once adds only its events.
         let next = CountedEvents { all: 2, ..counted };
-        assert_eq!(state.lose_tail(next, Settled::default()), Some(2));
+        assert_eq!(state.lose_tail(next, SettledEvents::default()), Some(2));
         assert_eq!((state.unreported.len(), state.unreported[0].count), (3, 12));
     }
 
@@ -208,7 +210,7 @@ mod tests {
         let (run, mut state) = (RunId::random(), SpoolState::new(StreamId::random()));
         let settled = settled(7, &[(run, 5)], None);
         assert_eq!(state.lose_tail(counted(7, &[(run, 5)]), settled.clone()), Some(0));
-        // A counter that is behind the spool proves nothing.
+        // A counter that is behind the spool proves no loss.
         assert_eq!(state.lose_tail(counted(3, &[(run, 6)]), settled), Some(0));
         assert_eq!(state, SpoolState::new(state.stream));
     }
@@ -218,7 +220,7 @@ mod tests {
         let mut state = SpoolState::new(StreamId::random());
         for _ in 0..500 {
             let run = RunId::random();
-            state.lose_tail(counted(3, &[(run, 3)]), Settled::default());
+            state.lose_tail(counted(3, &[(run, 3)]), SettledEvents::default());
         }
         assert_eq!(state.unreported.len(), MOST_UNREPORTED);
         assert_eq!(state.unreported.iter().map(|gap| gap.count).sum::<u64>(), 1_500);

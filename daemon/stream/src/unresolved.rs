@@ -1,60 +1,63 @@
-//! What a process sent while its spool could not be written, and took with it when it was killed: whether that is stored, the
-//! aggregator's first answer says.
+//! Batches that a process sent while its spool could not be written, before it was killed. The aggregator's first
+//! welcome tells whether they are stored.
+//!
+//! Without this step such events would be reported as lost although they may be stored.
 
 use std::collections::VecDeque;
 
-use crate::counts::{CountedEvents, SentUnspooled, Settled};
+use crate::counts::{CountedEvents, SentUnspooled, SettledEvents};
 use crate::totals::Totals;
 use crate::{Gap, MOST_UNDER_WAY};
 
-/// Of how many batches [`SentUnspooled`] is to be kept: those that may be under way, and the last that is acknowledged.
+/// Number of batches for which [`SentUnspooled`] must be kept: those that may be in flight, and the last acknowledged
+/// one.
 pub const MOST_SENT_UNSPOOLED: usize = MOST_UNDER_WAY + 1;
 
-/// The end of a process of which part may be stored that its spool does not have.
+/// The last batches of a process, some of which may be stored although its spool does not contain them.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Unresolved {
-    /// What it counted.
+pub struct UnresolvedBatches {
+    /// Events that the process counted.
     pub counted: CountedEvents,
-    /// What the spool has of that.
-    pub settled: Settled,
-    /// As [`super::Totals::told`], when it was killed.
+    /// Events that the spool accounts for.
+    pub settled: SettledEvents,
+    /// Number of dropped events that gaps had reported ([`super::Totals::told`]).
     pub told: u64,
-    /// Events in all batches that came into the spool by then.
+    /// Number of events in all batches that were written to the spool.
     pub events: u64,
 }
 
-/// What became of it. Added to the [`Totals`] of the spool.
+/// Result for an earlier process, which is added to the [`Totals`] of the spool.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub(super) struct Resolved {
-    /// Events of batches that are stored and never came into the spool.
+pub(super) struct ResolvedBatches {
+    /// Number of events in batches that are stored and were never written to the spool.
     pub(super) stored: u64,
-    /// Events that are lost.
+    /// Number of lost events.
     pub(super) lost: u64,
-    /// Events that were dropped and that a stored gap reports.
+    /// Number of dropped events that a stored gap reports.
     pub(super) told: u64,
-    /// Events that were handed in and are stored.
+    /// Number of events that were handed in and are stored.
     taken: u64,
 }
 
 impl CountedEvents {
-    /// Whether anything was sent that is not in the spool.
-    pub(super) fn may_be_stored(&self, settled: &Settled, totals: &Totals) -> bool {
+    /// Returns whether batches were sent that are not in the spool.
+    pub(super) fn may_be_stored(&self, settled: &SettledEvents, totals: &Totals) -> bool {
         self.sent.iter().any(|sent| sent.taken > settled.taken || sent.told > totals.told)
     }
 }
 
-impl Unresolved {
-    pub(super) fn new(counted: CountedEvents, settled: Settled, totals: &Totals) -> Self {
+impl UnresolvedBatches {
+    pub(super) fn new(counted: CountedEvents, settled: SettledEvents, totals: &Totals) -> Self {
         let events = totals.produced.saturating_sub(totals.dropped);
         Self { counted, settled, told: totals.told, events }
     }
 
-    /// The aggregator has all up to the batch of this number, which that process sent.
-    pub(super) fn resolve(&self, number: u64, process: Option<u64>) -> Resolved {
+    /// Computes the result. The aggregator has stored everything up to batch `number`, which `process` sent.
+    pub(super) fn resolve(&self, number: u64, process: Option<u64>) -> ResolvedBatches {
         let is_last = |sent: &&SentUnspooled| Some(sent.process) == process && sent.number == number;
         let sent = self.counted.sent.iter().find(is_last).copied().unwrap_or_default();
         let taken = sent.taken.saturating_sub(self.settled.taken);
-        Resolved {
+        ResolvedBatches {
             stored: sent.events.saturating_sub(self.events),
             lost: self.counted.all.saturating_sub(self.settled.events.all + taken),
             told: sent.told.saturating_sub(self.told),
@@ -62,19 +65,25 @@ impl Unresolved {
         }
     }
 
-    /// The losses that no gap reports yet: those in `owed` and so many `untold` ones of before that, which stay, and those of
-    /// the process itself. What its stored gaps reported is left out, the oldest first.
-    pub(super) fn unreported(&self, resolved: &Resolved, owed: &mut VecDeque<Gap>, untold: &mut u64) {
+    /// Updates the losses that no gap reports yet: those in `owed`, `earlier_drops` events that earlier processes dropped,
+    /// and those of the process itself. Losses that its stored gaps reported are removed, the oldest first.
+    pub(super) fn unreported(
+        &self,
+        resolved: &ResolvedBatches,
+        owed: &mut VecDeque<Gap>,
+        earlier_drops: &mut u64,
+    ) {
         let mut told = resolved.told;
         while let Some(gap) = owed.pop_front_if(|gap| gap.count <= told) {
             told -= gap.count;
         }
-        let of_before = told.min(*untold);
-        *untold -= of_before;
+        // Gaps report losses in the order in which they happened.
+        let of_before = told.min(*earlier_drops);
+        *earlier_drops -= of_before;
         told -= of_before;
         let of_lost = told.min(resolved.lost);
         told -= of_lost;
-        // What a later process lost may stand in one gap with what was told.
+        // One gap may contain losses of a later process together with reported ones.
         while let Some(mut gap) = (told > 0).then(|| owed.pop_front()).flatten() {
             let of_gap = told.min(gap.count);
             told -= of_gap;
@@ -88,8 +97,8 @@ impl Unresolved {
 }
 
 impl Totals {
-    /// These with what became of the process before.
-    pub(super) fn with(self, resolved: &Resolved) -> Self {
+    /// Returns the totals with the result for the earlier process.
+    pub(super) fn with(self, resolved: &ResolvedBatches) -> Self {
         Self {
             produced: self.produced + resolved.stored + resolved.lost,
             dropped: self.dropped + resolved.lost,
@@ -109,8 +118,9 @@ mod tests {
 
     const PROCESS: u64 = 7;
 
-    /// The spool has batches up to 3 with 10 of 30 events; 4 and 5 were sent, with 6 events and then 3 more and a gap of 2.
-    fn unresolved(run: RunId) -> (SpoolState, Unresolved) {
+    /// Returns a spool that has batches up to 3 with 10 of 30 events. Batches 4 and 5 were sent, with 6 events and with
+    /// 3 events and a gap of 2.
+    fn unresolved(run: RunId) -> (SpoolState, UnresolvedBatches) {
         let mut state = SpoolState::new(StreamId::random());
         (state.totals.produced, state.totals.dropped, state.totals.told) = (15, 3, 1);
         let sent =
@@ -120,25 +130,29 @@ mod tests {
         let sent = vec![sent(4, 14, 1, 18), sent(5, 17, 3, 22)];
         let counted = CountedEvents { all: 30, last, sent, runs };
         let events = RunCounts { all: 10, runs: [(run, 9)].into() };
-        assert_eq!(state.lose_tail(counted, Settled { events, taken: 8, last: None }), None);
+        assert_eq!(state.lose_tail(counted, SettledEvents { events, taken: 8, last: None }), None);
         let unresolved = state.unresolved.clone().expect("what was sent may be stored");
         (state, unresolved)
     }
 
-    /// The counts of the gaps that name a run and of those that name none.
-    fn gaps(unresolved: &Unresolved, resolved: &Resolved, mut untold: u64) -> (u64, u64) {
+    /// Returns the counts of the gaps with a run and of those without one.
+    fn gaps(
+        unresolved: &UnresolvedBatches,
+        resolved: &ResolvedBatches,
+        mut earlier_drops: u64,
+    ) -> (u64, u64) {
         let mut owed = VecDeque::new();
-        unresolved.unreported(resolved, &mut owed, &mut untold);
+        unresolved.unreported(resolved, &mut owed, &mut earlier_drops);
         assert!(owed.iter().all(|gap| gap.reason == KILLED));
         let (named, unnamed): (Vec<_>, Vec<_>) = owed.iter().partition(|gap| gap.run.is_some());
         let sum = |gaps: Vec<&Gap>| gaps.iter().map(|gap| gap.count).sum();
-        (sum(named), untold + sum(unnamed))
+        (sum(named), earlier_drops + sum(unnamed))
     }
 
     #[test]
     fn aggregator_says_which_events_are_lost() {
         let (state, unresolved) = unresolved(RunId::random());
-        // Untold are 3 - 1 events; handed in and neither stored nor told are 20.
+        // 3 - 1 events are not reported; 20 were handed in and neither stored nor dropped.
         let none = unresolved.resolve(3, Some(PROCESS));
         assert_eq!((none.stored, none.lost, none.told), (0, 20, 0));
         assert_eq!(gaps(&unresolved, &none, 2), (17, 2 + 3));
@@ -168,8 +182,8 @@ mod tests {
             count,
             reason: "full".to_owned(),
         };
-        let (mut owed, mut untold) = (VecDeque::from([gap(1), gap(4)]), 0);
-        unresolved.unreported(&unresolved.resolve(5, Some(PROCESS)), &mut owed, &mut untold);
+        let (mut owed, mut earlier_drops) = (VecDeque::from([gap(1), gap(4)]), 0);
+        unresolved.unreported(&unresolved.resolve(5, Some(PROCESS)), &mut owed, &mut earlier_drops);
         assert_eq!(owed.front().map(|gap| gap.count), Some(4));
         assert_eq!(owed.iter().map(|gap| gap.count).sum::<u64>(), 5 + 11 - 2);
     }
@@ -177,12 +191,17 @@ mod tests {
     #[test]
     fn told_part_of_merged_gap_is_not_reported_again() {
         let (_, unresolved) = unresolved(RunId::random());
-        let resolved = Resolved { lost: 1, told: 4, ..Resolved::default() };
-        let gap = |count| Gap { count, ..unresolved.counted.gaps(&Settled::default(), 0, 1)[0].clone() };
-        let (mut owed, mut untold) = (VecDeque::from([gap(5)]), 1);
-        unresolved.unreported(&resolved, &mut owed, &mut untold);
+        let resolved = ResolvedBatches { lost: 1, told: 4, ..ResolvedBatches::default() };
+        let gap =
+            |count| Gap { count, ..unresolved.counted.gaps(&SettledEvents::default(), 0, 1)[0].clone() };
+        let (mut owed, mut earlier_drops) = (VecDeque::from([gap(5)]), 1);
+        unresolved.unreported(&resolved, &mut owed, &mut earlier_drops);
         let counts: Vec<u64> = owed.iter().map(|gap| gap.count).collect();
-        assert_eq!((counts, untold), (vec![3], 0), "5 owed, 1 untold and 1 lost, of which 4 were told");
+        assert_eq!(
+            (counts, earlier_drops),
+            (vec![3], 0),
+            "5 owed, 1 untold and 1 lost, of which 4 were told"
+        );
     }
 
     #[test]
@@ -191,7 +210,7 @@ mod tests {
         let (mut state, first) = unresolved(run);
         let counted = CountedEvents { all: 2, ..first.counted.clone() };
         let nothing_sent = CountedEvents { sent: Vec::new(), runs: Vec::new(), ..counted };
-        assert_eq!(state.lose_tail(nothing_sent, Settled::default()), Some(2));
+        assert_eq!(state.lose_tail(nothing_sent, SettledEvents::default()), Some(2));
         assert_eq!(state.unresolved, Some(first));
         assert_eq!((state.totals.dropped, state.unreported.len()), (5, 1));
     }

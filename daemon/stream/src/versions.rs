@@ -1,4 +1,16 @@
-//! Versions of a protocol: what each end speaks, and the highest version that both speak.
+//! Versions of a protocol: the range that each end supports, and the highest version that both support.
+//!
+//! Both protocols, the event stream and the session protocol, negotiate as follows. The end that connects states its
+//! range and the first release that supports the oldest version in it. The other end chooses the highest version that
+//! both support and says so: the aggregator in its challenge, the cloud when it accepts a session. Without a common
+//! version the connection is refused, with a text that names the end to update and the release that it needs. The end
+//! that is too old cannot know that release; it is stated in the range of the other end.
+//!
+//! A release that changes messages raises the newest version of its range and keeps writing the older forms to peers
+//! that chose them. Messages that are sent before a version is chosen (hello, refusal) never change their form, except
+//! for named values in a hello's extension. Events are encoded and hashed before their aggregator is known, and wait in
+//! the spool; an agent therefore supports no version older than the form of its events, and aggregators are updated
+//! first.
 
 use std::fmt;
 
@@ -15,12 +27,13 @@ impl fmt::Display for Release {
     }
 }
 
-/// The versions of a protocol that one end speaks.
+/// Versions of a protocol that one end supports.
 ///
-/// PEERNet 0.1.0 states one version, which is the oldest and the newest here.
+/// PEERNet 0.1.0 states one version, which is the oldest and the newest one of this range.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct VersionRange {
-    // PEERNet 0.1.0 reads this name and no other: it serves a later peer that still speaks its version.
+    // PEERNet 0.1.0 reads only a field of this name. Keeping the name lets it serve a later peer that still supports
+    // its version.
     #[serde(rename = "protocol")]
     pub(crate) oldest: u16,
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -30,30 +43,30 @@ pub struct VersionRange {
 }
 
 impl VersionRange {
-    /// The versions from `oldest` to `newest`, where `since` is the first release that speaks `oldest`.
+    /// Creates a range; `since` is the first release that supports `oldest`.
     pub const fn new(oldest: u16, newest: u16, since: Release) -> Self {
         Self { oldest, newest: Some(newest), since: Some(since) }
     }
 
-    /// One version.
+    /// Creates a range of one version.
     pub const fn single(version: u16) -> Self {
         Self { oldest: version, newest: None, since: None }
     }
 
-    /// The oldest version.
+    /// Returns the oldest version.
     pub const fn oldest(&self) -> u16 {
         self.oldest
     }
 
-    /// The newest version; never below the oldest, whatever a peer states.
+    /// Returns the newest version, which is never below the oldest, whatever a peer states.
     pub fn newest(&self) -> u16 {
         self.newest.map_or(self.oldest, |newest| newest.max(self.oldest))
     }
 
-    /// Returns the highest version that both ends speak.
+    /// Returns the highest version that both ends support.
     ///
     /// # Errors
-    /// When there is none.
+    /// If they have no version in common.
     pub fn highest_common(&self, peer: &Self) -> Result<u16, VersionMismatch> {
         let highest = self.newest().min(peer.newest());
         if highest < self.oldest.max(peer.oldest) {
@@ -72,23 +85,24 @@ impl fmt::Display for VersionRange {
     }
 }
 
-/// Two ends that have no version of a protocol in common.
+/// Error for two ends that have no version of a protocol in common.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct VersionMismatch {
-    /// What this end speaks.
+    /// Versions that this end supports.
     pub here: VersionRange,
-    /// What the peer speaks.
+    /// Versions that the peer supports.
     pub peer: VersionRange,
 }
 
 impl VersionMismatch {
-    /// Returns the text for users: which end is too old, and the release that it needs. `protocol`, `here` and `peer` name
-    /// the protocol and the ends, such as `the event stream`, `the aggregator` and `the agent on edge`.
+    /// Returns the text for users, which states the end that is too old and the release that it needs. `protocol`,
+    /// `here` and `peer` name the protocol and the ends, such as `the event stream`, `the aggregator` and `the agent on
+    /// edge`.
     pub fn describe(&self, protocol: &str, here: &str, peer: &str) -> String {
         let (here, peer) = ((here, self.here), (peer, self.peer));
         let is_peer_older = peer.1.newest() < here.1.oldest;
         let ((older, spoken), (newer, range)) = if is_peer_older { (peer, here) } else { (here, peer) };
-        // The end that is too old cannot know which release speaks a version that is newer than itself.
+        // The end that is too old cannot know which release supports a newer version.
         let needed = range.since.map_or_else(|| format!("the release of {newer}"), |since| since.to_string());
         format!("{older} speaks {spoken} of {protocol}, {newer} {range}: update {older} to at least {needed}")
     }

@@ -1,7 +1,7 @@
 //! Wrong clocks, turned round.
 
 use chrono::DateTime;
-use peernet_clock::{RawTime, RehearsalDescription, RehearsedStep, Span, SteppedClock, WallTime};
+use peernet_clock::{ClockFaultStep, ClockFaults, RawTime, Span, SteppedClock, WallTime};
 use serde_json::Value;
 
 use crate::clock_shim::ClockErrors;
@@ -9,7 +9,7 @@ use crate::clock_shim::ClockErrors;
 /// What a host's clocks show when the kernel's show something.
 #[derive(Clone, Debug)]
 pub struct HostClock {
-    wall: Vec<RehearsalDescription>,
+    wall: Vec<ClockFaults>,
     raw: RawError,
 }
 
@@ -19,14 +19,14 @@ enum RawError {
     /// It is the kernel's.
     None,
     /// As described; what the kernel's showed when the rehearsal began.
-    Rehearsed(RehearsalDescription, RawTime),
+    Rehearsed(ClockFaults, RawTime),
     /// As the shim shows it.
     Shown(ClockErrors),
 }
 
 impl HostClock {
     /// Clocks that are wrong as described; `raw_since` is what the kernel's free-running clock showed when the rehearsal began.
-    pub fn new(rehearsal: RehearsalDescription, raw_since: RawTime) -> Self {
+    pub fn new(rehearsal: ClockFaults, raw_since: RawTime) -> Self {
         Self { raw: RawError::Rehearsed(rehearsal.clone(), raw_since), wall: vec![rehearsal] }
     }
 
@@ -37,7 +37,7 @@ impl HostClock {
 
     /// A wall clock that is ahead by one of several offsets, at times that nobody knows; the free-running clock is the kernel's.
     pub fn ahead_by(offsets: &[Span]) -> Self {
-        let ahead = |offset: &Span| RehearsalDescription {
+        let ahead = |offset: &Span| ClockFaults {
             offset: *offset,
             drift_ppm: 0.0,
             steps: Vec::new(),
@@ -54,8 +54,8 @@ impl HostClock {
         let since = WallTime::from_unix_nanos(since.timestamp_nanos_opt()?);
         let steps = rehearsal["steps"].as_array()?.iter();
         let steps =
-            steps.map(|step| Some(RehearsedStep::of_wall(span(&step["at_s"])?, span(&step["by_s"])?)));
-        let description = RehearsalDescription {
+            steps.map(|step| Some(ClockFaultStep::of_wall(span(&step["at_s"])?, span(&step["by_s"])?)));
+        let description = ClockFaults {
             offset: span(&rehearsal["offset_s"])?,
             drift_ppm: rehearsal["drift_ppm"].as_f64()?,
             steps: steps.collect::<Option<_>>()?,
@@ -114,7 +114,7 @@ impl HostClock {
             RawError::Rehearsed(description, since) => {
                 // The same formula as for the wall clock, on another scale and with other steps.
                 let steps = description.steps.iter().filter(|step| step.clock == SteppedClock::Raw).copied();
-                let free_running = RehearsalDescription { steps: steps.collect(), ..description.clone() };
+                let free_running = ClockFaults { steps: steps.collect(), ..description.clone() };
                 let scale = description.since - WallTime::from_unix_nanos(since.nanos());
                 let shown = WallTime::from_unix_nanos(shown.nanos()) + scale;
                 let raw = |truth: WallTime| RawTime::from_nanos((truth - scale).unix_nanos());
@@ -124,8 +124,8 @@ impl HostClock {
     }
 }
 
-/// `RehearsalDescription::shown`, turned round.
-fn truths(rehearsal: &RehearsalDescription, shown: WallTime) -> impl Iterator<Item = WallTime> {
+/// `ClockFaults::shown`, turned round.
+fn truths(rehearsal: &ClockFaults, shown: WallTime) -> impl Iterator<Item = WallTime> {
     let steps = &rehearsal.steps;
     (0..=steps.len()).filter_map(move |passed| {
         let stepped: Span = steps[..passed].iter().map(|step| step.by).sum();
@@ -146,13 +146,9 @@ mod tests {
     #[test]
     fn what_a_rehearsed_clock_shows_leads_back_to_the_truth() {
         let since = WallTime::from_unix_nanos(1_700_000_000_000_000_000);
-        let step = RehearsedStep::of_wall(Span::from_seconds(20), Span::from_seconds(3));
-        let rehearsal = RehearsalDescription {
-            offset: Span::from_seconds(-1),
-            drift_ppm: 100.0,
-            steps: vec![step],
-            since,
-        };
+        let step = ClockFaultStep::of_wall(Span::from_seconds(20), Span::from_seconds(3));
+        let rehearsal =
+            ClockFaults { offset: Span::from_seconds(-1), drift_ppm: 100.0, steps: vec![step], since };
         let raw_since = RawTime::from_nanos(77_000_000_000);
         let clock = HostClock::new(rehearsal.clone(), raw_since);
         for nanos in [0, 1, 19_999_999_999, 20_000_000_000, 20_000_000_001, 500_000_000_007] {

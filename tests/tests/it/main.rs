@@ -31,3 +31,4 @@ mod results;
 mod ros;
 mod stream;
 mod trouble;
+mod words;

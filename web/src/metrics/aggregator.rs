@@ -1,6 +1,6 @@
 //! Of the aggregator itself.
 
-use peernet_aggregator::{Picture, Totals};
+use peernet_aggregator::{LiveState, Totals};
 use peernet_networks::zmtp::{Rejection, RejectionCounts};
 
 use super::table::{Sample, Sink};
@@ -24,7 +24,7 @@ pub(super) struct AggregatorFigures {
 
 impl AggregatorFigures {
     /// Returns what a picture says, of an aggregator that is not ready and has no database.
-    pub(super) fn of(picture: &Picture) -> Self {
+    pub(super) fn of(picture: &LiveState) -> Self {
         Self {
             ready: false,
             connected: picture.hosts.iter().filter(|host| host.connected).count() as u64,

@@ -1,6 +1,6 @@
 //! Of links.
 
-use peernet_aggregator::LinkPicture;
+use peernet_aggregator::LinkSnapshot;
 use peernet_clock::Span;
 use peernet_stream::{Connection, ConnectionStatistics, DirectionStatistics};
 
@@ -11,7 +11,7 @@ use super::table::{Sample, Sink};
 const WINDOW: Span = Span::from_seconds(60);
 
 /// A sample of each link that has one.
-pub(super) fn each(scrape: &Scrape, to: &mut Sink<'_>, of: impl Fn(&LinkPicture) -> Option<Sample>) {
+pub(super) fn each(scrape: &Scrape, to: &mut Sink<'_>, of: impl Fn(&LinkSnapshot) -> Option<Sample>) {
     for link in &scrape.links {
         if let Some(sample) = of(link) {
             let live = &link.live;
@@ -21,13 +21,13 @@ pub(super) fn each(scrape: &Scrape, to: &mut Sink<'_>, of: impl Fn(&LinkPicture)
 }
 
 /// Half the width of the offset's interval.
-pub(super) fn half_width(link: &LinkPicture) -> Option<Sample> {
+pub(super) fn half_width(link: &LinkSnapshot) -> Option<Sample> {
     let bounds = link.live.now.offset.as_ref()?.bounds;
     Some(Sample::Value((bounds.hi - bounds.lo).seconds() / 2.0))
 }
 
 /// Share of probes that were lost.
-pub(super) fn loss(link: &LinkPicture) -> Option<Sample> {
+pub(super) fn loss(link: &LinkSnapshot) -> Option<Sample> {
     let newest = link.history.last()?.at;
     let recent = link.history.iter().filter(|point| newest - point.at < WINDOW);
     let (lost, all) = recent.fold((0, 0), |(lost, all), point| {
@@ -38,7 +38,7 @@ pub(super) fn loss(link: &LinkPicture) -> Option<Sample> {
 }
 
 /// Number of packets that were refused as answers to probes.
-pub(super) fn refused(link: &LinkPicture) -> Option<Sample> {
+pub(super) fn refused(link: &LinkSnapshot) -> Option<Sample> {
     let newest = link.history.last()?.at;
     let recent = link.history.iter().filter(|point| newest - point.at < WINDOW);
     let refused: u64 = recent.map(|point| u64::from(point.probes.refused)).sum();
@@ -111,7 +111,7 @@ pub(super) fn interfaces(scrape: &Scrape, to: &mut Sink<'_>) {
     }
 }
 
-fn names<'a>(link: &'a LinkPicture, connection: &'a Connection) -> [&'a str; 4] {
+fn names<'a>(link: &'a LinkSnapshot, connection: &'a Connection) -> [&'a str; 4] {
     let (edge, cloud) = (link.edge_name.as_str(), link.live.peer_name.as_str());
     [edge, cloud, connection.network.as_str(), connection.pipeline.as_str()]
 }

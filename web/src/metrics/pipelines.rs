@@ -1,6 +1,6 @@
 //! Of pipelines.
 
-use peernet_aggregator::{PipelinePicture, Window};
+use peernet_aggregator::{PipelineSnapshot, Window};
 use peernet_logger::stage;
 use peernet_store::Transfer;
 use peernet_stream::PipelineState;
@@ -11,7 +11,7 @@ use super::table::{Sample, Sink};
 /// Windows that are told, with the values of their label.
 const WINDOWS: [(u32, &str); 2] = [(10, "10s"), (60, "60s")];
 
-fn names(one: &PipelinePicture) -> [&str; 2] {
+fn names(one: &PipelineSnapshot) -> [&str; 2] {
     [one.host_name.as_str(), one.pipeline.as_str()]
 }
 

@@ -3,7 +3,7 @@
 use std::collections::{BTreeMap, HashSet};
 use std::sync::Arc;
 
-use peernet_aggregator::{HostPicture, LinkPicture, Picture, PipelinePicture};
+use peernet_aggregator::{HostSnapshot, LinkSnapshot, LiveState, PipelineSnapshot};
 use peernet_stream::Connection;
 
 use super::aggregator::AggregatorFigures;
@@ -22,19 +22,19 @@ const CONNECTIONS: usize = 1_000;
 #[derive(Debug)]
 pub(super) struct Scrape {
     pub(super) aggregator: AggregatorFigures,
-    pub(super) hosts: Vec<Arc<HostPicture>>,
-    pub(super) pipelines: Vec<Arc<PipelinePicture>>,
-    pub(super) links: Vec<Arc<LinkPicture>>,
+    pub(super) hosts: Vec<Arc<HostSnapshot>>,
+    pub(super) pipelines: Vec<Arc<PipelineSnapshot>>,
+    pub(super) links: Vec<Arc<LinkSnapshot>>,
     /// The connections of all links: the link, and the place in its list.
-    connections: Vec<(Arc<LinkPicture>, usize)>,
+    connections: Vec<(Arc<LinkSnapshot>, usize)>,
     omitted: [(&'static str, usize); 4],
 }
 
 impl Scrape {
     /// Takes what it needs of a picture. Names are the labels: of several hosts of one name, all but one of which must
     /// be away, the one that was heard of last is shown.
-    pub(super) fn of(picture: &Picture, aggregator: AggregatorFigures) -> Self {
-        let mut by_name: BTreeMap<&str, &Arc<HostPicture>> = BTreeMap::new();
+    pub(super) fn of(picture: &LiveState, aggregator: AggregatorFigures) -> Self {
+        let mut by_name: BTreeMap<&str, &Arc<HostSnapshot>> = BTreeMap::new();
         for host in &picture.hosts {
             let held = by_name.entry(host.description.name.as_str()).or_insert(host);
             if (host.connected, host.last_seen) > (held.connected, held.last_seen) {
@@ -42,11 +42,11 @@ impl Scrape {
             }
         }
         let shown: HashSet<_> = by_name.values().map(|host| host.id).collect();
-        let mut hosts: Vec<Arc<HostPicture>> = by_name.into_values().cloned().collect();
-        let mut pipelines: Vec<Arc<PipelinePicture>> =
+        let mut hosts: Vec<Arc<HostSnapshot>> = by_name.into_values().cloned().collect();
+        let mut pipelines: Vec<Arc<PipelineSnapshot>> =
             picture.pipelines.iter().filter(|one| shown.contains(&one.host)).cloned().collect();
         let mut names = HashSet::new();
-        let mut links: Vec<Arc<LinkPicture>> = picture
+        let mut links: Vec<Arc<LinkSnapshot>> = picture
             .links
             .iter()
             .filter(|link| {
@@ -55,7 +55,7 @@ impl Scrape {
             })
             .cloned()
             .collect();
-        let listed = |link: &Arc<LinkPicture>| {
+        let listed = |link: &Arc<LinkSnapshot>| {
             let places = 0..link.live.connections.len();
             places.map(|place| (Arc::clone(link), place)).collect::<Vec<_>>()
         };
@@ -71,7 +71,7 @@ impl Scrape {
     }
 
     /// The connections, each with its link.
-    pub(super) fn connections(&self) -> impl Iterator<Item = (&LinkPicture, &Connection)> {
+    pub(super) fn connections(&self) -> impl Iterator<Item = (&LinkSnapshot, &Connection)> {
         self.connections
             .iter()
             .filter_map(|(link, place)| Some((&**link, link.live.connections.get(*place)?)))

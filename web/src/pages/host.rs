@@ -7,7 +7,7 @@ use axum::Router;
 use axum::extract::rejection::PathRejection;
 use axum::extract::{Path, State};
 use axum::routing::get;
-use peernet_aggregator::{HostPicture, Picture};
+use peernet_aggregator::{HostSnapshot, LiveState};
 use peernet_statistics::number::{NONE, SPACE, bytes, count, fixed};
 use peernet_store::HostRow;
 use peernet_stream::{HostClock, HostDescription};
@@ -85,7 +85,7 @@ async fn show(State(app): State<App>, name: Result<Path<String>, PathRejection>)
 }
 
 /// What of the page changed.
-pub(super) fn update(app: &AppState, picture: &Picture, name: &str) -> Result<Update, WebError> {
+pub(super) fn update(app: &AppState, picture: &LiveState, name: &str) -> Result<Update, WebError> {
     let host =
         live(picture, name).ok_or_else(|| WebError::NotFound(format!("no host {name} reports here")))?;
     let page = host_page(app, picture, host);
@@ -100,8 +100,9 @@ pub(super) fn update(app: &AppState, picture: &Picture, name: &str) -> Result<Up
     Ok(Update::new(page.shell.title, parts))
 }
 
-fn live<'a>(picture: &'a Picture, name: &str) -> Option<&'a HostPicture> {
-    let matches = |host: &&HostPicture| host.description.name.as_str() == name || host.id.to_string() == name;
+fn live<'a>(picture: &'a LiveState, name: &str) -> Option<&'a HostSnapshot> {
+    let matches =
+        |host: &&HostSnapshot| host.description.name.as_str() == name || host.id.to_string() == name;
     picture.hosts.iter().map(|host| &**host).find(matches)
 }
 
@@ -138,13 +139,13 @@ fn steps(clock: &HostClock) -> String {
 }
 
 /// The links of a host with the addresses of their pages.
-fn links(picture: &Picture, name: &str) -> Vec<(String, String)> {
+fn links(picture: &LiveState, name: &str) -> Vec<(String, String)> {
     let mine = picture.links.iter().map(|link| Subject::live(link));
     let mine = mine.filter(|link| link.edge == name || link.cloud == name);
     mine.map(|link| (link.route(), link.href())).take(cut::LIST).collect()
 }
 
-fn host_page(app: &AppState, picture: &Picture, host: &HostPicture) -> Host {
+fn host_page(app: &AppState, picture: &LiveState, host: &HostSnapshot) -> Host {
     let description = &host.description;
     let name = description.name.to_string();
     let mine: Vec<_> = picture.pipelines.iter().filter(|one| one.host == host.id).map(|one| &**one).collect();
@@ -198,7 +199,7 @@ fn host_page(app: &AppState, picture: &Picture, host: &HostPicture) -> Host {
     }
 }
 
-fn past_page(app: &AppState, picture: &Picture, row: &HostRow) -> PastHost {
+fn past_page(app: &AppState, picture: &LiveState, row: &HostRow) -> PastHost {
     let name = row.name.to_string();
     let seen = app.zone.moment(row.last_seen);
     let description = &row.description;

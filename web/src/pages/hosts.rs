@@ -7,7 +7,7 @@ use askama::Template;
 use axum::Router;
 use axum::extract::State;
 use axum::routing::get;
-use peernet_aggregator::Picture;
+use peernet_aggregator::LiveState;
 use peernet_store::HostRow;
 
 use super::kind::{LiveTopic, NavigationEntry, PageKind};
@@ -58,7 +58,7 @@ async fn show(State(app): State<App>) -> Page {
 }
 
 /// What of the page changed.
-pub(super) fn update(app: &AppState, picture: &Picture) -> Result<Update, WebError> {
+pub(super) fn update(app: &AppState, picture: &LiveState) -> Result<Update, WebError> {
     let page = hosts(app, picture, &[]);
     let parts = vec![
         ("title", page.as_title().render()?),
@@ -68,7 +68,7 @@ pub(super) fn update(app: &AppState, picture: &Picture) -> Result<Update, WebErr
     Ok(Update::new(page.shell.title, parts))
 }
 
-fn hosts(app: &AppState, picture: &Picture, stored: &[HostRow]) -> Hosts {
+fn hosts(app: &AppState, picture: &LiveState, stored: &[HostRow]) -> Hosts {
     let connected = picture.hosts.iter().filter(|host| host.connected).count();
     let title = match picture.hosts.len() {
         0 if picture.absent > 0 => awaited::WAITING.to_owned(),

@@ -4,7 +4,7 @@ use std::fmt;
 
 use axum::Router;
 use futures::future::BoxFuture;
-use peernet_aggregator::Picture;
+use peernet_aggregator::LiveState;
 
 use super::Update;
 use crate::error::WebError;
@@ -34,7 +34,7 @@ pub(crate) struct LiveTopic {
     /// How the topic is written: `hosts`, or `host/HOST` where what follows the first slash says which page it is.
     pub form: &'static str,
     /// Renders what changes, from a picture and what follows the first slash.
-    pub update: for<'a> fn(&'a AppState, &'a Picture, &'a str) -> UpdateFuture<'a>,
+    pub update: for<'a> fn(&'a AppState, &'a LiveState, &'a str) -> UpdateFuture<'a>,
 }
 
 pub(crate) type UpdateFuture<'a> = BoxFuture<'a, Result<Update, WebError>>;
@@ -59,7 +59,7 @@ impl PageTopic {
     }
 
     /// What of the page changed.
-    pub(crate) async fn update(&self, app: &AppState, picture: &Picture) -> Result<Update, WebError> {
+    pub(crate) async fn update(&self, app: &AppState, picture: &LiveState) -> Result<Update, WebError> {
         (self.topic.update)(app, picture, &self.rest).await
     }
 }

@@ -5,7 +5,7 @@ use axum::Router;
 use axum::extract::rejection::PathRejection;
 use axum::extract::{Path, State};
 use axum::routing::get;
-use peernet_aggregator::Picture;
+use peernet_aggregator::LiveState;
 use peernet_clock::Span;
 use peernet_store::IncidentRow;
 use serde::Deserialize;
@@ -179,7 +179,7 @@ async fn stored(app: &AppState, subject: &Subject<'_>, range: Range) -> Result<C
 }
 
 /// What of the page changed.
-pub(super) async fn update(app: &AppState, picture: &Picture, rest: &str) -> Result<Update, WebError> {
+pub(super) async fn update(app: &AppState, picture: &LiveState, rest: &str) -> Result<Update, WebError> {
     let mut parts = rest.splitn(3, '/');
     let (Some(wanted), Some(range), Some(view)) = (parts.next(), parts.next(), parts.next()) else {
         return Err(WebError::BadRequest(
@@ -241,7 +241,7 @@ fn concerning(subject: &Subject<'_>, course: &Course, rows: &[IncidentRow]) -> V
     placed
 }
 
-fn facts(subject: &Subject<'_>, picture: &Picture) -> Vec<String> {
+fn facts(subject: &Subject<'_>, picture: &LiveState) -> Vec<String> {
     let mut facts = vec![subject.key.network.to_string()];
     if let Some(link) = subject.live {
         facts.push(panels::probing(&link.live.probing));
@@ -257,7 +257,7 @@ fn facts(subject: &Subject<'_>, picture: &Picture) -> Vec<String> {
 
 pub(super) fn link_page(
     app: &AppState,
-    picture: &Picture,
+    picture: &LiveState,
     subject: &Subject<'_>,
     now: &Course,
     shown: Option<&Course>,

@@ -6,7 +6,7 @@ use askama::Template;
 use axum::Router;
 use axum::extract::State;
 use axum::routing::get;
-use peernet_aggregator::Picture;
+use peernet_aggregator::LiveState;
 use peernet_store::LinkRow;
 
 use super::kind::{LiveTopic, NavigationEntry, PageKind};
@@ -46,13 +46,13 @@ async fn show(State(app): State<App>) -> Page {
 }
 
 /// What of the page changed.
-pub(super) fn update(app: &AppState, picture: &Picture) -> Result<Update, WebError> {
+pub(super) fn update(app: &AppState, picture: &LiveState) -> Result<Update, WebError> {
     let page = links(app, picture, &[]);
     let parts = vec![("title", page.as_title().render()?), ("list", page.as_list().render()?)];
     Ok(Update::new(page.shell.title, parts))
 }
 
-fn links(app: &AppState, picture: &Picture, stored: &[LinkRow]) -> Links {
+fn links(app: &AppState, picture: &LiveState, stored: &[LinkRow]) -> Links {
     let mut past = PastLine::all(stored, picture, app.zone);
     past.truncate(cut::LIST);
     Links {

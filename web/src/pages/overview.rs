@@ -4,7 +4,7 @@ use askama::Template;
 use axum::Router;
 use axum::extract::State;
 use axum::routing::get;
-use peernet_aggregator::{Picture, PipelinePicture};
+use peernet_aggregator::{LiveState, PipelineSnapshot};
 use peernet_store::IncidentRow;
 use peernet_stream::PipelineState;
 
@@ -73,7 +73,7 @@ async fn show(State(app): State<App>) -> Page {
 }
 
 /// What of the page changed.
-pub(super) async fn update(app: &AppState, picture: &Picture) -> Result<Update, WebError> {
+pub(super) async fn update(app: &AppState, picture: &LiveState) -> Result<Update, WebError> {
     if picture.hosts.is_empty() && picture.pipelines.is_empty() {
         let page = empty(app, picture);
         let parts = vec![("seen", page.as_seen().render()?)];
@@ -101,7 +101,7 @@ async fn incidents(app: &AppState) -> Incidents {
     rows.map_err(|error| WebError::from(error).to_problem(app).id().unwrap_or_default().to_owned())
 }
 
-pub(super) fn empty(app: &AppState, picture: &Picture) -> Empty {
+pub(super) fn empty(app: &AppState, picture: &LiveState) -> Empty {
     let known = awaited::known(picture);
     let title = if known.is_some() { awaited::WAITING } else { "No host has reported yet" };
     Empty {
@@ -116,8 +116,8 @@ pub(super) fn empty(app: &AppState, picture: &Picture) -> Empty {
 }
 
 /// Pipelines that run, or did and are still remembered, come first; as many as are shown.
-fn ordered(picture: &Picture) -> Vec<&PipelinePicture> {
-    let mut pipelines: Vec<&PipelinePicture> = picture.pipelines.iter().map(|one| &**one).collect();
+fn ordered(picture: &LiveState) -> Vec<&PipelineSnapshot> {
+    let mut pipelines: Vec<&PipelineSnapshot> = picture.pipelines.iter().map(|one| &**one).collect();
     pipelines.sort_by_key(|one| one.state != PipelineState::Running);
     pipelines.truncate(cut::OVERVIEW);
     pipelines
@@ -125,7 +125,7 @@ fn ordered(picture: &Picture) -> Vec<&PipelinePicture> {
 
 pub(super) fn overview(
     app: &AppState,
-    picture: &Picture,
+    picture: &LiveState,
     incidents: Incidents,
 ) -> Result<Overview, WebError> {
     let health = Health::of(picture, app.zone, app.since, &app.warn);

@@ -7,7 +7,7 @@ use axum::Router;
 use axum::extract::rejection::PathRejection;
 use axum::extract::{Path, State};
 use axum::routing::get;
-use peernet_aggregator::{Picture, PipelinePicture, Window};
+use peernet_aggregator::{LiveState, PipelineSnapshot, Window};
 use peernet_logger::{Slug, stage};
 use peernet_statistics::number::{
     NONE, SPACE, count, duration, length, percent, rate, share, short_duration,
@@ -111,7 +111,7 @@ async fn show(
 }
 
 /// What of the page changed.
-pub(super) fn update(app: &AppState, picture: &Picture, rest: &str) -> Result<Update, WebError> {
+pub(super) fn update(app: &AppState, picture: &LiveState, rest: &str) -> Result<Update, WebError> {
     let mut parts = rest.splitn(3, '/');
     let (Some(host), Some(name), Some(seconds)) = (parts.next(), parts.next(), parts.next()) else {
         return Err(WebError::BadRequest(
@@ -129,8 +129,8 @@ pub(super) fn update(app: &AppState, picture: &Picture, rest: &str) -> Result<Up
     Ok(Update { layout: page.layout, obstacles, ..Update::new(page.shell.title, parts) })
 }
 
-fn find<'a>(picture: &'a Picture, host: &str, name: &str) -> Result<&'a PipelinePicture, WebError> {
-    let matches = |one: &&PipelinePicture| one.host_name.as_str() == host && one.pipeline.as_str() == name;
+fn find<'a>(picture: &'a LiveState, host: &str, name: &str) -> Result<&'a PipelineSnapshot, WebError> {
+    let matches = |one: &&PipelineSnapshot| one.host_name.as_str() == host && one.pipeline.as_str() == name;
     picture.pipelines.iter().map(|one| &**one).find(matches).ok_or_else(|| {
         WebError::NotFound(format!(
             "no pipeline {name} of host {host} has reported; what was stored of it is among the runs"
@@ -138,7 +138,7 @@ fn find<'a>(picture: &'a Picture, host: &str, name: &str) -> Result<&'a Pipeline
     })
 }
 
-async fn runs(app: &AppState, pipeline: &PipelinePicture) -> Result<Vec<RunSummary>, WebError> {
+async fn runs(app: &AppState, pipeline: &PipelineSnapshot) -> Result<Vec<RunSummary>, WebError> {
     let filter = RunFilter {
         pipeline: Some(pipeline.pipeline.clone()),
         host: Some(pipeline.host),
@@ -149,7 +149,7 @@ async fn runs(app: &AppState, pipeline: &PipelinePicture) -> Result<Vec<RunSumma
 }
 
 /// The page's sentence: how long it takes and what takes longest.
-fn title(pipeline: &PipelinePicture, stack: &Stack) -> String {
+fn title(pipeline: &PipelineSnapshot, stack: &Stack) -> String {
     let name = &pipeline.pipeline;
     if let Some(trouble) = trouble(&pipeline.state) {
         return format!("{name} {trouble}");
@@ -224,8 +224,8 @@ fn stats(kind: PlacementKind, window: &Window) -> Vec<Stat> {
 
 fn pipeline_page(
     app: &AppState,
-    picture: &Picture,
-    pipeline: &PipelinePicture,
+    picture: &LiveState,
+    pipeline: &PipelineSnapshot,
     seconds: u32,
     runs: &[RunSummary],
     marks: &[Mark],

@@ -6,7 +6,7 @@ use askama::Template;
 use axum::Router;
 use axum::extract::State;
 use axum::routing::get;
-use peernet_aggregator::{Picture, PipelinePicture};
+use peernet_aggregator::{LiveState, PipelineSnapshot};
 use peernet_stream::PipelineState;
 
 use super::kind::{LiveTopic, NavigationEntry, PageKind};
@@ -51,7 +51,7 @@ struct Line {
     run: Option<i64>,
 }
 
-fn state(pipeline: &PipelinePicture) -> String {
+fn state(pipeline: &PipelineSnapshot) -> String {
     let state = &pipeline.state;
     let away = (*state == PipelineState::Away).then_some("its host is not connected");
     match state.reason().or(away) {
@@ -66,14 +66,14 @@ async fn show(State(app): State<App>) -> Page {
 }
 
 /// What of the page changed.
-pub(super) fn update(app: &AppState, picture: &Picture) -> Result<Update, WebError> {
+pub(super) fn update(app: &AppState, picture: &LiveState) -> Result<Update, WebError> {
     let page = pipelines(app, picture);
     let parts = vec![("title", page.as_title().render()?), ("list", page.as_list().render()?)];
     Ok(Update::new(page.shell.title, parts))
 }
 
-fn pipelines(app: &AppState, picture: &Picture) -> Pipelines {
-    let all: Vec<&PipelinePicture> = picture.pipelines.iter().map(|one| &**one).collect();
+fn pipelines(app: &AppState, picture: &LiveState) -> Pipelines {
+    let all: Vec<&PipelineSnapshot> = picture.pipelines.iter().map(|one| &**one).collect();
     let running = all.iter().filter(|one| one.state == PipelineState::Running).count();
     let title = match all.len() {
         0 if awaited::starting(picture, app.since) => awaited::WAITING.to_owned(),

@@ -1,6 +1,6 @@
 //! What surrounds every page.
 
-use peernet_aggregator::Picture;
+use peernet_aggregator::LiveState;
 
 use super::kind::NavigationEntry;
 use crate::assets;
@@ -45,7 +45,7 @@ impl Shell {
     /// The shell of a page that live updates do not change.
     pub(crate) fn new(
         app: &AppState,
-        picture: &Picture,
+        picture: &LiveState,
         section: &'static str,
         title: impl Into<String>,
     ) -> Self {

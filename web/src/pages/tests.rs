@@ -32,7 +32,7 @@ fn check(html: &str) {
 }
 
 async fn overview_of(
-    picture: &peernet_aggregator::Picture,
+    picture: &peernet_aggregator::LiveState,
     incidents: Vec<peernet_store::IncidentRow>,
 ) -> String {
     let (app, _folder) = samples::app().await;
@@ -301,7 +301,7 @@ async fn a_sensor_alone_is_called_so_and_has_no_model() {
 async fn accuracy_stands_beside_latency_where_samples_have_labels() {
     let (app, _folder) = samples::app().await;
     let mut shown = picture(vec![host("cam-1", "Orin")], vec![pipeline("line", 30.0, 1.0, Verdict::Ok, &[])]);
-    let html = |shown: &peernet_aggregator::Picture| {
+    let html = |shown: &peernet_aggregator::LiveState| {
         let update = pipeline::update(&app, shown, "cam-1/line/10").expect("renders");
         update.parts.into_iter().map(|(_, html)| html).collect::<String>()
     };
@@ -317,7 +317,7 @@ async fn accuracy_stands_beside_latency_where_samples_have_labels() {
 #[tokio::test]
 async fn a_rehearsal_is_said_on_every_page_and_with_every_figure_it_touches() {
     let since = samples::NOW;
-    let rehearsal = peernet_clock::RehearsalDescription {
+    let rehearsal = peernet_clock::ClockFaults {
         offset: Span::from_seconds(1),
         drift_ppm: 50.0,
         steps: Vec::new(),

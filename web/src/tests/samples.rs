@@ -3,8 +3,8 @@
 use std::sync::Arc;
 
 use peernet_aggregator::{
-    Aggregator, AggregatorConfig, Arrivals, HostPicture, LinkPicture, LiveSecond, MetricsPoint,
-    PercentilePoint, PercentileSeries, Picture, PipelinePicture, RefusedHost, Totals, Window,
+    Aggregator, AggregatorConfig, Arrivals, HostSnapshot, LinkSnapshot, LiveSecond, LiveState, MetricsPoint,
+    PercentilePoint, PercentileSeries, PipelineSnapshot, RefusedHost, Totals, Window,
 };
 use peernet_clock::{
     ClockIdentity, DelaySource, ExchangeCounts, Interval, ManualClock, Offset, Span, Verdict, WallTime,
@@ -130,7 +130,7 @@ pub(crate) fn placement(kind: PlacementKind) -> Placement {
 }
 
 /// A pipeline; seconds whose place in `gaps` is reached are missing from its series.
-pub(crate) fn pipeline(name: &str, hz: f64, scale: f64, verdict: Verdict, gaps: &[i64]) -> PipelinePicture {
+pub(crate) fn pipeline(name: &str, hz: f64, scale: f64, verdict: Verdict, gaps: &[i64]) -> PipelineSnapshot {
     let last = NOW.unix_seconds();
     let series = (last - 120..=last).filter(|at| !gaps.contains(&(last - at)));
     let series = series.map(|at| {
@@ -146,7 +146,7 @@ pub(crate) fn pipeline(name: &str, hz: f64, scale: f64, verdict: Verdict, gaps: 
             verdicts: verdicts.to_vec(),
         })
     });
-    PipelinePicture {
+    PipelineSnapshot {
         host: host_id(),
         host_name: slug("cam-1"),
         pipeline: slug(name),
@@ -177,10 +177,10 @@ fn host_id() -> HostId {
     HostId::from_bytes([7; 16])
 }
 
-pub(crate) fn host(name: &str, kind: &str) -> HostPicture {
+pub(crate) fn host(name: &str, kind: &str) -> HostSnapshot {
     let metrics =
         HostMetrics { cpu: Some(0.31), memory_used_bytes: Some(4_100_000_000), ..HostMetrics::default() };
-    HostPicture {
+    HostSnapshot {
         id: host_id(),
         description: HostDescription {
             id: host_id(),
@@ -227,8 +227,8 @@ pub(crate) fn accounting() -> Accounting {
     }
 }
 
-pub(crate) fn picture(hosts: Vec<HostPicture>, pipelines: Vec<PipelinePicture>) -> Picture {
-    Picture {
+pub(crate) fn picture(hosts: Vec<HostSnapshot>, pipelines: Vec<PipelineSnapshot>) -> LiveState {
+    LiveState {
         at: NOW,
         aggregator: slug("rack-a"),
         listening: "tcp://127.0.0.1:5550".into(),
@@ -315,10 +315,10 @@ pub(crate) fn clock_point(at: WallTime, window: u64, half: Option<f64>) -> Clock
 }
 
 /// A link from `cam-1` to `rack-a` of two minutes; seconds whose place in `gaps` is reached are missing.
-pub(crate) fn link(half: Option<f64>, gaps: &[i64]) -> LinkPicture {
+pub(crate) fn link(half: Option<f64>, gaps: &[i64]) -> LinkSnapshot {
     let second = |ago: i64| WallTime::from_unix_nanos((NOW.unix_seconds() - ago) * 1_000_000_000);
     let known = (0..120).rev().filter(|ago| !gaps.contains(ago));
-    LinkPicture {
+    LinkSnapshot {
         edge: host_id(),
         edge_name: slug("cam-1"),
         connected: true,
@@ -406,7 +406,7 @@ fn connection() -> Connection {
 }
 
 /// The same link over `zmq-udp`.
-pub(crate) fn link_over_udp(half: Option<f64>) -> LinkPicture {
+pub(crate) fn link_over_udp(half: Option<f64>) -> LinkSnapshot {
     let mut link = link(half, &[]);
     let network: NetworkName = "zmq-udp".parse().expect("a name");
     link.live.networks = vec![network.to_string()];

@@ -1,6 +1,6 @@
 //! The first moments of an aggregator: agents that it knows have not come back yet.
 
-use peernet_aggregator::Picture;
+use peernet_aggregator::LiveState;
 use peernet_clock::{Span, WallTime};
 
 use super::counted;
@@ -12,13 +12,13 @@ const PATIENCE: Span = Span::from_seconds(15);
 
 /// Whether agents may still be on their way to an aggregator that serves since then: what it does not see is not
 /// known to be missing.
-pub(crate) fn starting(picture: &Picture, since: WallTime) -> bool {
+pub(crate) fn starting(picture: &LiveState, since: WallTime) -> bool {
     let known = picture.absent > 0 || !picture.hosts.is_empty();
     known && picture.pipelines.is_empty() && (picture.hosts.is_empty() || picture.at - since < PATIENCE)
 }
 
 /// `2 hosts are known from before`; `None` where none is.
-pub(crate) fn known(picture: &Picture) -> Option<String> {
+pub(crate) fn known(picture: &LiveState) -> Option<String> {
     (picture.absent > 0).then(|| {
         let verb = if picture.absent == 1 { "is" } else { "are" };
         format!("{} {verb} known from before", counted(picture.absent, "host", "hosts"))

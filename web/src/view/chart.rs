@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use peernet_aggregator::{LiveSecond, PercentileSeries, Picture, PipelinePicture};
+use peernet_aggregator::{LiveSecond, LiveState, PercentileSeries, PipelineSnapshot};
 use peernet_clock::WallTime;
 use peernet_logger::stage;
 use peernet_statistics::number::{NONE, count, stage_ms};
@@ -141,7 +141,7 @@ fn mean(second: &LiveSecond, name: &str) -> Option<f64> {
 }
 
 impl ChartCard {
-    pub(crate) fn new(pipeline: &PipelinePicture, picture: &Picture, zone: Zone) -> Self {
+    pub(crate) fn new(pipeline: &PipelineSnapshot, picture: &LiveState, zone: Zone) -> Self {
         let host = pipeline.host_name.to_string();
         let name = pipeline.pipeline.to_string();
         let stack = pipeline.window(10).map(Stack::of_window).unwrap_or_default();
@@ -175,7 +175,7 @@ impl ChartCard {
 }
 
 impl ChartData {
-    fn new(pipeline: &PipelinePicture, picture: &Picture, host: String) -> Self {
+    fn new(pipeline: &PipelineSnapshot, picture: &LiveState, host: String) -> Self {
         let series = &pipeline.series;
         let from = series.first().map_or(0, |second| second.at);
         let length = series.last().map_or(0, |second| (second.at - from + 1).clamp(0, 600)) as usize;

@@ -2,7 +2,7 @@
 
 use std::cmp::Reverse;
 
-use peernet_aggregator::{Arrivals, HostPicture};
+use peernet_aggregator::{Arrivals, HostSnapshot};
 use peernet_clock::Span;
 use peernet_statistics::number::{NONE, SPACE, bytes, count, figure, fixed, length, percent, roughly};
 use peernet_store::Stored;
@@ -85,7 +85,7 @@ impl Spool {
 }
 
 impl Events {
-    pub(crate) fn of(host: &HostPicture) -> Self {
+    pub(crate) fn of(host: &HostSnapshot) -> Self {
         let account = &host.accounting;
         let name = host.description.name.as_str();
         let in_memory = account.produced.saturating_sub(account.dropped).saturating_sub(account.spooled);
@@ -130,7 +130,7 @@ fn counted_events(many: u64) -> String {
     counted(usize::try_from(many).unwrap_or(usize::MAX), "event", "events")
 }
 
-fn remarks(host: &HostPicture) -> Vec<Remark> {
+fn remarks(host: &HostSnapshot) -> Vec<Remark> {
     let account = &host.accounting;
     let mut remarks = Vec::new();
     if let Some(trouble) = &account.trouble {
@@ -170,7 +170,7 @@ fn remarks(host: &HostPicture) -> Vec<Remark> {
 }
 
 /// The worst of what is to be said of a host's events.
-pub(crate) fn worst(host: &HostPicture) -> Option<Remark> {
+pub(crate) fn worst(host: &HostSnapshot) -> Option<Remark> {
     remarks(host).into_iter().min_by_key(|remark| Reverse(remark.chip.tone))
 }
 
@@ -220,7 +220,7 @@ pub(crate) struct EventLine {
 }
 
 impl EventLine {
-    pub(crate) fn new(host: &HostPicture) -> Self {
+    pub(crate) fn new(host: &HostSnapshot) -> Self {
         let account = &host.accounting;
         let name = host.description.name.to_string();
         Self {
@@ -247,7 +247,7 @@ mod tests {
     use super::*;
     use crate::tests::samples;
 
-    fn host() -> HostPicture {
+    fn host() -> HostSnapshot {
         let mut host = samples::host("cam-1", "Orin");
         host.accounting = samples::accounting();
         host
@@ -282,7 +282,7 @@ mod tests {
         let mut host = host();
         host.accounting.dropped = 0;
         host.behind = Some(Span::from_seconds(11_520));
-        let texts = |host: &HostPicture| -> Vec<String> {
+        let texts = |host: &HostSnapshot| -> Vec<String> {
             remarks(host).into_iter().map(|remark| remark.text).collect()
         };
         assert_eq!(

@@ -1,6 +1,6 @@
 //! The health of the system in sentences: the title of the overview and the notes under it.
 
-use peernet_aggregator::{HostPicture, Picture, PipelinePicture};
+use peernet_aggregator::{HostSnapshot, LiveState, PipelineSnapshot};
 use peernet_clock::WallTime;
 use peernet_logger::{Name, stage};
 use peernet_statistics::number::{count, length, percent, roughly};
@@ -34,7 +34,7 @@ pub(crate) struct Health {
 
 impl Health {
     /// The health that a picture of an aggregator shows that serves since then.
-    pub(crate) fn of(picture: &Picture, zone: Zone, since: WallTime, warn: &WarnConfig) -> Self {
+    pub(crate) fn of(picture: &LiveState, zone: Zone, since: WallTime, warn: &WarnConfig) -> Self {
         let mut notes = Vec::new();
         notes.extend(picture.refused.iter().map(|refused| Note {
             chip: Chip::new(Tone::Bad, "unsynchronised", "refused"),
@@ -86,7 +86,7 @@ impl Health {
     }
 }
 
-fn host_notes(host: &HostPicture, now: WallTime, zone: Zone, warn: &WarnConfig) -> Vec<Note> {
+fn host_notes(host: &HostSnapshot, now: WallTime, zone: Zone, warn: &WarnConfig) -> Vec<Note> {
     let name = host.description.name.to_string();
     let note =
         |chip, text| Note { chip, subject: name.clone(), href: format!("/hosts/{name}"), text, link: None };
@@ -122,7 +122,7 @@ fn host_notes(host: &HostPicture, now: WallTime, zone: Zone, warn: &WarnConfig) 
     notes
 }
 
-fn pipeline_notes(pipeline: &PipelinePicture, picture: &Picture, warn: &WarnConfig) -> Vec<Note> {
+fn pipeline_notes(pipeline: &PipelineSnapshot, picture: &LiveState, warn: &WarnConfig) -> Vec<Note> {
     let subject = pipeline.pipeline.to_string();
     let href = place::pipeline_href(pipeline.host_name.as_str(), &subject);
     let note = |chip, text| Note { chip, subject: subject.clone(), href: href.clone(), text, link: None };

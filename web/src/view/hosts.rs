@@ -1,6 +1,6 @@
 //! Hosts in a table.
 
-use peernet_aggregator::{HostPicture, MetricsPoint, Picture};
+use peernet_aggregator::{HostSnapshot, LiveState, MetricsPoint};
 use peernet_clock::{ClockIdentity, Span};
 use peernet_statistics::number::{NONE, SPACE, count, fixed, gigabytes, length};
 use peernet_stream::{Hardware, HostMetrics};
@@ -48,7 +48,7 @@ pub(crate) struct RefusedLine {
 }
 
 impl RefusedLine {
-    pub(crate) fn all(picture: &Picture, zone: Zone) -> Vec<Self> {
+    pub(crate) fn all(picture: &LiveState, zone: Zone) -> Vec<Self> {
         let lines = picture.refused.iter().map(|one| Self {
             who: match &one.address {
                 Some(address) => format!("{} ({address})", one.name),
@@ -126,11 +126,11 @@ pub(crate) fn clock_words(theirs: &ClockIdentity, ours: &ClockIdentity, ahead: S
 
 impl HostLine {
     /// The first so many hosts of a picture.
-    pub(crate) fn first(most: usize, picture: &Picture, ours: &ClockIdentity, zone: Zone) -> Vec<Self> {
+    pub(crate) fn first(most: usize, picture: &LiveState, ours: &ClockIdentity, zone: Zone) -> Vec<Self> {
         picture.hosts.iter().take(most).map(|host| Self::new(host, ours, zone)).collect()
     }
 
-    pub(crate) fn new(host: &HostPicture, ours: &ClockIdentity, zone: Zone) -> Self {
+    pub(crate) fn new(host: &HostSnapshot, ours: &ClockIdentity, zone: Zone) -> Self {
         let name = host.description.name.to_string();
         let metrics = &host.metrics;
         let (clock, clock_title) = clock_words(&host.description.clock, ours, host.clock_ahead);

@@ -1,6 +1,6 @@
 //! Where the time goes now: pipelines as stage bars on one scale, with their figures.
 
-use peernet_aggregator::{PipelinePicture, Window};
+use peernet_aggregator::{PipelineSnapshot, Window};
 use peernet_logger::stage;
 use peernet_statistics::number::{NONE, count, percent, rate, stage_ms, total_ms};
 use peernet_store::Figures;
@@ -110,8 +110,8 @@ fn quantile(total: Option<&Figures>, needs: u64, of: fn(&Figures) -> Option<f64>
 
 impl NowTable {
     /// The pipelines as they were in the last minute.
-    pub(crate) fn new(pipelines: &[&PipelinePicture]) -> Self {
-        let windows: Vec<(&PipelinePicture, &Window)> =
+    pub(crate) fn new(pipelines: &[&PipelineSnapshot]) -> Self {
+        let windows: Vec<(&PipelineSnapshot, &Window)> =
             pipelines.iter().filter_map(|one| Some((*one, one.window(WINDOW_S)?))).collect();
         let stacks: Vec<Stack> = windows.iter().map(|(_, window)| Stack::of_window(window)).collect();
         // A tail that is far longer than the bars would squeeze them: its figure is in the table, its whisker leaves the
@@ -145,7 +145,7 @@ impl NowTable {
 
 impl NowRow {
     fn new(
-        pipeline: &PipelinePicture,
+        pipeline: &PipelineSnapshot,
         window: &Window,
         stack: &Stack,
         scale: &Scale,

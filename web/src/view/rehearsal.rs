@@ -2,8 +2,8 @@
 
 use std::collections::BTreeMap;
 
-use peernet_aggregator::Picture;
-use peernet_clock::RehearsalDescription;
+use peernet_aggregator::LiveState;
+use peernet_clock::ClockFaults;
 use peernet_statistics::number::{SPACE, fixed};
 
 use super::chip::{Chip, Tone};
@@ -21,7 +21,7 @@ fn ppm(value: f64) -> String {
 }
 
 /// By how much a clock is made wrong: `+1,000 ms, +50 ppm`.
-pub(crate) fn words(description: &RehearsalDescription) -> String {
+pub(crate) fn words(description: &ClockFaults) -> String {
     let offset = description.offset.seconds() * 1e3;
     let mut parts = vec![
         format!("{}{SPACE}ms", signed(offset, if offset.fract() == 0.0 { 0 } else { 2 })),
@@ -45,7 +45,7 @@ pub(crate) struct Rehearsed(BTreeMap<String, String>);
 
 impl Rehearsed {
     /// Those of a picture.
-    pub(crate) fn of(picture: &Picture) -> Self {
+    pub(crate) fn of(picture: &LiveState) -> Self {
         let connected = picture.hosts.iter().filter(|host| host.connected);
         let told = connected.filter_map(|host| {
             Some((host.description.name.to_string(), words(host.clock.rehearsal.as_ref()?)))
@@ -74,19 +74,19 @@ impl Rehearsed {
 
 #[cfg(test)]
 mod tests {
-    use peernet_clock::{RehearsedStep, Span, WallTime};
+    use peernet_clock::{ClockFaultStep, Span, WallTime};
 
     use super::*;
 
-    fn rehearsal(offset: Span, drift_ppm: f64, steps: Vec<RehearsedStep>) -> RehearsalDescription {
-        RehearsalDescription { offset, drift_ppm, steps, since: WallTime::from_unix_nanos(0) }
+    fn rehearsal(offset: Span, drift_ppm: f64, steps: Vec<ClockFaultStep>) -> ClockFaults {
+        ClockFaults { offset, drift_ppm, steps, since: WallTime::from_unix_nanos(0) }
     }
 
     #[test]
     fn how_a_clock_is_wrong_is_said_with_signs() {
         let plain = rehearsal(Span::from_seconds(1), 50.0, Vec::new());
         assert_eq!(words(&plain), "+1,000\u{202f}ms, +50\u{202f}ppm");
-        let step = RehearsedStep::of_wall(Span::from_seconds(60), Span::from_seconds(3));
+        let step = ClockFaultStep::of_wall(Span::from_seconds(60), Span::from_seconds(3));
         let stepped = rehearsal(Span::from_micros(-1_500), -12.5, vec![step]);
         assert_eq!(
             words(&stepped),

@@ -1,6 +1,6 @@
 //! Runs in a list.
 
-use peernet_aggregator::Picture;
+use peernet_aggregator::LiveState;
 use peernet_clock::WallTime;
 use peernet_statistics::number::{NONE, count, length, milliseconds, percent};
 use peernet_store::{GapRow, RetentionConfig, RunSummary};
@@ -27,7 +27,7 @@ pub(crate) enum End {
 }
 
 impl End {
-    pub(crate) fn of(run: &RunSummary, picture: &Picture, zone: Zone) -> Self {
+    pub(crate) fn of(run: &RunSummary, picture: &LiveState, zone: Zone) -> Self {
         if run.ended.is_some() {
             return Self::Told(run.reason.as_ref().map_or_else(|| "ended".to_owned(), ToString::to_string));
         }
@@ -157,7 +157,7 @@ pub(crate) fn end(run: &RunSummary) -> Option<WallTime> {
 }
 
 impl RunLine {
-    pub(crate) fn new(run: &RunSummary, picture: &Picture, zone: Zone) -> Self {
+    pub(crate) fn new(run: &RunSummary, picture: &LiveState, zone: Zone) -> Self {
         let quantile = |value: Option<f64>| value.map_or_else(|| NONE.to_owned(), milliseconds);
         let total = run.total.as_ref();
         Self {

@@ -1,7 +1,7 @@
 //! Warnings of the overview: latencies that spread, busy processors, time that nothing accounts for, starts that do not
 //! keep the ordered rate.
 
-use peernet_aggregator::{HostPicture, MetricsPoint, Window};
+use peernet_aggregator::{HostSnapshot, MetricsPoint, Window};
 use peernet_analysis::rows::SKIPPED_STARTS;
 use peernet_clock::{Span, WallTime};
 use peernet_logger::stage;
@@ -17,7 +17,7 @@ const BUSY_FOR: Span = Span::from_seconds(10);
 const LEAST_S: f64 = 1e-4;
 
 /// That a host's processors have been busy for ten seconds.
-pub(crate) fn of_host(host: &HostPicture, now: WallTime, warn: &WarnConfig) -> Option<(Chip, String)> {
+pub(crate) fn of_host(host: &HostSnapshot, now: WallTime, warn: &WarnConfig) -> Option<(Chip, String)> {
     let limit = warn.cpu_percent / 100.0;
     let current = host.metrics.cpu.filter(|_| host.connected)?;
     // The points within the time, and the one at its beginning.

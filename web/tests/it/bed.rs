@@ -6,7 +6,7 @@ use axum::Router;
 use axum::body::{Body, to_bytes};
 use axum::http::header::HOST;
 use axum::http::{HeaderMap, HeaderValue, Request, StatusCode};
-use peernet_aggregator::{Aggregator, AggregatorConfig, Picture};
+use peernet_aggregator::{Aggregator, AggregatorConfig, LiveState};
 use peernet_clock::{ClockIdentity, SharedClock, Span, SystemClock};
 use peernet_web::{WebConfig, Zone};
 use tokio_util::sync::CancellationToken;
@@ -100,7 +100,7 @@ impl Bed {
     }
 
     /// Waits for a picture.
-    pub(crate) async fn until(&self, done: impl Fn(&Picture) -> bool) -> Arc<Picture> {
+    pub(crate) async fn until(&self, done: impl Fn(&LiveState) -> bool) -> Arc<LiveState> {
         let mut live = self.aggregator.live();
         let picture = live.wait_for(|picture| done(picture)).await.expect("the aggregator runs");
         Arc::clone(&picture)

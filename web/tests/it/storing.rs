@@ -87,7 +87,7 @@ async fn both_accounts_agree_at_rest() {
     let (bed, _factory) = Bed::with(vec![Line::local(), Line::full()]).await;
     let picture = bed
         .until(|picture| {
-            let rests = |host: &peernet_aggregator::HostPicture| {
+            let rests = |host: &peernet_aggregator::HostSnapshot| {
                 host.accounting.waiting == 0 && host.accounting.stored == host.stored.events
             };
             picture.hosts.iter().all(|host| rests(host)) && picture.totals.stored.events > 0

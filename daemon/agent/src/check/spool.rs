@@ -1,16 +1,16 @@
-//! What can be wrong with `[spool]`.
+//! Checks `[spool]`.
 
 use std::path::Path;
 
 use super::{Report, usable};
 use crate::config::{AgentConfig, SpoolConfig};
-use crate::outbox::Look;
+use crate::outbox::FileKind;
 
-/// Fewest bytes that a spool may hold: 1 MiB.
+/// Smallest limit of a spool in bytes: 1 MiB.
 const MIN_LIMIT_BYTES: u64 = 1 << 20;
-/// Most bytes that it may hold: 1 TiB.
+/// Largest limit in bytes: 1 TiB.
 const MAX_LIMIT_BYTES: u64 = 1 << 40;
-/// Longest time between two syncs: a minute.
+/// Longest interval between two syncs: a minute.
 const MAX_SYNC_INTERVAL_MS: u64 = 60_000;
 
 pub(super) fn check_spool(report: &mut Report, config: &AgentConfig) {
@@ -27,7 +27,7 @@ pub(super) fn check_spool(report: &mut Report, config: &AgentConfig) {
         report.add("spool.limit_bytes", text);
     }
     report.at_most("spool.sync_interval_ms", spool.sync_interval_ms.get().into(), MAX_SYNC_INTERVAL_MS);
-    // Without a name of its own the file is in the state_dir, which is checked.
+    // Without `spool.file` the file is in `state_dir`, which is checked on its own.
     if let Some(file) = &spool.file {
         if file.as_os_str().is_empty() {
             report
@@ -40,8 +40,8 @@ pub(super) fn check_spool(report: &mut Report, config: &AgentConfig) {
     check_content(report, config);
 }
 
-/// What stands at the path already. A file that is not a spool is renamed at the start if it has the default path; elsewhere it
-/// is an error.
+/// Checks what exists at the path already. A file at the default path that is not a spool is renamed at the start; at
+/// a configured path it is an error, because it may be somebody's data.
 fn check_content(report: &mut Report, config: &AgentConfig) {
     let path = config.spool.path(&config.agent.state_dir);
     let kept_by_agent = path == SpoolConfig::default().path(&config.agent.state_dir);
@@ -55,10 +55,10 @@ fn check_content(report: &mut Report, config: &AgentConfig) {
     if path.exists() && !path.is_file() {
         return report.add("spool.file", format!("{} is a device or a pipe; name a file", path.display()));
     }
-    match Look::at(&path) {
-        Ok(Look::Other) if kept_by_agent => {}
-        Ok(look) => {
-            if let Some(objection) = look.objection() {
+    match FileKind::at(&path) {
+        Ok(FileKind::Other) if kept_by_agent => {}
+        Ok(kind) => {
+            if let Some(objection) = kind.objection() {
                 report.add("spool.file", format!("the file {} {objection}", path.display()));
             }
         }
@@ -81,16 +81,16 @@ mod tests {
     }
 
     #[test]
-    fn a_file_that_is_something_else_is_refused_unless_it_has_the_name_of_the_agents_own() {
+    fn foreign_file_is_refused_except_at_default_path() {
         let folder = tempfile::tempdir().expect("there is room for a temporary folder");
         let (state, notes) = (folder.path(), folder.path().join("notes.txt"));
         assert!(problems(state, &notes).is_empty(), "it is made at the start");
         for (content, objection) in [("", ""), ("notes", "not a spool"), ("SQLite format 3", "")] {
             std::fs::write(&notes, content).expect("it can be written");
-            let said = problems(state, &notes).join(" ");
+            let found = problems(state, &notes).join(" ");
             assert!(
-                said.contains(objection) && said.is_empty() == objection.is_empty(),
-                "{content:?}: {said}"
+                found.contains(objection) && found.is_empty() == objection.is_empty(),
+                "{content:?}: {found}"
             );
         }
         let own = state.join("spool.sqlite");

@@ -1,4 +1,4 @@
-//! The tables about time: `[clock]`, `[probes]`, `[rehearsal]`.
+//! Checks the tables about time: `[clock]`, `[probes]`, `[rehearsal]`.
 
 use std::net::UdpSocket;
 use std::path::Path;
@@ -11,31 +11,33 @@ use crate::config::{
     ClockConfig, DisciplineSource, ProbesConfig, RehearsalConfig, RehearsedStepConfig, ServeConfig,
 };
 
-/// Fastest drift that may be allowed between two clocks, parts per million: a clock beyond is broken.
+/// Largest drift between two clocks that may be configured, in parts per million. A clock that drifts faster is
+/// broken.
 const MAX_DRIFT_PPM: f64 = 1000.0;
 /// Longest time that exchanges are kept: a day.
 const MAX_WINDOW_S: f64 = 86_400.0;
-/// Longest of the other times: an hour.
+/// Upper limit of the other times: an hour.
 const MAX_SECONDS: f64 = 3600.0;
-/// Most probes per second.
+/// Largest number of probes per second.
 const MAX_RATE_HZ: f64 = 1000.0;
-/// Most probes per second that one address may be answered.
+/// Largest number of answered probes per second and address.
 const MAX_PER_SOURCE_HZ: u64 = 10_000;
-/// Most padding of a probe, so that it fits an Ethernet frame in any mode.
+/// Largest padding of a probe in bytes; with it a probe fits an Ethernet frame in any mode.
 const MAX_PADDING_BYTES: u64 = 1300;
-/// Furthest that a rehearsed clock may be off or be stepped: some four months, in milliseconds.
+/// Largest offset or step of a clock fault, in milliseconds: about four months.
 const MAX_REHEARSED_MS: f64 = 1e10;
-/// Fastest change of the drift that may be allowed, parts per million per second: no oscillator changes so fast.
+/// Fastest change of the drift that may be configured, in parts per million per second. No oscillator changes so
+/// fast.
 const MAX_DRIFT_CHANGE_PPM_PER_S: f64 = 1_000.0;
-/// Fastest rehearsed drift: a tenth, parts per million.
+/// Largest drift of a clock fault, in parts per million: a tenth.
 const MAX_REHEARSED_PPM: f64 = 100_000.0;
-/// Last moment of a rehearsed step: a year.
+/// Latest time of a step, in seconds after the start: a year.
 const MAX_REHEARSED_S: f64 = 366.0 * 86_400.0;
-/// Most steps of a rehearsal: they are told to every peer.
+/// Largest number of steps, because each peer is sent the list.
 const MAX_REHEARSED_STEPS: u64 = 1000;
 
 impl Report {
-    /// Not-a-number is outside every range.
+    /// Adds a problem if the value is not in the range; NaN is outside every range.
     fn within(&mut self, key: &str, value: f64, least: f64, most: f64) {
         if !(least..=most).contains(&value) {
             self.add(key, format!("{value} is not between {least} and {most}"));
@@ -72,7 +74,7 @@ pub(super) fn check_clock(report: &mut Report, clock: &ClockConfig) {
         && clock.discipline.contains(&DisciplineSource::Chrony)
         && !is_command(&clock.chronyc)
     {
-        // The default may be missing: not every host has chrony.
+        // A missing `chronyc` is not an error where the command is the default one: not every host has chrony.
         let text = format!(
             "there is no command {:?} on this machine; install chrony, or take chrony out of clock.discipline",
             clock.chronyc
@@ -86,7 +88,7 @@ pub(super) fn check_clock(report: &mut Report, clock: &ClockConfig) {
     }
 }
 
-/// Whether there is such a file, or one of that name in the folders of `PATH`.
+/// Returns whether `name` is an existing path, or the name of a file in a folder of `PATH`.
 fn is_command(name: &str) -> bool {
     if name.contains('/') {
         return Path::new(name).is_file();
@@ -117,8 +119,8 @@ pub(super) fn check_probes(report: &mut Report, probes: &ProbesConfig, serve: Op
     }
 }
 
-/// As for `serve.listen`, a port in use is not wrong in itself; and an address that is not this machine's is that
-/// key's problem.
+/// Checks that the UDP port may be opened. A port in use is not an error, as for `serve.listen`, and an address of
+/// another machine is reported for `serve.listen` itself.
 fn check_port(report: &mut Report, host: &str, port: u16) {
     if let Err(error) = UdpSocket::bind((host, port))
         && error.kind() == io::ErrorKind::PermissionDenied
@@ -140,7 +142,7 @@ pub(super) fn check_rehearsal(report: &mut Report, rehearsal: &RehearsalConfig) 
         let at = format!("rehearsal.steps[{index}]");
         report.within(&format!("{at}.by_ms"), step.by_ms, -MAX_REHEARSED_MS, MAX_REHEARSED_MS);
         report.above_zero(&format!("{at}.at_s"), step.at_s, MAX_REHEARSED_S);
-        // Both clocks may be stepped at one moment, as where a virtual machine was paused.
+        // Both clocks may be stepped at the same moment, as when a virtual machine was paused.
         let is_in_order = |before: &RehearsedStepConfig| {
             before.at_s < step.at_s || (before.at_s == step.at_s && before.clock != step.clock)
         };
@@ -192,7 +194,7 @@ mod tests {
     }
 
     #[test]
-    fn impossible_limits_are_named() {
+    fn impossible_limits_are_refused() {
         assert_eq!(clock("max_drift_ppm = -50"), ["clock.max_drift_ppm"]);
         assert_eq!(clock("max_drift_ppm = nan"), ["clock.max_drift_ppm"]);
         let change = "clock.max_drift_change_ppm_per_s";
@@ -213,7 +215,7 @@ mod tests {
     }
 
     #[test]
-    fn claims_that_nobody_can_be_asked_for_are_named() {
+    fn repeated_sources_and_missing_chronyc_are_refused() {
         assert_eq!(clock("discipline = ['kernel', 'chrony', 'kernel']"), ["clock.discipline[2]"]);
         for missing in ["/nowhere/chronyc", "no-such-command-as-this"] {
             assert_eq!(clock(&format!("chronyc = '{missing}'")), ["clock.chronyc"]);
@@ -223,7 +225,7 @@ mod tests {
     }
 
     #[test]
-    fn a_key_that_is_not_there_or_is_none_is_refused() {
+    fn missing_or_invalid_key_is_refused() {
         let file = tempfile::NamedTempFile::new().expect("there is room for a temporary file");
         let table = format!("key_file = {:?}", file.path());
         for (content, expected) in [("", 1), ("hello\n", 1), ("00112233445566778899aabbccddeeff\n", 0)] {
@@ -234,14 +236,14 @@ mod tests {
     }
 
     #[test]
-    fn reflectors_of_host_that_sends_no_probes_are_named() {
+    fn reflectors_of_host_without_probes_are_refused() {
         let named = "reflectors = { cloud = 'udp://[::1]' }\n";
         assert!(probes(named).is_empty());
         assert_eq!(probes(&format!("{named}send = false")), ["probes.reflectors"]);
     }
 
     #[test]
-    fn steps_come_in_the_order_of_time() {
+    fn steps_out_of_order_are_refused() {
         let steps = |first: &str, second: &str| {
             format!("steps = [{{ at_s = {first}, by_ms = 3000 }}, {{ at_s = {second}, by_ms = -3000 }}]")
         };

@@ -1,20 +1,20 @@
-//! The kernel's files: one value each, gone when a device goes.
+//! Reading of the kernel's files. Each has one value, and disappears with its device.
 
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
-/// The text of a file without the white space around it; `None` when it cannot be read.
+/// Returns the text of a file without surrounding white space; `None` if it cannot be read.
 pub(super) fn text(path: &Path) -> Option<String> {
     Some(fs::read_to_string(path).ok()?.trim().to_owned())
 }
 
-/// The file's text as what it must be.
+/// Returns the parsed text of a file; `None` if it cannot be read or parsed.
 pub(super) fn value<T: FromStr>(path: &Path) -> Option<T> {
     text(path)?.parse().ok()
 }
 
-/// The entries of a folder whose names begin so, in the order of their names.
+/// Returns the entries of a folder whose names begin with `prefix`, in the order of their names.
 pub(super) fn entries(folder: &Path, prefix: &str) -> Vec<PathBuf> {
     let Ok(listed) = fs::read_dir(folder) else { return Vec::new() };
     let named =
@@ -24,7 +24,7 @@ pub(super) fn entries(folder: &Path, prefix: &str) -> Vec<PathBuf> {
     paths
 }
 
-/// `cpu0`, `cpu1` and so on of sysfs: not `cpufreq`, not `cpuidle`.
+/// Returns the folders `cpu0`, `cpu1` and so on in sysfs, without `cpufreq` and `cpuidle`.
 pub(super) fn processors(sys: &Path) -> Vec<PathBuf> {
     let numbered = |path: &PathBuf| {
         let number = path.file_name().and_then(|name| name.to_str()?.strip_prefix("cpu"));
@@ -33,7 +33,7 @@ pub(super) fn processors(sys: &Path) -> Vec<PathBuf> {
     entries(&sys.join("devices/system/cpu"), "cpu").into_iter().filter(numbered).collect()
 }
 
-/// The value behind `key:` in a file of such lines, in the unit that stands behind it.
+/// Returns the number after `key:` in a file of such lines, in the unit that follows it.
 pub(super) fn keyed(text: &str, key: &str) -> Option<u64> {
     let line = text.lines().find_map(|line| line.strip_prefix(key)?.strip_prefix(':'))?;
     line.split_ascii_whitespace().next()?.parse().ok()

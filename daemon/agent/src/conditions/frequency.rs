@@ -1,4 +1,4 @@
-//! How the processor's frequency is chosen.
+//! Frequency scaling of the processors.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -12,8 +12,8 @@ const ABOUT: &str = "CPU governor";
 const ADVICE: &str = "set it to `performance` for the measurement: `sudo cpupower frequency-set -g performance` \
                       (on a Jetson `sudo jetson_clocks`)";
 
-/// The governors of all processors (Linux documentation, admin-guide/pm/cpufreq). One that follows the load makes the
-/// same work take longer after a pause than in a busy loop: latency then depends on the rate.
+/// Judges the governors of all processors (Linux documentation, admin-guide/pm/cpufreq). With a governor that follows
+/// the load the same work takes longer after a pause than in a busy loop: the latency then depends on the rate.
 pub(super) fn governor(settings: &InspectionSettings) -> Option<Finding> {
     let mut governors = BTreeMap::<String, u32>::new();
     let mut fixed = true;
@@ -51,7 +51,7 @@ pub(super) fn governor(settings: &InspectionSettings) -> Option<Finding> {
     })
 }
 
-/// Whether the limits leave one frequency, as `jetson_clocks` does.
+/// Returns whether the limits allow one frequency only, as set by `jetson_clocks`.
 fn is_fixed(folder: &Path) -> bool {
     let limit = |name: &str| value::<u64>(&folder.join(name));
     matches!((limit("scaling_min_freq"), limit("scaling_max_freq")), (Some(min), Some(max)) if min == max)

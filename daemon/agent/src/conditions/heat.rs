@@ -1,4 +1,4 @@
-//! Slowdown of the processor by heat or by too little power, now and since the host was started.
+//! Throttling of the processor by heat or too little power, now and since the host was started.
 
 use std::path::Path;
 
@@ -8,13 +8,14 @@ use super::files::{entries, processors, text, value};
 use super::{Finding, InspectionSettings};
 
 const ABOUT: &str = "thermal throttling";
-const COOL: &str = "cool the host or lower its load, wait, and repeat the run";
-const WATCH: &str = "look whether it is slowed down during the run as well: compare the halves of the run, and see to \
-                     its cooling";
+const COOLING_ADVICE: &str = "cool the host or lower its load, wait, and repeat the run";
+const OBSERVING_ADVICE: &str = "look whether it is slowed down during the run as well: compare the halves of the run, \
+                                and see to its cooling";
 /// Distance below a trip point within which a temperature counts as near it, °C.
-const NEAR_CELSIUS: f64 = 5.0;
-/// Beginnings of the types of cooling devices that slow down processors: x86, Arm, Jetson.
-const SLOWING: [&str; 6] = ["Processor", "cpufreq", "thermal-cpufreq", "gpu", "devfreq", "intel_powerclamp"];
+const TRIP_POINT_MARGIN_CELSIUS: f64 = 5.0;
+/// Prefixes of the types of cooling devices that slow down processors: x86, Arm, Jetson.
+const THROTTLING_DEVICES: [&str; 6] =
+    ["Processor", "cpufreq", "thermal-cpufreq", "gpu", "devfreq", "intel_powerclamp"];
 
 /// Judges all signs of throttling: one that is active now is bad, one since the host was started is doubtful.
 pub(super) fn throttling(settings: &InspectionSettings) -> Vec<Finding> {
@@ -36,15 +37,15 @@ pub(super) fn throttling(settings: &InspectionSettings) -> Vec<Finding> {
     }
 }
 
-/// Finds cooling devices that are active (kernel documentation, driver-api/thermal/sysfs-api); a Jetson's alerts are such
-/// devices too.
+/// Finds active cooling devices (kernel documentation, driver-api/thermal/sysfs-api); the alerts of a Jetson are such
+/// devices, too.
 fn active_cooling_devices(sys: &Path) -> Option<Vec<Finding>> {
     let devices = entries(&sys.join("class/thermal"), "cooling_device");
     let mut known = false;
     let mut active = Vec::new();
     for device in devices {
         let Some(kind) = text(&device.join("type")) else { continue };
-        if !kind.contains("throttle-alert") && !SLOWING.iter().any(|name| kind.starts_with(name)) {
+        if !kind.contains("throttle-alert") && !THROTTLING_DEVICES.iter().any(|name| kind.starts_with(name)) {
             continue;
         }
         let Some(state) = value::<i64>(&device.join("cur_state")) else { continue };
@@ -56,12 +57,12 @@ fn active_cooling_devices(sys: &Path) -> Option<Vec<Finding>> {
     }
     let finding = || {
         let found = format!("the kernel slows the host down now ({})", active.join(", "));
-        Finding::worse(ABOUT, Grade::Bad, found, COOL)
+        Finding::worse(ABOUT, Grade::Bad, found, COOLING_ADVICE)
     };
     known.then(|| if active.is_empty() { Vec::new() } else { vec![finding()] })
 }
 
-/// Finds thermal zones at or near a trip point, from which on the kernel slows the host down.
+/// Finds thermal zones at or near a trip point, above which the kernel slows the host down.
 fn zones_near_trip_point(sys: &Path) -> Option<Vec<Finding>> {
     let mut known = false;
     let mut found = Vec::new();
@@ -79,16 +80,16 @@ fn zones_near_trip_point(sys: &Path) -> Option<Vec<Finding>> {
         let name = text(&zone.join("type")).unwrap_or_else(|| "a sensor".to_owned());
         let heat = format!("{name} is at {celsius:.0} °C, and from {point:.0} °C on the host is slowed down");
         if celsius >= point {
-            found.push(Finding::worse(ABOUT, Grade::Bad, heat, COOL));
-        } else if celsius >= point - NEAR_CELSIUS {
-            found.push(Finding::worse(ABOUT, Grade::Doubtful, heat, COOL));
+            found.push(Finding::worse(ABOUT, Grade::Bad, heat, COOLING_ADVICE));
+        } else if celsius >= point - TRIP_POINT_MARGIN_CELSIUS {
+            found.push(Finding::worse(ABOUT, Grade::Doubtful, heat, COOLING_ADVICE));
         }
     }
     known.then_some(found)
 }
 
-/// Reads the flags of a Raspberry Pi's firmware: bits 0 to 3 hold now, bits 16 to 19 since the board was started (documentation
-/// of `vcgencmd get_throttled`).
+/// Reads the flags of a Raspberry Pi's firmware: bits 0 to 3 are the current state, bits 16 to 19 that since the
+/// board was started (documentation of `vcgencmd get_throttled`).
 fn firmware_flags(sys: &Path) -> Option<Vec<Finding>> {
     let bits = text(&sys.join("devices/platform/soc/soc:firmware/get_throttled"))?;
     let bits = u32::from_str_radix(bits.trim_start_matches("0x"), 16).ok()?;
@@ -103,7 +104,7 @@ fn firmware_flags(sys: &Path) -> Option<Vec<Finding>> {
         vec![Finding::worse(ABOUT, Grade::Bad, format!("the firmware reports {now} now"), advice)]
     } else if !before.is_empty() {
         let found = format!("the firmware reports {before} since the board was started");
-        vec![Finding::worse(ABOUT, Grade::Doubtful, found, WATCH)]
+        vec![Finding::worse(ABOUT, Grade::Doubtful, found, OBSERVING_ADVICE)]
     } else {
         Vec::new()
     })
@@ -120,5 +121,9 @@ fn throttle_counters(sys: &Path) -> Option<Vec<Finding>> {
     let counts: Vec<u64> = counters.chain(boards).filter_map(|path| value(&path)).collect();
     let most = counts.into_iter().max()?;
     let found = || format!("the processor slowed down {most} times since the host was started");
-    Some(if most == 0 { Vec::new() } else { vec![Finding::worse(ABOUT, Grade::Doubtful, found(), WATCH)] })
+    Some(if most == 0 {
+        Vec::new()
+    } else {
+        vec![Finding::worse(ABOUT, Grade::Doubtful, found(), OBSERVING_ADVICE)]
+    })
 }

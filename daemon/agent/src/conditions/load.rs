@@ -9,11 +9,11 @@ use super::files::{entries, processors, text};
 use super::{Finding, InspectionSettings};
 
 /// Pause between two counts of the threads.
-const BETWEEN_LOOKS: Duration = Duration::from_millis(8);
-/// Runnable threads of others per processor from which on the run is disturbed now and then.
-const DISTURBED: f64 = 0.25;
-/// Runnable threads of others per processor from which on the run shares every processor.
-const SHARED: f64 = 1.0;
+const COUNT_INTERVAL: Duration = Duration::from_millis(8);
+/// Number of other runnable threads per processor from which on the run is disturbed now and then.
+const COMPETING_DOUBTFUL: f64 = 0.25;
+/// Number of other runnable threads per processor from which on the run shares every processor.
+const COMPETING_BAD: f64 = 1.0;
 /// Share of steal time since this host was started from which on it is doubtful.
 const STEAL_DOUBTFUL: f64 = 0.01;
 /// Share of steal time since this host was started from which on it is bad.
@@ -21,15 +21,15 @@ const STEAL_BAD: f64 = 0.05;
 
 /// Judges the number of runnable threads of other processes.
 ///
-/// It is the mean of a few counts (proc_loadavg(5)): the usual load averages still show what ended a minute ago, such as the
-/// run before this one.
+/// It is the mean of a few counts (proc_loadavg(5)), because the usual load averages still include what ended a
+/// minute ago, such as the run before this one.
 pub(super) fn competing_threads(settings: &InspectionSettings) -> Finding {
     const ABOUT: &str = "competing load";
     let mut sum = 0;
     let looks = settings.looks.max(1);
     for nth in 0..looks {
         if nth > 0 {
-            thread::sleep(BETWEEN_LOOKS);
+            thread::sleep(COUNT_INTERVAL);
         }
         let Some(running) = runnable_threads(settings) else {
             return Finding::unknown(ABOUT, "the kernel does not tell how many threads want to run");
@@ -44,19 +44,20 @@ pub(super) fn competing_threads(settings: &InspectionSettings) -> Finding {
     let found = format!("{others:.1} other threads want to run, on {cores:.0} processors{pressure}");
     let advice = "stop what else runs on this host and repeat the run; `top` names it";
     match others / cores {
-        share if share >= SHARED => Finding::worse(ABOUT, Grade::Bad, found, advice),
-        share if share >= DISTURBED => Finding::worse(ABOUT, Grade::Doubtful, found, advice),
+        share if share >= COMPETING_BAD => Finding::worse(ABOUT, Grade::Bad, found, advice),
+        share if share >= COMPETING_DOUBTFUL => Finding::worse(ABOUT, Grade::Doubtful, found, advice),
         _ => Finding::good(ABOUT, found),
     }
 }
 
-/// Number of runnable threads of the whole host.
+/// Returns the number of runnable threads of the whole host.
 fn runnable_threads(settings: &InspectionSettings) -> Option<u32> {
     let averages = text(&settings.proc.join("loadavg"))?;
     averages.split_ascii_whitespace().nth(3)?.split_once('/')?.0.parse().ok()
 }
 
-/// Number of runnable threads of this process (proc_pid_stat(5): the state is the field behind the name in parentheses).
+/// Returns the number of runnable threads of this process (proc_pid_stat(5): the state is the field after the name in
+/// parentheses).
 fn own_threads(settings: &InspectionSettings) -> u32 {
     let threads = entries(&settings.proc.join("self/task"), "").into_iter();
     let runs = |path: &std::path::PathBuf| {
@@ -67,15 +68,16 @@ fn own_threads(settings: &InspectionSettings) -> u32 {
     u32::try_from(threads.filter(runs).count()).unwrap_or(u32::MAX)
 }
 
-/// Percentage of the last 10 s in which some thread waited for a processor (kernel documentation, accounting/psi).
+/// Returns the percentage of the last 10 s in which some thread waited for a processor (kernel documentation,
+/// accounting/psi).
 fn pressure(settings: &InspectionSettings) -> Option<f64> {
     let pressure = text(&settings.proc.join("pressure/cpu"))?;
     let some = pressure.lines().find_map(|line| line.strip_prefix("some "))?;
     some.split_ascii_whitespace().find_map(|field| field.strip_prefix("avg10=")?.parse().ok())
 }
 
-/// Judges the CPU quota of a container (cgroup v2, `cpu.max`): once it is used up the kernel stops the process until the next
-/// period, which looks like a slow model.
+/// Judges the CPU quota of a container (cgroup v2, `cpu.max`). When it is used up, the kernel stops the process until
+/// the next period, which looks like a slow model.
 pub(super) fn cpu_quota(settings: &InspectionSettings) -> Option<Finding> {
     let own = text(&settings.proc.join("self/cgroup"))?;
     let path = own.lines().find_map(|line| line.strip_prefix("0::"))?.trim_start_matches('/').to_owned();
@@ -96,12 +98,12 @@ pub(super) fn cpu_quota(settings: &InspectionSettings) -> Option<Finding> {
     })
 }
 
-/// Judges the steal time, which the hypervisor gave to others (proc_stat(5)); `None` where there is none.
+/// Judges the steal time, during which the hypervisor ran others (proc_stat(5)); `None` if there was none.
 pub(super) fn steal_time(settings: &InspectionSettings) -> Option<Finding> {
     let stat = text(&settings.proc.join("stat"))?;
     let times = stat.lines().find_map(|line| line.strip_prefix("cpu "))?;
     let times: Vec<u64> = times.split_ascii_whitespace().filter_map(|ticks| ticks.parse().ok()).collect();
-    // Guest time is in user time already.
+    // Guest time is included in user time.
     let (steal, all) = (*times.get(7)?, times.iter().take(8).sum::<u64>());
     (steal > 0 && all > 0).then_some(())?;
     let share = steal as f64 / all as f64;

@@ -1,20 +1,20 @@
-//! What kind of machine the host is: hardware, a virtual machine or a container.
+//! Kind of the machine: hardware, a virtual machine or a container.
 //!
-//! The signs are those of `systemd-detect-virt`.
+//! It is recognised by the same signs as in `systemd-detect-virt`.
 
 use std::path::Path;
 
 use super::files::{entries, text};
 use super::{Finding, InspectionSettings};
 
-/// Names in the control groups of a container's processes. They are seen where the container has no namespace of control
-/// groups of its own.
+/// Names in the control groups of a container's processes. They are visible if the container shares the host's
+/// namespace of control groups.
 const GROUPS: [&str; 5] = ["docker", "kubepods", "libpod", "lxc", "containerd"];
 
-/// Files that container managers make in the root of each container, with the manager.
+/// Files that container managers create in the root of each container, with the manager.
 const MARKS: [(&str, &str); 2] = [(".dockerenv", "docker"), ("run/.containerenv", "podman")];
 
-/// What vendor or product of virtual machines begin with.
+/// Prefixes of the vendor or product names of virtual machines.
 const VIRTUAL_PRODUCTS: [&str; 17] = [
     "Amazon EC2",
     "Apple Virtualization",
@@ -35,8 +35,8 @@ const VIRTUAL_PRODUCTS: [&str; 17] = [
     "Xen",
 ];
 
-/// A virtual machine shares its hardware with others that it cannot see: nothing speaks against it, but what is not seen
-/// is not known either.
+/// Judges the kind of the machine. A virtual machine or container is graded as unknown: it shares its hardware with
+/// others that it cannot see.
 pub(super) fn kind(settings: &InspectionSettings) -> Finding {
     const ABOUT: &str = "machine";
     let products = products(&settings.sys);
@@ -58,15 +58,15 @@ pub(super) fn kind(settings: &InspectionSettings) -> Finding {
     }
 }
 
-/// Vendor and product, as the firmware names them.
+/// Returns vendor and product by the firmware.
 fn products(sys: &Path) -> Vec<String> {
     let named = |name: &str| text(&sys.join("class/dmi/id").join(name)).filter(|text| !text.is_empty());
     [named("sys_vendor"), named("product_name")].into_iter().flatten().collect()
 }
 
-/// Returns whether the host is a virtual machine; `None` where nothing tells, as on ARM servers.
+/// Returns whether the host is a virtual machine; `None` if there is no sign, for example on ARM servers.
 fn is_virtual(settings: &InspectionSettings, products: &[String]) -> Option<bool> {
-    // Amazon rents whole machines, too.
+    // Amazon also rents whole machines, whose vendor is the same.
     let is_whole = products.iter().any(|name| name.ends_with(".metal"));
     let is_named =
         products.iter().any(|name| VIRTUAL_PRODUCTS.iter().any(|product| name.starts_with(product)));
@@ -80,14 +80,14 @@ fn is_virtual(settings: &InspectionSettings, products: &[String]) -> Option<bool
     (is_whole || signs.contains(&Some(false))).then_some(false)
 }
 
-/// Returns whether the processor says that it is virtual. Those of ARM have no such flag.
+/// Returns whether the processor has the flag of a virtual one; `None` on ARM, which has no such flag.
 fn processor_flag(proc: &Path) -> Option<bool> {
     let info = text(&proc.join("cpuinfo"))?;
     let flags = info.lines().find(|line| line.starts_with("flags"))?;
     Some(flags.split_ascii_whitespace().any(|flag| flag == "hypervisor"))
 }
 
-/// Returns whether a board's device tree is that of a virtual machine. `None` where there is no tree.
+/// Returns whether a board's device tree is that of a virtual machine; `None` if there is no tree.
 fn device_tree_is_virtual(tree: &Path) -> Option<bool> {
     let model = text(&tree.join("model"))?;
     let is_virtual = model.starts_with("linux,dummy-virt")
@@ -96,7 +96,7 @@ fn device_tree_is_virtual(tree: &Path) -> Option<bool> {
     Some(is_virtual)
 }
 
-/// The container manager, where the host is a container.
+/// Returns the container manager, if the host is a container.
 fn container(settings: &InspectionSettings) -> Option<String> {
     let named = text(&settings.root.join("run/systemd/container")).filter(|name| !name.is_empty());
     let marked = || {
@@ -112,8 +112,8 @@ fn container(settings: &InspectionSettings) -> Option<String> {
     })
 }
 
-/// Returns whether a part of a control group's path is a container of a manager, and no service of the host such as
-/// `docker.service`.
+/// Returns whether a part of a control group's path is a container of a manager, and not a service of the host such
+/// as `docker.service`.
 fn is_of_container(part: &str, manager: &str) -> bool {
     let Some(rest) = part.strip_prefix("cri-").unwrap_or(part).strip_prefix(manager) else { return false };
     let follows = |mark: &str| rest.starts_with(mark);

@@ -1,14 +1,15 @@
-//! Memory that lies in the swap.
+//! Use of swap space.
 
 use peernet_stream::Grade;
 
 use super::files::{keyed, text};
 use super::{Finding, InspectionSettings};
 
-/// Share of the memory's size that may lie in the swap unnoticed: pages that nobody asks for end there.
-const NOTED: f64 = 0.05;
+/// Share of the memory's size from which on swapped memory is doubtful. A little is normal, because unused pages are
+/// swapped out.
+const DOUBTFUL_SHARE: f64 = 0.05;
 
-/// Swap in use; what lies there is read back from the disk when it is needed.
+/// Judges the swap in use. Swapped memory is read back from the disk when it is needed.
 pub(super) fn swap(settings: &InspectionSettings) -> Option<Finding> {
     const ABOUT: &str = "swap";
     let info = text(&settings.proc.join("meminfo"))?;
@@ -19,7 +20,7 @@ pub(super) fn swap(settings: &InspectionSettings) -> Option<Finding> {
     }
     let used = total.saturating_sub(free);
     let found = format!("{} MiB in use", used / 1024);
-    Some(if used as f64 / memory as f64 >= NOTED {
+    Some(if used as f64 / memory as f64 >= DOUBTFUL_SHARE {
         let advice =
             "free memory: stop other programs, or start anew so that nothing of the run lies in the swap";
         Finding::worse(ABOUT, Grade::Doubtful, found, advice)

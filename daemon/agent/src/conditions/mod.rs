@@ -1,7 +1,8 @@
 //! Conditions of this host that are inspected before a run, because they can distort its measurements.
 //!
-//! Each subject has one file, which reads the kernel's files. A condition that cannot be found out is reported as unknown.
-//! `docs/trust.md` gives the thresholds and where they come from.
+//! Each subject has one file, which reads the kernel's files below configurable roots. A condition that cannot be
+//! determined is reported as unknown. The cloud's conditions arrive with its acceptance of the session and are in the
+//! same list of the run's description. `docs/trust.md` gives the thresholds and their sources.
 
 mod disk;
 mod files;
@@ -24,20 +25,20 @@ use crate::config::AgentConfig;
 /// Longest time that a run waits for the conditions of its host.
 const TIMEOUT: Duration = Duration::from_millis(500);
 
-/// Settings of an inspection: what is looked at, and below which roots, so that tests can use trees of their own.
+/// Settings of an inspection: the roots and folders that are inspected, so that tests can use other trees.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct InspectionSettings {
-    /// sysfs.
+    /// Root of sysfs.
     pub sys: PathBuf,
-    /// procfs.
+    /// Root of procfs.
     pub proc: PathBuf,
-    /// The file system's root, where container managers leave their marks.
+    /// Root of the file system, where container managers leave their marks.
     pub root: PathBuf,
-    /// Folders that are written to while it runs, with what they are for: `results`, `spool`.
+    /// Folders that are written to during a run, with their purposes: `results`, `spool`.
     pub folders: Vec<(String, PathBuf)>,
-    /// Where the command `iw` may be, which tells a wireless interface's power save.
+    /// Possible paths of the command `iw`, which reports the power save of a wireless interface.
     pub iw: Vec<PathBuf>,
-    /// Whether the run uses a network: without one, wireless interfaces do not matter.
+    /// `true` if the run uses a network: without one wireless interfaces do not matter.
     pub network: bool,
     /// Number of counts of the competing threads, at least 1; 8 ms pass between two counts.
     pub looks: u32,
@@ -58,10 +59,10 @@ impl Default for InspectionSettings {
 }
 
 impl InspectionSettings {
-    /// Where Linux mounts sysfs.
+    /// Path at which Linux mounts sysfs.
     pub(crate) const SYSFS: &str = "/sys";
 
-    /// Returns the settings for this host, with the folders to which an agent of that configuration writes.
+    /// Returns the settings for this host, with the folders to which an agent with this configuration writes.
     pub(crate) fn of(config: &AgentConfig) -> Self {
         let spool = config.agent.aggregator.as_ref().map(|_| config.spool.path(&config.agent.state_dir));
         let folders = spool.into_iter().map(|file| ("spool".to_owned(), file)).collect();
@@ -91,7 +92,7 @@ pub fn inspect_host(settings: &InspectionSettings, host: &str) -> Vec<Condition>
     found.into_iter().map(|finding| finding.of(host)).collect()
 }
 
-/// Inspects the host without blocking. If that takes too long, the only condition returned says so.
+/// Inspects the host without blocking. If that takes too long, the result has a single condition that says so.
 pub(crate) async fn inspect_host_in_time(settings: InspectionSettings, host: String) -> Vec<Condition> {
     let name = host.clone();
     let inspection = tokio::task::spawn_blocking(move || inspect_host(&settings, &name));
@@ -103,7 +104,7 @@ pub(crate) async fn inspect_host_in_time(settings: InspectionSettings, host: Str
     vec![Finding::unknown("host", why).of(&host)]
 }
 
-/// A condition of a host that has no name yet.
+/// A condition without the name of the host.
 #[derive(Debug, PartialEq, Eq)]
 struct Finding {
     about: &'static str,

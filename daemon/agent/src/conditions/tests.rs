@@ -1,3 +1,5 @@
+//! Tests of the conditions with file trees like those of boards.
+
 use std::fs;
 use std::path::Path;
 
@@ -5,17 +7,17 @@ use tempfile::TempDir;
 
 use super::*;
 
-/// A system of files, as some board has it.
-struct Board(TempDir);
+/// A file tree like that of a board.
+struct HostFiles(TempDir);
 
-impl Board {
+impl HostFiles {
     fn new() -> Self {
-        let board = Self(tempfile::tempdir().expect("a folder"));
+        let host_files = Self(tempfile::tempdir().expect("a folder"));
         for core in ["sys/devices/system/cpu/cpu0/online", "sys/devices/system/cpu/cpu1/online"] {
-            board.has(core, "1");
+            host_files.has(core, "1");
         }
-        board.has("sys/devices/system/cpu/cpufreq/boost", "1");
-        board
+        host_files.has("sys/devices/system/cpu/cpufreq/boost", "1");
+        host_files
     }
 
     fn has(&self, path: &str, text: &str) {
@@ -37,7 +39,7 @@ impl Board {
         }
     }
 
-    /// What is said of a subject.
+    /// Returns the findings about a subject.
     fn about(&self, subject: &str) -> Vec<(Grade, String)> {
         let found = inspect_host(&self.settings(), "robot")
             .into_iter()
@@ -53,68 +55,68 @@ impl Board {
 }
 
 #[test]
-fn a_bare_tree_claims_nothing() {
-    let board = Board(tempfile::tempdir().expect("a folder"));
-    let found = inspect_host(&board.settings(), "robot");
+fn empty_tree_has_no_bad_grades() {
+    let host_files = HostFiles(tempfile::tempdir().expect("a folder"));
+    let found = inspect_host(&host_files.settings(), "robot");
     assert!(found.iter().all(|condition| condition.grade <= Grade::Unknown), "{found:?}");
     assert!(found.iter().all(|condition| condition.host == "robot"), "{found:?}");
-    assert!(board.about("Wi-Fi power save").is_empty() && board.about("swap").is_empty());
+    assert!(host_files.about("Wi-Fi power save").is_empty() && host_files.about("swap").is_empty());
 }
 
 #[test]
-fn governors_that_follow_the_load_are_named_unless_the_limits_leave_one_frequency() {
-    let board = Board::new();
+fn dynamic_governors_are_doubtful_unless_limits_fix_frequency() {
+    let host_files = HostFiles::new();
     let governor = |core: u32, name: &str| {
-        board.has(&format!("sys/devices/system/cpu/cpu{core}/cpufreq/scaling_governor"), name);
+        host_files.has(&format!("sys/devices/system/cpu/cpu{core}/cpufreq/scaling_governor"), name);
     };
-    assert_eq!(board.only("CPU governor").0, Grade::Unknown);
+    assert_eq!(host_files.only("CPU governor").0, Grade::Unknown);
     governor(0, "performance");
     governor(1, "performance");
-    assert_eq!(board.only("CPU governor"), (Grade::Good, "performance".to_owned()));
+    assert_eq!(host_files.only("CPU governor"), (Grade::Good, "performance".to_owned()));
     governor(1, "schedutil");
-    let (grade, found) = board.only("CPU governor");
+    let (grade, found) = host_files.only("CPU governor");
     assert_eq!(grade, Grade::Doubtful);
     assert!(found.starts_with("performance on 1, schedutil on 1"), "{found}");
     for (core, limit) in
         [(0, "scaling_min_freq"), (0, "scaling_max_freq"), (1, "scaling_min_freq"), (1, "scaling_max_freq")]
     {
-        board.has(&format!("sys/devices/system/cpu/cpu{core}/cpufreq/{limit}"), "1510400");
+        host_files.has(&format!("sys/devices/system/cpu/cpu{core}/cpufreq/{limit}"), "1510400");
     }
-    assert_eq!(board.only("CPU governor").0, Grade::Good);
+    assert_eq!(host_files.only("CPU governor").0, Grade::Good);
 }
 
 #[test]
-fn a_jetson_that_is_slowed_down_now_says_so() {
-    let board = Board::new();
-    board.has("sys/class/thermal/cooling_device0/type", "cpufreq-cpu0");
-    board.has("sys/class/thermal/cooling_device0/cur_state", "0");
-    board.has("sys/class/thermal/cooling_device1/type", "gpu-throttle-alert");
-    board.has("sys/class/thermal/cooling_device1/cur_state", "0");
-    board.has("sys/class/thermal/cooling_device2/type", "pwm-fan");
-    board.has("sys/class/thermal/cooling_device2/cur_state", "3");
-    assert_eq!(board.only("thermal throttling").0, Grade::Good);
-    board.has("sys/class/thermal/cooling_device1/cur_state", "1");
-    let (grade, found) = board.only("thermal throttling");
+fn throttled_jetson_is_reported() {
+    let host_files = HostFiles::new();
+    host_files.has("sys/class/thermal/cooling_device0/type", "cpufreq-cpu0");
+    host_files.has("sys/class/thermal/cooling_device0/cur_state", "0");
+    host_files.has("sys/class/thermal/cooling_device1/type", "gpu-throttle-alert");
+    host_files.has("sys/class/thermal/cooling_device1/cur_state", "0");
+    host_files.has("sys/class/thermal/cooling_device2/type", "pwm-fan");
+    host_files.has("sys/class/thermal/cooling_device2/cur_state", "3");
+    assert_eq!(host_files.only("thermal throttling").0, Grade::Good);
+    host_files.has("sys/class/thermal/cooling_device1/cur_state", "1");
+    let (grade, found) = host_files.only("thermal throttling");
     assert_eq!((grade, found.contains("gpu-throttle-alert")), (Grade::Bad, true), "{found}");
 }
 
 #[test]
-fn a_zone_near_its_passive_trip_point_is_doubtful_and_beyond_it_bad() {
-    let board = Board::new();
-    board.has("sys/class/thermal/thermal_zone0/type", "CPU-therm");
-    board.has("sys/class/thermal/thermal_zone0/trip_point_0_type", "critical");
-    board.has("sys/class/thermal/thermal_zone0/trip_point_0_temp", "105000");
-    board.has("sys/class/thermal/thermal_zone0/trip_point_1_type", "passive");
-    board.has("sys/class/thermal/thermal_zone0/trip_point_1_temp", "85000");
+fn zone_is_graded_by_distance_to_passive_trip_point() {
+    let host_files = HostFiles::new();
+    host_files.has("sys/class/thermal/thermal_zone0/type", "CPU-therm");
+    host_files.has("sys/class/thermal/thermal_zone0/trip_point_0_type", "critical");
+    host_files.has("sys/class/thermal/thermal_zone0/trip_point_0_temp", "105000");
+    host_files.has("sys/class/thermal/thermal_zone0/trip_point_1_type", "passive");
+    host_files.has("sys/class/thermal/thermal_zone0/trip_point_1_temp", "85000");
     for (millis, expected) in [("52000", Grade::Good), ("81500", Grade::Doubtful), ("85000", Grade::Bad)] {
-        board.has("sys/class/thermal/thermal_zone0/temp", millis);
-        assert_eq!(board.only("thermal throttling").0, expected, "{millis}");
+        host_files.has("sys/class/thermal/thermal_zone0/temp", millis);
+        assert_eq!(host_files.only("thermal throttling").0, expected, "{millis}");
     }
 }
 
 #[test]
-fn a_raspberry_pi_tells_what_is_now_from_what_was() {
-    let board = Board::new();
+fn raspberry_pi_distinguishes_current_from_past_throttling() {
+    let host_files = HostFiles::new();
     let file = "sys/devices/platform/soc/soc:firmware/get_throttled";
     for (bits, grade, words) in [
         ("0", Grade::Good, "none"),
@@ -122,60 +124,60 @@ fn a_raspberry_pi_tells_what_is_now_from_what_was() {
         ("50005", Grade::Bad, "under-voltage, throttled now"),
         ("0x80008", Grade::Bad, "soft temperature limit now"),
     ] {
-        board.has(file, bits);
-        let (found, text) = board.only("thermal throttling");
+        host_files.has(file, bits);
+        let (found, text) = host_files.only("thermal throttling");
         assert!(found == grade && text.contains(words), "{bits}: {found:?} {text}");
     }
 }
 
 #[test]
-fn counters_since_the_start_are_doubtful() {
-    let board = Board::new();
-    board.has("sys/devices/system/cpu/cpu0/thermal_throttle/core_throttle_count", "0");
-    board.has("sys/devices/system/cpu/cpu1/thermal_throttle/package_throttle_count", "0");
-    assert_eq!(board.only("thermal throttling").0, Grade::Good);
-    board.has("sys/devices/system/cpu/cpu1/thermal_throttle/package_throttle_count", "17");
-    let (grade, found) = board.only("thermal throttling");
+fn throttle_counts_since_boot_are_doubtful() {
+    let host_files = HostFiles::new();
+    host_files.has("sys/devices/system/cpu/cpu0/thermal_throttle/core_throttle_count", "0");
+    host_files.has("sys/devices/system/cpu/cpu1/thermal_throttle/package_throttle_count", "0");
+    assert_eq!(host_files.only("thermal throttling").0, Grade::Good);
+    host_files.has("sys/devices/system/cpu/cpu1/thermal_throttle/package_throttle_count", "17");
+    let (grade, found) = host_files.only("thermal throttling");
     assert_eq!((grade, found.contains("17 times")), (Grade::Doubtful, true), "{found}");
 }
 
 #[test]
-fn threads_of_this_process_do_not_compete_with_it() {
-    let board = Board::new();
+fn own_threads_are_no_competing_load() {
+    let host_files = HostFiles::new();
     let mine = |id: u32, state: &str| {
-        board.has(&format!("proc/self/task/{id}/stat"), &format!("{id} (peernetd (R) x) {state} 1 1"));
+        host_files.has(&format!("proc/self/task/{id}/stat"), &format!("{id} (peernetd (R) x) {state} 1 1"));
     };
-    board.has("proc/loadavg", "0.10 0.20 0.30 2/512 4711");
+    host_files.has("proc/loadavg", "0.10 0.20 0.30 2/512 4711");
     mine(1, "R");
     mine(2, "R");
     mine(3, "S");
-    assert_eq!(board.only("competing load").0, Grade::Good);
-    board.has("proc/loadavg", "9.00 9.00 9.00 3/512 4711");
-    assert_eq!(board.only("competing load").0, Grade::Doubtful, "one of others on two processors");
-    board.has("proc/loadavg", "0.00 0.00 0.00 4/512 4711");
-    board.has("proc/pressure/cpu", "some avg10=12.60 avg60=1.00 avg300=0.10 total=1\nfull avg10=0.00");
-    let (grade, found) = board.only("competing load");
+    assert_eq!(host_files.only("competing load").0, Grade::Good);
+    host_files.has("proc/loadavg", "9.00 9.00 9.00 3/512 4711");
+    assert_eq!(host_files.only("competing load").0, Grade::Doubtful, "one of others on two processors");
+    host_files.has("proc/loadavg", "0.00 0.00 0.00 4/512 4711");
+    host_files.has("proc/pressure/cpu", "some avg10=12.60 avg60=1.00 avg300=0.10 total=1\nfull avg10=0.00");
+    let (grade, found) = host_files.only("competing load");
     assert_eq!(grade, Grade::Bad, "{found}");
     assert!(found.contains("2.0 other threads") && found.contains("13 % of the time"), "{found}");
 }
 
 #[test]
-fn what_others_take_of_the_processors_is_named() {
-    let board = Board::new();
-    board.has("proc/stat", "cpu  600 0 300 100 0 0 0 0 0 0");
-    board.has("proc/self/cgroup", "0::/system.slice/docker-1.scope");
-    board.has("sys/fs/cgroup/system.slice/docker-1.scope/cpu.max", "max 100000");
-    assert!(board.about("stolen time").is_empty() && board.about("CPU quota").is_empty());
-    assert!(board.only("machine").1.contains("container (docker)"));
-    board.has("proc/stat", "cpu  600 0 300 80 0 0 0 20 500 0");
-    board.has("sys/fs/cgroup/system.slice/docker-1.scope/cpu.max", "150000 100000");
-    assert_eq!(board.only("stolen time").0, Grade::Doubtful, "2 %");
-    let (grade, found) = board.only("CPU quota");
+fn stolen_time_and_cpu_quota_are_reported() {
+    let host_files = HostFiles::new();
+    host_files.has("proc/stat", "cpu  600 0 300 100 0 0 0 0 0 0");
+    host_files.has("proc/self/cgroup", "0::/system.slice/docker-1.scope");
+    host_files.has("sys/fs/cgroup/system.slice/docker-1.scope/cpu.max", "max 100000");
+    assert!(host_files.about("stolen time").is_empty() && host_files.about("CPU quota").is_empty());
+    assert!(host_files.only("machine").1.contains("container (docker)"));
+    host_files.has("proc/stat", "cpu  600 0 300 80 0 0 0 20 500 0");
+    host_files.has("sys/fs/cgroup/system.slice/docker-1.scope/cpu.max", "150000 100000");
+    assert_eq!(host_files.only("stolen time").0, Grade::Doubtful, "2 %");
+    let (grade, found) = host_files.only("CPU quota");
     assert_eq!((grade, found.contains("1.50 processors")), (Grade::Doubtful, true), "{found}");
 }
 
 #[test]
-fn container_is_known_by_marks_where_its_groups_are_hidden() {
+fn container_with_hidden_cgroups_is_recognised_by_other_marks() {
     for (file, content, manager) in [
         ("root/.dockerenv", "", "docker"),
         ("root/run/.containerenv", "engine=\"podman-5\"", "podman"),
@@ -183,12 +185,12 @@ fn container_is_known_by_marks_where_its_groups_are_hidden() {
         ("proc/self/cgroup", "0::/kubepods.slice/kubepods-pod7.slice/cri-containerd-1f.scope", "kubepods"),
         ("proc/self/cgroup", "4:memory:/lxc.payload.robot/init.scope\n0::/", "lxc"),
     ] {
-        let board = Board::new();
-        board.has("proc/cpuinfo", "flags\t: fpu sse2");
-        board.has("proc/self/cgroup", "0::/");
-        assert_eq!(board.only("machine").0, Grade::Good);
-        board.has(file, content);
-        let (grade, found) = board.only("machine");
+        let host_files = HostFiles::new();
+        host_files.has("proc/cpuinfo", "flags\t: fpu sse2");
+        host_files.has("proc/self/cgroup", "0::/");
+        assert_eq!(host_files.only("machine").0, Grade::Good);
+        host_files.has(file, content);
+        let (grade, found) = host_files.only("machine");
         let expected = format!("a container ({manager})");
         assert!(grade == Grade::Unknown && found.starts_with(&expected), "{file}: {found}");
     }
@@ -196,21 +198,21 @@ fn container_is_known_by_marks_where_its_groups_are_hidden() {
 
 #[test]
 fn host_service_of_container_manager_is_no_container() {
-    let board = Board::new();
-    board.has("proc/cpuinfo", "flags\t: fpu sse2");
+    let host_files = HostFiles::new();
+    host_files.has("proc/cpuinfo", "flags\t: fpu sse2");
     for group in ["docker.service", "docker-registry.service", "containerd.service", "dockerish.slice"] {
-        board.has("proc/self/cgroup", &format!("0::/system.slice/{group}"));
-        assert_eq!(board.only("machine").0, Grade::Good, "{group}");
+        host_files.has("proc/self/cgroup", &format!("0::/system.slice/{group}"));
+        assert_eq!(host_files.only("machine").0, Grade::Good, "{group}");
     }
 }
 
 #[test]
-fn virtual_machine_is_known_without_the_flag_of_x86() {
+fn virtual_machine_is_recognised_without_x86_flag() {
     let of = |files: &[(&str, &str)]| {
-        let board = Board::new();
-        board.has("proc/cpuinfo", "Features\t: fp asimd");
-        files.iter().for_each(|(file, content)| board.has(file, content));
-        let (grade, found) = board.only("machine");
+        let host_files = HostFiles::new();
+        host_files.has("proc/cpuinfo", "Features\t: fp asimd");
+        files.iter().for_each(|(file, content)| host_files.has(file, content));
+        let (grade, found) = host_files.only("machine");
         (grade, found.starts_with("a virtual machine"))
     };
     let (vendor, product) = ("sys/class/dmi/id/sys_vendor", "sys/class/dmi/id/product_name");
@@ -233,70 +235,70 @@ fn virtual_machine_is_known_without_the_flag_of_x86() {
 }
 
 #[test]
-fn swap_counts_against_the_memory_it_stands_for() {
-    let board = Board::new();
+fn used_swap_is_graded_relative_to_memory() {
+    let host_files = HostFiles::new();
     for (free, expected) in [("1000000", Grade::Good), ("960000", Grade::Good), ("500000", Grade::Doubtful)] {
-        board.has(
+        host_files.has(
             "proc/meminfo",
             &format!("MemTotal: 4000000 kB\nSwapTotal:  1000000 kB\nSwapFree: {free} kB"),
         );
-        assert_eq!(board.only("swap").0, expected, "{free}");
+        assert_eq!(host_files.only("swap").0, expected, "{free}");
     }
 }
 
 #[test]
-fn a_disk_is_looked_at_where_the_folder_will_be() {
-    let board = Board::new();
-    let mut settings = board.settings();
-    settings.folders = vec![("results".to_owned(), board.0.path().join("not/yet/there"))];
+fn missing_folder_is_inspected_on_its_future_disk() {
+    let host_files = HostFiles::new();
+    let mut settings = host_files.settings();
+    settings.folders = vec![("results".to_owned(), host_files.0.path().join("not/yet/there"))];
     let found = inspect_host(&settings, "robot");
     let disk = found.iter().find(|condition| condition.about == "free disk").expect("looked at");
     assert!(disk.found.contains("GiB for the results"), "{disk:?}");
     assert!(disk.grade != Grade::Unknown, "{disk:?}");
 }
 
-/// A program that stands for `iw`.
-fn iw(board: &Board, prints: &str) {
+/// Installs a program in place of `iw`.
+fn iw(host_files: &HostFiles, prints: &str) {
     use std::os::unix::fs::PermissionsExt;
-    let path = board.0.path().join("iw");
-    // Renamed into place: a file that another thread's fork holds open for writing could not be run.
-    let fresh = board.0.path().join("iw.new");
+    let path = host_files.0.path().join("iw");
+    // Renamed into place, because a file that a fork of another thread holds open for writing could not be executed.
+    let fresh = host_files.0.path().join("iw.new");
     fs::write(&fresh, format!("#!/bin/sh\n[ \"$1 $3 $4\" = 'dev get power_save' ] && echo '{prints}'\n"))
         .expect("written");
     fs::set_permissions(&fresh, fs::Permissions::from_mode(0o755)).expect("executable");
     fs::rename(fresh, path).expect("moved");
 }
 
-fn interface(board: &Board, name: &str, kind: Option<&str>, state: &str) {
-    board.has(&format!("sys/class/net/{name}/operstate"), state);
+fn interface(host_files: &HostFiles, name: &str, kind: Option<&str>, state: &str) {
+    host_files.has(&format!("sys/class/net/{name}/operstate"), state);
     if let Some(kind) = kind {
-        fs::create_dir_all(board.0.path().join(Path::new("sys/class/net").join(name).join(kind)))
+        fs::create_dir_all(host_files.0.path().join(Path::new("sys/class/net").join(name).join(kind)))
             .expect("made");
     }
 }
 
 #[test]
-fn wireless_interfaces_that_are_up_are_asked() {
-    let board = Board::new();
-    interface(&board, "eth0", None, "up");
-    interface(&board, "wlan1", Some("phy80211"), "down");
-    assert!(board.about("Wi-Fi power save").is_empty());
-    interface(&board, "wlan0", Some("phy80211"), "up");
-    let (grade, found) = board.only("Wi-Fi power save");
+fn only_active_wireless_interfaces_are_queried() {
+    let host_files = HostFiles::new();
+    interface(&host_files, "eth0", None, "up");
+    interface(&host_files, "wlan1", Some("phy80211"), "down");
+    assert!(host_files.about("Wi-Fi power save").is_empty());
+    interface(&host_files, "wlan0", Some("phy80211"), "up");
+    let (grade, found) = host_files.only("Wi-Fi power save");
     assert_eq!((grade, found.contains("`iw` is missing")), (Grade::Unknown, true), "{found}");
     for (prints, expected) in
         [("Power save: off", Grade::Good), ("Power save: on", Grade::Doubtful), ("?", Grade::Unknown)]
     {
-        iw(&board, prints);
-        let (grade, found) = board.only("Wi-Fi power save");
+        iw(&host_files, prints);
+        let (grade, found) = host_files.only("Wi-Fi power save");
         assert!(grade == expected && found.contains("wlan0"), "{prints}: {grade:?} {found}");
     }
-    let local = InspectionSettings { network: false, ..board.settings() };
+    let local = InspectionSettings { network: false, ..host_files.settings() };
     assert!(inspect_host(&local, "robot").iter().all(|condition| condition.about != "Wi-Fi power save"));
 }
 
 #[tokio::test]
-async fn this_host_is_looked_at() {
+async fn this_host_can_be_inspected() {
     let found = inspect_host_in_time(InspectionSettings::default(), "here".to_owned()).await;
     for subject in ["CPU governor", "thermal throttling", "competing load", "machine"] {
         assert!(found.iter().any(|condition| condition.about == subject), "{subject}: {found:?}");

@@ -1,4 +1,4 @@
-//! Wi-Fi interfaces that sleep between packets.
+//! Power save of Wi-Fi interfaces.
 
 use std::path::Path;
 use std::process::{Command, Stdio};
@@ -11,10 +11,10 @@ use super::{Finding, InspectionSettings};
 
 const ABOUT: &str = "Wi-Fi power save";
 
-/// Power save of each wireless interface that is up. An interface in power save wakes for every beacon, about 102 ms
-/// apart, and what arrives meanwhile waits at the access point (IEEE 802.11-2020, 11.2).
+/// Judges the power save of each wireless interface that is up. An interface in power save wakes for each beacon,
+/// about every 102 ms, and packets that arrive in between wait at the access point (IEEE 802.11-2020, 11.2).
 ///
-/// Only nl80211 tells; `iw` asks it. Where `iw` is missing nothing is claimed.
+/// The state is available through nl80211 only, which `iw` queries. Without `iw` it is unknown.
 pub(super) fn power_save(settings: &InspectionSettings) -> Vec<Finding> {
     let up = |path: &std::path::PathBuf| text(&path.join("operstate")).as_deref() == Some("up");
     let interfaces =
@@ -40,15 +40,15 @@ fn of(settings: &InspectionSettings, interface: &Path) -> Finding {
     }
 }
 
-/// The line that `iw` prints; `None` when it cannot be run or does not know.
+/// Returns the line that `iw` prints; `None` if it cannot be run or fails.
 fn ask(iw: &Path, interface: &str) -> Option<String> {
-    let asked = Command::new(iw)
+    let iw_output = Command::new(iw)
         .args(["dev", interface, "get", "power_save"])
         .stdin(Stdio::null())
         .stderr(Stdio::null())
         .output()
         .ok()
         .filter(|output| output.status.success())?;
-    let printed = String::from_utf8_lossy(&asked.stdout);
+    let printed = String::from_utf8_lossy(&iw_output.stdout);
     printed.lines().next().map(|line| line.trim().to_owned())
 }

@@ -1,36 +1,37 @@
-//! `[clock]`
+//! The table `[clock]`.
 
 use std::time::Duration;
 
 use peernet_clock::{RelationSettings, Span};
 use serde::{Deserialize, Serialize};
 
-/// `[clock]`: what one-way delays rest on.
+/// `[clock]`: assumptions about the clocks, on which one-way delays rest.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct ClockConfig {
-    /// The fastest that this host's clock and a peer's may drift apart, parts per million, above 0 and at most 1000. All
-    /// bounds of delays hold as long as this does. Default: 200.
+    /// Largest drift between this host's clock and a peer's, parts per million, above 0 and at most 1000. The
+    /// intervals of delays hold while the real drift is smaller. Default: 200.
     pub max_drift_ppm: f64,
-    /// The fastest that this drift may change, parts per million per second, above 0 and at most 1000. Where both clocks run
-    /// freely, all bounds of delays hold as long as this does, too. Default: 1.
+    /// Fastest change of this drift, parts per million per second, above 0 and at most 1000. Where both clocks run
+    /// freely, the intervals of delays hold while the real change is slower. Default: 1.
     pub max_drift_change_ppm_per_s: f64,
-    /// No exchange with a peer bounds delays for longer, but for the newest eight; seconds, 10 to 86400. Default: 10.
+    /// Time for which an exchange with a peer bounds delays; the newest eight exchanges count for longer. Seconds, 10
+    /// to 86400. Default: 10.
     pub window_s: f64,
-    /// A delay with no other exchange so near in time is `stale`; seconds, 0.1 to 3600, at most `window_s`.
-    /// Default: 10.
+    /// Longest distance in time between a delay and the nearest other exchange; a delay further away is `stale`.
+    /// Seconds, 0.1 to 3600, at most `window_s`. Default: 10.
     pub fresh_s: f64,
-    /// Whether the claims of both hosts' time daemons narrow the intervals of delays. Default: `false`.
+    /// `true` if the claims of both hosts' time daemons narrow the intervals of delays. Default: `false`.
     pub trust_time_daemons: bool,
-    /// Who stamps probes. Default: `kernel`.
+    /// Source of the time stamps of probes. Default: `kernel`.
     pub timestamps: Timestamps,
-    /// Whose claims about this host's wall clock are read. Default: `["kernel", "chrony"]`.
+    /// Sources of claims about this host's wall clock. Default: `["kernel", "chrony"]`.
     pub discipline: Vec<DisciplineSource>,
-    /// How often they are read; seconds, 0.1 to 3600. Default: 5.
+    /// Interval at which the claims are read; seconds, 0.1 to 3600. Default: 5.
     pub discipline_interval_s: f64,
-    /// The command that asks chrony. Default: `chronyc`.
+    /// Command that queries chrony. Default: `chronyc`.
     pub chronyc: String,
-    /// Its arguments before `-c tracking`, such as `["-h", "127.0.0.1", "-p", "1323"]`. Default: none.
+    /// Arguments of the command before `-c tracking`, such as `["-h", "127.0.0.1", "-p", "1323"]`. Default: none.
     pub chronyc_arguments: Vec<String>,
 }
 
@@ -52,7 +53,7 @@ impl Default for ClockConfig {
 }
 
 impl ClockConfig {
-    /// What the estimates of offsets rest on.
+    /// Returns the settings of the clock relations.
     pub fn relation(&self) -> RelationSettings {
         RelationSettings {
             max_drift_ppm: self.max_drift_ppm,
@@ -65,30 +66,30 @@ impl ClockConfig {
         }
     }
 
-    /// How often claims about the wall clock are read.
+    /// Returns the interval at which claims about the wall clock are read.
     pub fn discipline_interval(&self) -> Duration {
         Span::from_seconds_f64(self.discipline_interval_s).to_duration()
     }
 }
 
-/// Who stamps probes.
+/// Source of the time stamps of probes.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Timestamps {
-    /// The kernel, where it can.
+    /// The kernel, where it supports them.
     #[default]
     Kernel,
-    /// The program alone, so that a whole process can be put under libfaketime, which does not reach the
-    /// kernel's stamps.
+    /// Only the program, so that a whole process can run under libfaketime, which does not change the kernel's
+    /// stamps.
     User,
 }
 
-/// Whose claims about this host's wall clock are read.
+/// Source of claims about this host's wall clock.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum DisciplineSource {
-    /// The kernel's own error bound, which ntpd, chrony and PTP daemons keep up to date.
+    /// The kernel's own error bound, which ntpd, chrony and PTP daemons maintain.
     Kernel,
-    /// chrony, asked by `chronyc`.
+    /// chrony, queried by `chronyc`.
     Chrony,
 }

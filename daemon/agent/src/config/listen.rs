@@ -1,4 +1,4 @@
-//! Addresses to listen on, as the configuration has them: one or a list.
+//! The addresses to listen on, as written in the configuration: one or a list.
 
 use std::fmt;
 use std::num::NonZeroUsize;
@@ -7,32 +7,32 @@ use peernet_networks::Address;
 use serde::de::{Error, SeqAccess, Visitor};
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
-/// Most addresses of a list: each has connections, sessions and memory of its own.
+/// Largest number of addresses. Each has its own connections, sessions and memory.
 const MAX_ADDRESSES: usize = 16;
 
-/// Addresses to listen on: at least one, none twice. One alone is written without brackets.
+/// Addresses to listen on: at least one, without duplicates. A single one is written without brackets.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct ListenAddresses(Vec<Address>);
 
-/// A list of addresses that nobody can listen on.
+/// Reason why a list of addresses is refused.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum ListenAddressesError {
     /// The list has no address.
     #[error("the list is empty; name at least one address, or remove [serve]")]
     Empty,
-    /// The list is too long.
+    /// The list has more than 16 addresses.
     #[error("{0} addresses are too many; at most {MAX_ADDRESSES}")]
     TooMany(usize),
-    /// An address stands there twice. Port 0 may: each is another one.
+    /// An address occurs twice. Port 0 may, because it is a different free port each time.
     #[error("{0} stands there twice; remove one of them")]
     Twice(Address),
 }
 
 impl ListenAddresses {
-    /// Makes a list of addresses.
+    /// Creates a list of addresses.
     ///
     /// # Errors
-    /// When there is none, there are too many, or one stands there twice.
+    /// When the list is empty or too long, or has duplicates.
     pub fn new(addresses: Vec<Address>) -> Result<Self, ListenAddressesError> {
         if addresses.is_empty() {
             return Err(ListenAddressesError::Empty);
@@ -50,12 +50,12 @@ impl ListenAddresses {
         Ok(Self(addresses))
     }
 
-    /// All addresses, in the order of the configuration.
+    /// Returns all addresses, in the order of the configuration.
     pub fn all(&self) -> &[Address] {
         &self.0
     }
 
-    /// How many there are.
+    /// Returns the number of addresses.
     pub fn count(&self) -> NonZeroUsize {
         NonZeroUsize::new(self.0.len()).expect("there is an address: all constructors see to it")
     }
@@ -82,7 +82,7 @@ impl<'de> Deserialize<'de> for ListenAddresses {
     }
 }
 
-/// Reads an address or a list. An untagged enum would not say what is wrong with an address.
+/// Visitor that reads an address or a list. Serde's untagged enum would not say what is wrong with an address.
 struct OneOrSeveral;
 
 impl<'de> Visitor<'de> for OneOrSeveral {
@@ -135,9 +135,9 @@ mod tests {
             (json!(["tcp://a:1", "a:1"]), "\"a:1\" is not an address: the scheme is missing"),
             (json!(5551), "expected an address or a list of addresses"),
         ];
-        for (value, said) in wrong {
-            let error = from_value::<ListenAddresses>(value).expect_err(said).to_string();
-            assert!(error.contains(said), "{error}");
+        for (value, expected) in wrong {
+            let error = from_value::<ListenAddresses>(value).expect_err(expected).to_string();
+            assert!(error.contains(expected), "{error}");
         }
     }
 }

@@ -1,6 +1,6 @@
 //! Configuration of the agent.
 //!
-//! The doc comments here are the reference of the configuration: one per key, with unit and default.
+//! The doc comments in this module are the reference of the configuration: one per key, with unit, range and default.
 
 mod clock;
 mod host;
@@ -29,6 +29,7 @@ use serde::{Deserialize, Serialize};
 
 /// The tables of a configuration file that belong to the agent.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+// A misspelt key must not be ignored silently; the tables below refuse unknown keys, too.
 #[serde(deny_unknown_fields)]
 pub struct AgentConfig {
     /// `[agent]`: the host itself and its connection to the aggregator.
@@ -37,16 +38,16 @@ pub struct AgentConfig {
     /// `[spool]`: where events wait for the aggregator.
     #[serde(default)]
     pub spool: SpoolConfig,
-    /// `[clock]`: what one-way delays rest on.
+    /// `[clock]`: assumptions about the clocks, on which one-way delays rest.
     #[serde(default)]
     pub clock: ClockConfig,
     /// `[probes]`: small packets that relate two hosts' clocks.
     #[serde(default)]
     pub probes: ProbesConfig,
-    /// `[rehearsal]`: makes this host's clocks wrong on purpose: the wall clock, and by its drift or a step the free-running one.
+    /// `[rehearsal]`: clock faults on purpose: in the wall clock, and by drift or a step in the free-running clock.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub rehearsal: Option<RehearsalConfig>,
-    /// `[serve]`: where peers may ask for this host's models; without it they may not.
+    /// `[serve]`: addresses at which peers may ask for this host's models; without it they may not.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub serve: Option<ServeConfig>,
     /// `[[model]]`: the models that this host offers to its own pipelines and, with `[serve]`, to its peers.
@@ -58,18 +59,20 @@ pub struct AgentConfig {
     /// `[onnxruntime]`: the library that runs models of kind `onnx`.
     #[serde(default)]
     pub onnxruntime: OnnxRuntimeConfig,
-    /// `[[pipeline]]`: what this host measures.
+    /// `[[pipeline]]`: the pipelines that this host runs or observes.
     #[serde(default, rename = "pipeline", skip_serializing_if = "Vec::is_empty")]
     pub pipelines: Vec<PipelineConfig>,
 }
 
 impl AgentConfig {
-    /// Without the values of `env`, which may be secret, for `run.json`. The arguments of programs, which may be secret as well, are still
-    /// there and are written within [`with_arguments`](peernet_external::exec::with_arguments) alone.
+    /// Returns a copy without the values of `env`, which may be secret, for `run.json`. The arguments of programs,
+    /// which may be secret as well, are still in it: they are serialised only within
+    /// [`with_arguments`](peernet_external::exec::with_arguments).
     pub fn publishable(&self) -> Self {
-        let mut told = self.clone();
-        told.models.iter_mut().for_each(ModelConfig::hide_secrets);
-        told.pipelines = told.pipelines.iter().map(PipelineConfig::publishable).collect();
-        told
+        let mut without_secrets = self.clone();
+        without_secrets.models.iter_mut().for_each(ModelConfig::hide_secrets);
+        without_secrets.pipelines =
+            without_secrets.pipelines.iter().map(PipelineConfig::publishable).collect();
+        without_secrets
     }
 }

@@ -1,4 +1,4 @@
-//! `placement = { kind = "observe", … }`
+//! The placement `{ kind = "observe", … }`.
 
 use peernet_logger::Slug;
 use peernet_networks::Address;
@@ -6,52 +6,53 @@ use peernet_ros::ros2::{self, Ros2Error};
 use peernet_ros::topics::{RosVersion, VersionError};
 use serde::{Deserialize, Serialize};
 
-/// `placement = { kind = "observe", … }`: nodes of a ROS system that run already, between two of its topics.
+/// `placement = { kind = "observe", … }`: the nodes of a running ROS system between two of its topics.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ObserveConfig {
-    /// Version of ROS, 1 or 2. Default: that of the environment variable `ROS_VERSION`, or else that of the distribution
-    /// in `ROS_DISTRO`.
+    /// Version of ROS, 1 or 2. Default: that of the environment variable `ROS_VERSION`, or else that of the
+    /// distribution in `ROS_DISTRO`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub ros_version: Option<RosVersion>,
     /// Topic that the observed nodes receive. Each of its messages is an iteration.
     pub input: String,
-    /// Topic that they publish.
+    /// Topic that the observed nodes publish.
     pub output: String,
-    /// How an output message is assigned to its input message. Default: `stamp`.
+    /// Rule by which an output message is assigned to its input message. Default: `stamp`.
     #[serde(default)]
     pub pair_by: PairBy,
-    /// An address of the `[serve] listen` of another agent, on the host where the observed nodes compute, which observes the same
-    /// messages there: `tcp://host:port`. With it `upload`, `inference` and `download` are recorded apart. Default: none.
+    /// Address in `[serve] listen` of another agent, on the host where the observed nodes compute, which observes the
+    /// same messages there: `tcp://host:port`. With it `upload`, `inference` and `download` are recorded separately.
+    /// Default: none.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub peer: Option<Address>,
-    /// Name of the pipeline of that agent. Default: the name of this one.
+    /// Name of that agent's pipeline. Default: the name of this pipeline.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub peer_pipeline: Option<Slug>,
 }
 
-/// Why topics cannot be observed as configured.
+/// Reason why topics cannot be observed as configured.
 #[derive(Debug, thiserror::Error)]
 pub enum ObserveError {
-    /// The version of ROS is not known.
+    /// The version of ROS is not configured and cannot be derived.
     #[error(transparent)]
     Version(#[from] VersionError),
-    /// This build has no ROS 2.
+    /// This build does not include ROS 2.
     #[error(transparent)]
     NotBuilt(Ros2Error),
-    /// Messages have nothing to be paired by.
+    /// Messages of ROS 2 have no sequence number to be paired by.
     #[error(
         "the headers of ROS 2 have no sequence number to pair messages by; write pair_by = \"stamp\", or \"order\" where \
          the observed nodes do not copy header.stamp"
     )]
     NoSequence,
-    /// Messages have nothing by which two hosts know them.
+    /// Two hosts cannot pair their messages by order, because they may receive them in different orders.
     #[error(
         "two hosts need not receive the same messages in the same order, so that their stamps cannot be paired by it; write \
          pair_by = \"stamp\", or \"sequence\" in ROS 1, or remove peer"
     )]
     PeerByOrder,
-    /// A pipeline of nobody.
+    /// `peer_pipeline` is set without `peer`.
     #[error(
         "there is no peer whose pipeline this is; add peer = \"tcp://HOST:PORT\", or remove peer_pipeline"
     )]
@@ -59,7 +60,7 @@ pub enum ObserveError {
 }
 
 impl ObserveError {
-    /// Returns the key of the placement that is to be changed.
+    /// Returns the key of the placement that has to be changed.
     pub fn key(&self) -> &'static str {
         match self {
             Self::Version(_) | Self::NotBuilt(_) => "ros_version",
@@ -73,7 +74,7 @@ impl ObserveConfig {
     /// Returns the version of ROS that is observed. `variable` looks up an environment variable.
     ///
     /// # Errors
-    /// Nothing says which version, or it cannot be observed so: [`ObserveError`].
+    /// When the version is unknown, is not in this build, or has no sequence numbers to pair by.
     pub fn version(&self, variable: impl Fn(&str) -> Option<String>) -> Result<RosVersion, ObserveError> {
         let version = RosVersion::resolve(self.ros_version, variable)?;
         if version == RosVersion::Ros2 {
@@ -87,10 +88,10 @@ impl ObserveConfig {
         Ok(version)
     }
 
-    /// Checks that stamps can be paired with those of the peer, where there is one.
+    /// Checks that the stamps of messages can be matched with those of the peer, if there is one.
     ///
     /// # Errors
-    /// What is to be changed: [`ObserveError`].
+    /// When messages are paired by order, or `peer_pipeline` is set without `peer`.
     pub fn check_peer(&self) -> Result<(), ObserveError> {
         if self.peer.is_some() && self.pair_by == PairBy::Order {
             return Err(ObserveError::PeerByOrder);
@@ -102,7 +103,7 @@ impl ObserveConfig {
     }
 }
 
-/// How an output message is assigned to its input message.
+/// Rule by which an output message is assigned to its input message.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum PairBy {
@@ -111,12 +112,12 @@ pub enum PairBy {
     Stamp,
     /// Both have the same sequence number, `header.seq`. ROS 1 only.
     Sequence,
-    /// The oldest input message without an output message is the one.
+    /// The output message belongs to the oldest input message without one.
     Order,
 }
 
 impl PairBy {
-    /// In words, for the page of a run.
+    /// Returns the rule in words, for the page of a run.
     pub fn describe(self) -> &'static str {
         match self {
             Self::Stamp => "header.stamp",

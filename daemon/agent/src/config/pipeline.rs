@@ -1,4 +1,4 @@
-//! `[[pipeline]]`
+//! The table `[[pipeline]]`.
 
 use std::num::{NonZeroU32, NonZeroU64, NonZeroUsize};
 use std::time::Duration;
@@ -12,99 +12,99 @@ use serde::{Deserialize, Serialize};
 
 use super::ObserveConfig;
 
-/// `[[pipeline]]`: sensor → transforms → placement → actuator, and how often.
+/// `[[pipeline]]`: sensor, transforms, placement and actuator, and how often they run.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct PipelineConfig {
     /// Name for people, unique on this host.
     pub name: Slug,
-    /// Where samples come from: `{ kind = "images", path = "…" }` and so on. Required, except where a system is only
+    /// Source of the samples: `{ kind = "images", path = "…" }` and so on. Required, except where a system is only
     /// observed.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub sensor: Option<SensorConfig>,
-    /// What is done with each sample before it is sent or computed on, in order. Default: nothing.
+    /// Transforms that each sample passes before it is sent or computed on, in order. Default: none.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub transforms: Vec<TransformConfig>,
-    /// Where it computes: `{ kind = "local", model = "…" }`,
-    /// `{ kind = "remote", peer = "tcp://host:5551", model = "…" }`, `{ kind = "none" }` to study the sensor alone, or
-    /// `{ kind = "observe", input = "/a", output = "/b" }` to observe a ROS system that runs already.
+    /// Place of computation: `{ kind = "local", model = "…" }`, `{ kind = "remote", peer = "tcp://host:5551", model =
+    /// "…" }`, `{ kind = "none" }` to study the sensor alone, or `{ kind = "observe", input = "/a", output = "/b" }`
+    /// to observe a running ROS system.
     pub placement: PlacementConfig,
-    /// When iterations begin. Default: `{ mode = "closed" }`.
+    /// Schedule by which iterations start. Default: `{ mode = "closed" }`.
     #[serde(default)]
     pub load: LoadConfig,
-    /// Iterations that may be under way at once, except with `mode = "closed"`, which has one. As many starts
-    /// again may wait; older ones are skipped and counted (`skipped-starts`). At most 4096. Default: 4.
+    /// Largest number of iterations in flight; with `mode = "closed"` it is always one. As many further starts may
+    /// wait; older ones are skipped and counted (`skipped-starts`). At most 4096. Default: 4.
     #[serde(default = "four")]
     pub max_in_flight: NonZeroUsize,
-    /// How long to wait for an answer; milliseconds, up to a day. Later ones count as `timeout`. Default: 5000.
+    /// Longest wait for an answer; milliseconds, up to a day. Later answers count as `timeout`. Default: 5000.
     #[serde(default = "five_seconds")]
     pub timeout_ms: NonZeroU64,
-    /// How long an iteration may take from its intended start to its end; milliseconds, up to `timeout_ms`. One that takes
-    /// longer, or has no answer, missed its deadline. Default: no deadline.
+    /// Deadline of an iteration, from its intended start to its end; milliseconds, up to `timeout_ms`. An iteration
+    /// that takes longer or has no answer missed it. Default: no deadline.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub deadline_ms: Option<NonZeroU64>,
-    /// Iterations that are kept but left out of statistics.
+    /// Iterations that are recorded but left out of statistics.
     #[serde(default)]
     pub warm_up: WarmUp,
-    /// Iterations per episode. Default: one episode without end.
+    /// Iterations per episode. Default: a single episode without end.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub episode_steps: Option<NonZeroU32>,
-    /// When to stop. Default: never.
+    /// Limit at which the pipeline stops by itself. Default: none.
     #[serde(default)]
     pub limit: Limit,
-    /// What is done with each answer. Default: nothing.
+    /// Actuator that receives each answer. Default: none.
     #[serde(default)]
     pub actuator: ActuatorConfig,
-    /// Whether it starts with the agent. Default: `boot`.
+    /// Start of the pipeline: with the agent or not. Default: `boot`.
     #[serde(default)]
     pub start: StartMode,
-    /// Its place in an experiment; `peernet run` fills it in.
+    /// Place of the pipeline in an experiment; set by `peernet run`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub experiment: Option<ExperimentPlace>,
 }
 
 impl PipelineConfig {
-    /// Without the values of `env`, which may be secret. The arguments of programs are still there.
+    /// Returns a copy without the values of `env`, which may be secret. The arguments of programs are still in it.
     pub(crate) fn publishable(&self) -> Self {
-        let mut told = self.clone();
-        if let Some(sensor) = &mut told.sensor {
+        let mut without_secrets = self.clone();
+        if let Some(sensor) = &mut without_secrets.sensor {
             sensor.hide_secrets();
         }
-        told.actuator.hide_secrets();
-        told
+        without_secrets.actuator.hide_secrets();
+        without_secrets
     }
 }
 
-/// Where a pipeline computes.
+/// Place where a pipeline computes.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(tag = "kind", rename_all = "kebab-case", deny_unknown_fields)]
 pub enum PlacementConfig {
-    /// On this host.
+    /// A model of this host.
     Local {
         /// Name of one of this host's `[[model]]`.
         model: Slug,
     },
-    /// On a peer, over a network.
+    /// A model of a peer, over a network.
     Remote(Box<RemoteConfig>),
-    /// Nowhere: the sensor and its transforms alone, without answers. `actuator` does nothing then.
+    /// No model: only the sensor and its transforms run, without answers. `actuator` has no effect then.
     None {},
-    /// In a ROS system that runs already and is only observed.
+    /// A running ROS system that is only observed.
     Observe(ObserveConfig),
 }
 
-/// `placement = { kind = "remote", … }`
+/// `placement = { kind = "remote", … }`: a model of a peer.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct RemoteConfig {
-    /// An address of the peer's `[serve] listen`: `tcp://host:port`. Its scheme selects the network.
+    /// Address in the peer's `[serve] listen`: `tcp://host:port`. Its scheme selects the network.
     pub peer: Address,
-    /// Kind of network, which must be that of `peer`. Default: whatever `peer` selects.
+    /// Kind of network, which must be that of `peer`. Default: the one that `peer` selects.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub network: Option<NetworkKind>,
     /// Name of one of the peer's models. Default: the only one that the peer offers.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub model: Option<Slug>,
-    /// The device that the model must run on. Default: whatever the peer has configured.
+    /// Device that the model must run on. Default: the one that the peer has configured.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub device: Option<String>,
     /// Time limits and bounds of the session.
@@ -113,7 +113,7 @@ pub struct RemoteConfig {
 }
 
 impl PlacementConfig {
-    /// The model's name, where there is one.
+    /// Returns the name of the model, if one is configured.
     pub fn model(&self) -> Option<&Slug> {
         match self {
             Self::Local { model } => Some(model),
@@ -123,22 +123,24 @@ impl PlacementConfig {
     }
 }
 
-/// When iterations begin.
+/// Schedule by which iterations start.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(tag = "mode", rename_all = "kebab-case", deny_unknown_fields)]
 pub enum LoadConfig {
-    /// The next one after the answer to the last.
+    /// Each iteration starts after the previous one was answered.
     Closed {},
-    /// At a fixed rate, whether or not earlier ones are done. Latency counts from the intended start.
+    /// Iterations start at a fixed rate, whether or not earlier ones are complete. Latency counts from the intended
+    /// start.
     Rate {
         /// Starts per second: at least one a year, at most 100,000.
         hz: f64,
     },
-    /// At random moments: exponentially distributed gaps, as of many independent askers.
+    /// Iterations start at random moments with exponentially distributed gaps, like the requests of many independent
+    /// clients.
     Poisson {
         /// Starts per second on average: at least one a year, at most 100,000.
         hz: f64,
-        /// Equal seeds give equal gaps. Default: 0.
+        /// Seed of the gaps; equal seeds give equal gaps. Default: 0.
         #[serde(default)]
         seed: u64,
     },
@@ -151,7 +153,7 @@ impl Default for LoadConfig {
 }
 
 impl LoadConfig {
-    /// Starts per second, where they are set.
+    /// Returns the configured starts per second; `None` for a closed loop.
     pub fn hz(&self) -> Option<f64> {
         match *self {
             Self::Closed {} => None,
@@ -159,7 +161,7 @@ impl LoadConfig {
         }
     }
 
-    /// In words: `closed`, `5 Hz`, `Poisson, 5 Hz`.
+    /// Returns the schedule in words: `closed`, `5 Hz`, `Poisson, 5 Hz`.
     pub fn describe(&self) -> String {
         match self {
             Self::Closed {} => "closed".to_owned(),
@@ -169,16 +171,16 @@ impl LoadConfig {
     }
 }
 
-/// Iterations that are kept, but flagged and left out of statistics: caches fill, connections open up, models
-/// compile. An iteration is warm-up when any of these says so.
+/// Iterations that are recorded, but flagged and left out of statistics, because caches fill, connections open up and
+/// models compile. An iteration is warm-up if any of these conditions holds.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct WarmUp {
-    /// The first so many iterations. Default: 5.
+    /// Number of iterations at the start of the run. Default: 5.
     pub iterations: u64,
-    /// The first so many episodes; needs `episode_steps`. Default: 0.
+    /// Number of episodes at the start of the run; needs `episode_steps`. Default: 0.
     pub episodes: u32,
-    /// The first so many steps of every episode; needs `episode_steps`. Default: 0.
+    /// Number of steps at the start of every episode; needs `episode_steps`. Default: 0.
     pub steps: u32,
 }
 
@@ -188,56 +190,56 @@ impl Default for WarmUp {
     }
 }
 
-/// When a pipeline stops by itself: at whichever comes first. Without a limit it runs for ever, and a new run
-/// begins at midnight UTC.
+/// Limit at which a pipeline stops by itself; the first one that is reached counts. Without a limit it runs for ever,
+/// and a new run begins at midnight UTC.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Limit {
-    /// After this many iterations; those of the warm-up do not count.
+    /// Number of iterations, without those of the warm-up.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub iterations: Option<NonZeroU64>,
-    /// After this many iterations, those of the warm-up among them: what the published `--iterations` counts.
-    /// With a warm-up that is as long there are rows, but no statistics.
+    /// Number of iterations, with those of the warm-up: the published `--iterations`. If the warm-up is as long,
+    /// there are rows but no statistics.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub total: Option<NonZeroU64>,
-    /// So many seconds after the first iteration that is not warm-up.
+    /// Seconds after the start of the first iteration that is not warm-up.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub duration_s: Option<f64>,
 }
 
 impl Limit {
-    /// Whether there is none.
+    /// Returns whether no limit is set.
     pub fn is_none(&self) -> bool {
         *self == Self::default()
     }
 }
 
-/// Whether a pipeline starts with the agent.
+/// Start of a pipeline: with the agent or not.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum StartMode {
-    /// As soon as the agent is up.
+    /// It starts with the agent.
     #[default]
     Boot,
-    /// Checked and shown, but not started.
+    /// It is checked and shown, but not started.
     Manual,
 }
 
 impl PipelineConfig {
-    /// The load in words; an observed system has its own.
-    pub fn load_in_words(&self) -> String {
+    /// Returns the schedule in words; that of an observed system is not known.
+    pub fn load_text(&self) -> String {
         match &self.placement {
             PlacementConfig::Observe(_) => "observed".to_owned(),
             _ => self.load.describe(),
         }
     }
 
-    /// How long to wait for an answer.
+    /// Returns the longest wait for an answer.
     pub fn timeout(&self) -> Duration {
         Duration::from_millis(self.timeout_ms.get())
     }
 
-    /// How long an iteration may take.
+    /// Returns the deadline of an iteration, if one is configured.
     pub fn deadline(&self) -> Option<Duration> {
         self.deadline_ms.map(|deadline| Duration::from_millis(deadline.get()))
     }

@@ -1,21 +1,21 @@
-//! The address of a reflector that answers probes, as the configuration has it.
+//! The address of a reflector of probes, as written in the configuration.
 
 use std::fmt;
 use std::str::FromStr;
 
 use serde::{Deserialize, Serialize};
 
-/// Where a reflector of STAMP is: `udp://HOST` or `udp://HOST:PORT`. Without a port it is the standard's, 862 (RFC 8762, section 4.1).
+/// Address of a STAMP reflector: `udp://HOST` or `udp://HOST:PORT`. Without a port it is 862 (RFC 8762, section 4.1).
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(try_from = "String", into = "String")]
 pub struct ReflectorAddress {
-    /// A name or an IP address, of IPv6 without brackets.
+    /// Host name or IP address; IPv6 without brackets.
     pub host: String,
     /// UDP port, not 0.
     pub port: u16,
 }
 
-/// A text that is not the address of a reflector.
+/// Error for a text that is not the address of a reflector.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error(
     "{0:?} is not the address of a reflector; write udp://HOST or udp://HOST:PORT, an IPv6 address in brackets, with a port \
@@ -24,7 +24,7 @@ pub struct ReflectorAddress {
 pub struct ReflectorAddressError(String);
 
 impl ReflectorAddress {
-    /// The port of the standard.
+    /// The standard port of STAMP (RFC 8762, section 4.1).
     pub const DEFAULT_PORT: u16 = 862;
 }
 

@@ -1,59 +1,60 @@
-//! `[rehearsal]`
+//! The table `[rehearsal]`: clock fault injection.
 
-use peernet_clock::{RehearsalDescription, RehearsedStep, Span, SteppedClock, WallTime};
+use peernet_clock::{ClockFaultStep, ClockFaults, Span, SteppedClock, WallTime};
 use serde::{Deserialize, Serialize};
 
-/// `[rehearsal]`: makes this host's clocks wrong on purpose, to see that the reported delays do not move.
+/// `[rehearsal]`: clock faults on purpose, to check that they do not change the reported delays.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct RehearsalConfig {
-    /// Ahead of true time from the start; milliseconds, at most 1e10 either way (four months). Default: 0.
+    /// Offset of the clock from true time, from the start on; milliseconds, at most 1e10 in either direction (four
+    /// months). Default: 0.
     pub offset_ms: f64,
-    /// Runs fast; parts per million, at most 100000 either way. Default: 0.
+    /// Drift of the clock; positive is fast; parts per million, at most 100000 in either direction. Default: 0.
     pub drift_ppm: f64,
-    /// Steps, in the order of time. Default: none.
+    /// Steps in chronological order. Default: none.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub steps: Vec<RehearsedStepConfig>,
-    /// What the host claims about its clock. Default: `none`.
+    /// Claim of the host about its clock. Default: `none`.
     pub discipline: RehearsedDiscipline,
 }
 
-/// `steps = [{ at_s = …, by_ms = …, clock = … }]`
+/// `steps = [{ at_s = …, by_ms = …, clock = … }]`: one step of a clock.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct RehearsedStepConfig {
-    /// Seconds after the start of the agent.
+    /// Time of the step in seconds after the start of the agent.
     pub at_s: f64,
-    /// Set forward by so many milliseconds; negative: back.
+    /// Size of the step in milliseconds; positive is forward.
     pub by_ms: f64,
-    /// Which clock: `wall`, the step is noticed at once; or `raw`, the free-running clock, nothing on the host notices it.
-    /// Default: `wall`.
+    /// Clock that is stepped: `wall`, which the agent notices at once, or `raw`, the free-running clock, which
+    /// nothing on the host notices. Default: `wall`.
     #[serde(default, skip_serializing_if = "SteppedClock::is_wall")]
     pub clock: SteppedClock,
 }
 
-/// What a rehearsed host claims about its clock.
+/// Claim of a host with clock faults about its clock.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum RehearsedDiscipline {
-    /// Nothing, like a host without a time daemon.
+    /// No claim, like a host without a time daemon.
     #[default]
     None,
-    /// Its error exactly, ± 1 µs and what it drifts until the next claim: a perfect time daemon.
+    /// The exact error, ± 1 µs and the drift until the next claim, like a perfect time daemon.
     Exact,
-    /// What the real clock's daemon says: a host whose clock is wrong without its daemon knowing.
+    /// The claim of the real clock's daemon, as if the daemon did not know of the fault.
     Unaware,
 }
 
 impl RehearsalConfig {
-    /// What is wrong with a clock whose rehearsal began when the true one showed `since`.
-    pub fn description(&self, since: WallTime) -> RehearsalDescription {
-        let step = |step: &RehearsedStepConfig| RehearsedStep {
+    /// Returns the faults of a clock that are injected from the true time `since` on.
+    pub fn description(&self, since: WallTime) -> ClockFaults {
+        let step = |step: &RehearsedStepConfig| ClockFaultStep {
             at: Span::from_seconds_f64(step.at_s),
             by: milliseconds(step.by_ms),
             clock: step.clock,
         };
-        RehearsalDescription {
+        ClockFaults {
             offset: milliseconds(self.offset_ms),
             drift_ppm: self.drift_ppm,
             steps: self.steps.iter().map(step).collect(),
@@ -71,7 +72,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_rehearsal_is_told_in_figures() {
+    fn rehearsal_is_described_in_figures() {
         let config: RehearsalConfig =
             toml::from_str("offset_ms = 1000\ndrift_ppm = -50.5\nsteps = [{ at_s = 20, by_ms = -3000 }]")
                 .expect("it is a table of [rehearsal]");

@@ -1,4 +1,4 @@
-//! `[serve]`
+//! The table `[serve]`.
 
 use std::net::{IpAddr, Ipv4Addr};
 
@@ -7,20 +7,20 @@ use serde::{Deserialize, Serialize};
 
 use super::ListenAddresses;
 
-/// `[serve]`: where peers may ask for this host's models.
+/// `[serve]`: addresses at which peers may ask for this host's models.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct ServeConfig {
-    /// Address to listen on, or a list of them; the scheme of each selects its network. `tcp://0.0.0.0:5551` takes peers on
-    /// every interface. Default: `tcp://127.0.0.1:5551`, which takes those of this machine only.
+    /// Address to listen on, or a list of addresses; the scheme of each selects its network. `tcp://0.0.0.0:5551`
+    /// accepts peers on every interface. Default: `tcp://127.0.0.1:5551`, which accepts peers of this machine only.
     pub listen: ListenAddresses,
-    /// Kind of network, which must be that of every address in `listen`. Default: whatever the addresses select.
+    /// Kind of network, which must be that of every address in `listen`. Default: the one that each address selects.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub network: Option<NetworkKind>,
-    /// Whether peers may ask for the built-in echo model `calibration`, which `peernet calibrate` uses.
-    /// Default: true.
+    /// `true` if peers may ask for the built-in echo model `calibration`, which `peernet calibrate` uses. Default:
+    /// true.
     pub calibration: bool,
-    /// Time limits and bounds of each session. What bounds all sessions together, such as `max_sessions`, holds for each
+    /// Time limits and bounds of each session. Bounds on all sessions together, such as `max_sessions`, apply to each
     /// address.
     pub session: SessionSettings,
 }

@@ -1,13 +1,18 @@
-//! Count of the events, kept in a file that outlives a killed process.
+//! Count of the events, in a file that survives the death of the process.
 //!
-//! Between the moment at which an event is handed in and the commit of its batch, only this process knows of it. Therefore each
-//! event is counted first, in a file in shared memory: the next process compares the count with the spool, and reports the
-//! difference as a gap.
+//! Between the moment at which an event is queued and the commit of its batch to the spool, only this process knows
+//! of it: the contents of the queue and the batch being built. Therefore each event is counted first, by run, in a
+//! file in shared memory. The spool stores with each batch how many counted events it accounts for. The next process
+//! compares both, and reports the difference as a gap (`outbox/spool/tail.rs`).
 //!
-//! The file is in `/dev/shm` and not beside the spool, because a write to a disk sometimes waits for that disk, which would
-//! disturb the measurements. It names the spool that it belongs to, and the process that counts in it holds a lock on it: so a copy of
-//! the spool does not use it, and a file whose spool is gone is recognised. It is not mapped, so that a failed write is an error and
-//! does not end the process. After a restart of the machine the file is gone, and no gap is reported.
+//! The file is in `/dev/shm` and not beside the spool, because a write to a disk, mapped or not, sometimes waits for
+//! that disk, which would disturb the measurements. It contains the identity of its spool, and the process that
+//! counts holds a lock on it: so a copy of the spool does not use it, and a file whose spool is gone is recognised.
+//! It is written and not mapped, so that a failed write is an error and does not end the process. After a restart of
+//! the machine the file is gone, and no gap is reported.
+//!
+//! Batches that were sent while the spool could not be written are recorded as well. Only the aggregator knows which
+//! of them it stored, so that the next process asks it before it reports a loss (`peernet_stream`, `unresolved.rs`).
 
 mod abandoned;
 mod owner;
@@ -32,7 +37,7 @@ use uuid::Uuid;
 
 use self::owner::OWNER_BYTES;
 
-/// Folder of the file system in memory.
+/// Folder of a file system in memory.
 const SHARED_MEMORY: &str = "/dev/shm";
 /// `f_type` of a file system in memory (statfs(2)).
 const TMPFS_MAGIC: i64 = 0x0102_1994;
@@ -40,32 +45,32 @@ const TMPFS_MAGIC: i64 = 0x0102_1994;
 const MAGIC: &[u8; 8] = b"PNcount3";
 /// First bytes of a file of an earlier version, which names no spool.
 const MAGIC_WITHOUT_OWNER: &[u8; 8] = b"PNcount2";
-/// Bytes of the head, and of the record of each run behind it. None crosses the border of a page.
+/// Length of the head in bytes, and of the record of each run after it. No record crosses the border of a page.
 const RECORD: usize = 128;
 const HEAD_ALL: u64 = 8;
-/// Bytes of a record: number of all events, time of the last, number of the run's, its id, length of the pipeline's name, and
-/// the name.
+/// Layout of a record: number of all events, time of the last one, number of the run's events, run id, length of the
+/// pipeline's name, and the name.
 const NUMBERS: usize = 24;
 const NAME: usize = NUMBERS + 16;
-/// Behind the records: what was sent without being in the spool, each at the place of its number. Five numbers: the process, the
-/// number of the batch, and what was counted up to it.
+/// Offset of the slots of batches that were sent without being in the spool; the slot is selected by the batch's
+/// number. Each has five numbers: the process, the number of the batch, and three counts up to it.
 const SENT: usize = RECORD * (1 + MOST_COUNTED_RUNS);
 const SENT_BYTES: usize = 40;
-/// Behind these: the spool that the count belongs to.
+/// Offset of the identity of the spool that the counts belong to.
 const OWNER: usize = SENT + SENT_BYTES * MOST_SENT_UNSPOOLED;
 const FILE_BYTES: usize = OWNER + OWNER_BYTES;
 
-/// Counter of the events that are handed in. Clones share the count; without a file nothing is counted.
+/// Counter of queued events. Clones share it; without a file nothing is counted.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct EventCounter(Option<Arc<Mutex<CountFile>>>);
 
-/// The open file, and the counts in it.
+/// An open file of counts, and the counts in it.
 #[derive(Debug)]
 struct CountFile {
     file: File,
     name: String,
     all: u64,
-    /// Record and number of events of each run under way.
+    /// Index of the record and number of events of each run in progress.
     runs: BTreeMap<RunId, (usize, u64)>,
     free: Vec<usize>,
     sent: Option<SentUnspooled>,
@@ -73,7 +78,7 @@ struct CountFile {
 }
 
 impl EventCounter {
-    /// Makes a file in shared memory for a spool.
+    /// Creates a file in shared memory for a spool.
     ///
     /// # Errors
     /// When there is no shared memory.
@@ -101,7 +106,7 @@ impl EventCounter {
         self.counting().map(|counting| counting.name.clone())
     }
 
-    /// Counts an event that is about to be handed in.
+    /// Counts an event that is about to be queued.
     pub(crate) fn count(&self, pipeline: Option<&Slug>, run: Option<RunId>, now: WallTime) {
         if let Some(mut counting) = self.counting() {
             let written = counting.count(pipeline, run, now);
@@ -115,14 +120,15 @@ impl EventCounter {
             counting.sent = Some(sent);
             let SentUnspooled { process, number, taken, told, events } = sent;
             let bytes = [process, number, taken, told, events].map(u64::to_be_bytes).concat();
+            // A ring: a batch overwrites the one that is as many numbers older.
             let place = SENT as u64 + number % MOST_SENT_UNSPOOLED as u64 * SENT_BYTES as u64;
             let written = counting.file.write_all_at(&bytes, place);
             counting.check(written);
         }
     }
 
-    /// Frees the record of an ended run if the spool accounts for all of its events, which are `events`. Returns whether the record
-    /// is free.
+    /// Frees the record of an ended run if the spool accounts for all of its events, which are `events`. Returns
+    /// whether the record is free.
     pub(crate) fn release(&self, run: RunId, events: u64) -> bool {
         let Some(mut counting) = self.counting() else { return true };
         let Some((place, counted)) = counting.runs.get(&run).copied() else { return true };
@@ -133,7 +139,7 @@ impl EventCounter {
         counted == events
     }
 
-    /// Makes the file anew if it was deleted.
+    /// Creates the file again, with the same counts, if it was deleted.
     pub(crate) fn recreate_if_deleted(&self) {
         if let Some(mut counting) = self.counting() {
             let written = counting.recreate_if_deleted();
@@ -146,7 +152,7 @@ impl EventCounter {
         self.counting().map(|counting| counting.all)
     }
 
-    /// Removes the file: nothing that was counted can be lost any more.
+    /// Removes the file, once no counted event can be lost any more.
     pub(crate) fn remove(&self) {
         if let Some(name) = self.name() {
             remove(&name);
@@ -162,7 +168,8 @@ impl CountFile {
     fn count(&mut self, pipeline: Option<&Slug>, run: Option<RunId>, now: WallTime) -> io::Result<()> {
         self.all += 1;
         let numbers = [self.all.to_be_bytes(), now.unix_nanos().to_be_bytes()].concat();
-        // Each event is one write, so the number of all events is in several records: the largest one holds.
+        // Each event is a single write, so the total is in the record of its run. The largest total of all records is
+        // the current one.
         let Some(run) = run else { return self.file.write_all_at(&numbers, HEAD_ALL) };
         if let Some((place, events)) = self.runs.get_mut(&run) {
             *events += 1;
@@ -178,6 +185,7 @@ impl CountFile {
     }
 
     fn release(&mut self, run: RunId, place: usize) -> io::Result<()> {
+        // The total first, because the record may hold the newest one.
         self.file.write_all_at(&self.all.to_be_bytes(), HEAD_ALL)?;
         self.file.write_all_at(&[0; RECORD], (place * RECORD) as u64)?;
         self.runs.remove(&run);
@@ -190,6 +198,7 @@ impl CountFile {
             return Ok(());
         }
         let mut bytes = vec![0; FILE_BYTES];
+        // The open file keeps its content, although its name is gone.
         self.file.read_exact_at(&mut bytes, 0)?;
         let file = create_file(&self.name)?;
         file.write_all_at(&bytes, 0)?;
@@ -215,8 +224,8 @@ impl CountFile {
     }
 }
 
-/// Creates an empty file and locks it before anything is written: a complete file without a lock belongs to a process that has
-/// ended.
+/// Creates an empty file and locks it before anything is written, because a complete file without a lock belongs to a
+/// process that has ended.
 fn create_file(name: &str) -> io::Result<File> {
     let path = Path::new(SHARED_MEMORY).join(name);
     let file = File::options().read(true).write(true).create_new(true).mode(0o600).open(path)?;
@@ -226,7 +235,7 @@ fn create_file(name: &str) -> io::Result<File> {
 
 /// Opens the file of this name in shared memory, if it belongs to this user.
 fn open_own(name: &str) -> Option<File> {
-    // Opening a FIFO that somebody put there must not block.
+    // Opening must not block if another user created a FIFO of this name.
     let flags = i32::try_from((OFlags::NOFOLLOW | OFlags::NONBLOCK).bits()).ok()?;
     let path = Path::new(SHARED_MEMORY).join(Path::new(name).file_name()?);
     let file = File::options().read(true).custom_flags(flags).open(path).ok()?;
@@ -234,7 +243,8 @@ fn open_own(name: &str) -> Option<File> {
     (metadata.is_file() && metadata.uid() == rustix::process::geteuid().as_raw()).then_some(file)
 }
 
-/// Reads which spool a file of counts belongs to; `None` for any other file, and for one of an earlier version.
+/// Reads the identity of the spool from a file of counts; `None` for any other file, and for one of an earlier
+/// version.
 fn read_owner(file: &File) -> Option<CountOwner> {
     let (mut magic, mut owner) = ([0; MAGIC.len()], [0; OWNER_BYTES]);
     file.read_exact_at(&mut magic, 0).ok()?;
@@ -245,19 +255,20 @@ fn read_owner(file: &File) -> Option<CountOwner> {
     CountOwner::decoded(&owner)
 }
 
-/// Whether the file of this name belongs to another spool than this one.
+/// Returns whether the file of this name belongs to another spool.
 pub(crate) fn belongs_to_another_spool(name: &str, own: &CountOwner) -> bool {
     open_own(name).and_then(|file| read_owner(&file)).is_some_and(|owner| !owner.is_same_file(own))
 }
 
-/// Reads what an earlier process counted for this spool in the file of this name; `None` if the file is missing or belongs to
-/// another spool.
+/// Reads the counts of an earlier process for this spool from the file of this name; `None` if the file is missing or
+/// belongs to another spool.
 pub(crate) fn read(name: &str, own: &CountOwner) -> Option<CountedEvents> {
     let file = open_own(name)?;
     let mut bytes = vec![0; OWNER];
     file.read_exact_at(&mut bytes, 0).ok()?;
     let is_ours = match read_owner(&file) {
         Some(owner) => owner.is_same_file(own),
+        // Files of earlier releases do not name their spool. Only the spool knows their random name.
         None => bytes.starts_with(MAGIC_WITHOUT_OWNER),
     };
     if !is_ours {
@@ -280,9 +291,11 @@ pub(crate) fn read(name: &str, own: &CountOwner) -> Option<CountedEvents> {
     let mut counted = CountedEvents { all: number(head, 8), last: time(head, 16), sent, runs: Vec::new() };
     for record in records.chunks_exact(RECORD) {
         let (all, last, events) = (number(record, 0), time(record, 8), number(record, 16));
+        // A record without events is free.
         if events == 0 {
             continue;
         }
+        // The largest total is the newest one, see `count`.
         if all >= counted.all {
             (counted.all, counted.last) = (all, last);
         }

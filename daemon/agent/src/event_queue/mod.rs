@@ -1,4 +1,6 @@
-//! Where measuring hands over its events: never waiting, never losing one uncounted.
+//! The queue between the tasks that make events and the outbox.
+//!
+//! Queuing never waits, and every event that is lost is counted.
 
 pub(crate) mod counter;
 mod tap;
@@ -17,93 +19,97 @@ use tokio::sync::mpsc;
 
 use crate::config::HostConfig;
 
-/// Iterations between the pipelines and the outbox task, which looks every few milliseconds.
-const PLACES: usize = 4096;
-/// Places kept for other events: without the start of its run an iteration means nothing.
+/// Places for iterations. The outbox empties the queue every few milliseconds.
+const CAPACITY: usize = 4096;
+/// Places reserved for other events, because an iteration is useless without the start of its run.
 const RESERVE: usize = 512;
 
-/// Where events go in; clones are the same.
+/// Sending end of the queue; clones share it.
 #[derive(Clone, Debug)]
 pub(crate) struct EventQueue {
-    /// To the outbox; `None` for an agent without an aggregator.
-    outbox: Option<Arc<Entrance>>,
-    /// To the program that runs the agent; `None` when it does not listen.
+    /// Channel to the outbox; `None` for an agent without an aggregator.
+    outbox: Option<Arc<QueueSender>>,
+    /// Channel to the program that runs the agent; `None` if it does not observe the events.
     tap: Option<EventTap>,
 }
 
 #[derive(Debug)]
-struct Entrance {
+struct QueueSender {
     queue: mpsc::Sender<Event>,
     overflow: Arc<Overflow>,
     counter: EventCounter,
 }
 
-/// The outbox task's end: what came in, and what did not fit.
+/// Receiving end of the queue, with the count of events that did not fit.
 #[derive(Debug)]
-pub(crate) struct Exit {
+pub(crate) struct QueueReceiver {
     pub(crate) queue: mpsc::Receiver<Event>,
     pub(crate) overflow: Arc<Overflow>,
     pub(crate) counter: EventCounter,
 }
 
-/// What was dropped for want of a place.
+/// Events that were dropped because the queue was full.
 #[derive(Debug)]
 pub(crate) struct Overflow {
     clock: SharedClock,
-    /// How many since they were last taken.
+    /// Number of events that were dropped since the gaps were last taken.
     dropped: AtomicU64,
-    /// Which, by pipeline and run.
+    /// Gaps by pipeline and run.
     gaps: Mutex<BTreeMap<Origin, Gap>>,
 }
 
-/// Pipeline and run.
+/// Pipeline and run that an event concerns.
 type Origin = (Option<Slug>, Option<RunId>);
 
-/// An entrance and an exit with a queue between them.
-pub(crate) fn channel(clock: SharedClock, counter: EventCounter) -> (EventQueue, Exit) {
-    let (sender, queue) = mpsc::channel(PLACES + RESERVE);
+/// Creates a queue and returns its two ends.
+pub(crate) fn channel(clock: SharedClock, counter: EventCounter) -> (EventQueue, QueueReceiver) {
+    let (sender, queue) = mpsc::channel(CAPACITY + RESERVE);
     let overflow = Arc::new(Overflow { clock, dropped: AtomicU64::new(0), gaps: Mutex::default() });
-    let entrance = Entrance { queue: sender, overflow: Arc::clone(&overflow), counter: counter.clone() };
-    (EventQueue { outbox: Some(Arc::new(entrance)), tap: None }, Exit { queue, overflow, counter })
+    let queue_sender =
+        QueueSender { queue: sender, overflow: Arc::clone(&overflow), counter: counter.clone() };
+    (
+        EventQueue { outbox: Some(Arc::new(queue_sender)), tap: None },
+        QueueReceiver { queue, overflow, counter },
+    )
 }
 
 impl EventQueue {
-    /// A feed into nothing, for an agent without an aggregator.
+    /// Returns a queue that discards its events, for an agent without an aggregator.
     pub(crate) const fn nowhere() -> Self {
         Self { outbox: None, tap: None }
     }
 
-    /// The same feed, of which every event also goes to `tap`.
+    /// Returns the same queue, whose events also go to `tap`.
     pub(crate) fn tapped(self, tap: Option<EventTap>) -> Self {
         Self { tap, ..self }
     }
 
-    /// Hands in an iteration of `pipeline`.
+    /// Queues an iteration of `pipeline`.
     pub(crate) fn iteration(&self, pipeline: &Slug, iteration: Iteration) {
         let run = iteration.run;
         let Some(event) = self.tap(Event::Iteration(iteration)) else { return };
-        let Some(entrance) = &self.outbox else { return };
-        entrance.count(Some(pipeline), Some(run));
-        // Looking and sending are two steps: each thread that hands in at the same moment may take one place of the
-        // reserve, which is larger than there are such threads.
-        let room = entrance.queue.capacity() > RESERVE;
-        if !room || entrance.queue.try_send(event).is_err() {
-            entrance.overflow.count(Some(pipeline), Some(run));
+        let Some(queue_sender) = &self.outbox else { return };
+        queue_sender.count(Some(pipeline), Some(run));
+        // Checking for room and sending are two steps, so that each thread that queues at the same moment may use one
+        // reserved place. There are more reserved places than such threads.
+        let room = queue_sender.queue.capacity() > RESERVE;
+        if !room || queue_sender.queue.try_send(event).is_err() {
+            queue_sender.overflow.count(Some(pipeline), Some(run));
         }
     }
 
-    /// Hands in anything else, which concerns `pipeline` or none.
+    /// Queues an event that is not an iteration; `pipeline` is the pipeline that it concerns, if any.
     pub(crate) fn event(&self, pipeline: Option<&Slug>, event: Event) {
         let run = event.run();
         let Some(event) = self.tap(event) else { return };
-        let Some(entrance) = &self.outbox else { return };
-        entrance.count(pipeline, run);
-        if entrance.queue.try_send(event).is_err() {
-            entrance.overflow.count(pipeline, run);
+        let Some(queue_sender) = &self.outbox else { return };
+        queue_sender.count(pipeline, run);
+        if queue_sender.queue.try_send(event).is_err() {
+            queue_sender.overflow.count(pipeline, run);
         }
     }
 
-    /// Shows the event to whoever listens, and gives it back if the outbox wants it, too.
+    /// Passes the event to the tap, and returns it if it also goes to the outbox.
     fn tap(&self, event: Event) -> Option<Event> {
         let Some(tap) = &self.tap else { return Some(event) };
         if self.outbox.is_none() {
@@ -115,44 +121,44 @@ impl EventQueue {
     }
 }
 
-impl Entrance {
-    /// Before it is handed in: from then on it can be lost.
+impl QueueSender {
+    /// Counts an event. This is done before it is queued, because it can be lost from then on.
     fn count(&self, pipeline: Option<&Slug>, run: Option<RunId>) {
         self.counter.count(pipeline, run, self.overflow.clock.wall());
     }
 }
 
-/// Where events go in, counted by `counter`, and the end at which the outbox takes them out; nowhere without an
-/// aggregator.
-pub(crate) fn entrance(
+/// Creates the queue of an agent, whose events are counted by `counter`. Without an aggregator the queue discards its
+/// events and has no receiving end.
+pub(crate) fn create(
     config: &HostConfig,
     clock: &SharedClock,
     counter: EventCounter,
-) -> (EventQueue, Option<Exit>) {
+) -> (EventQueue, Option<QueueReceiver>) {
     if config.aggregator.is_none() {
         return (EventQueue::nowhere(), None);
     }
-    let (event_queue, exit) = channel(SharedClock::clone(clock), counter);
-    (event_queue, Some(exit))
+    let (event_queue, receiver) = channel(SharedClock::clone(clock), counter);
+    (event_queue, Some(receiver))
 }
 
 #[cfg(test)]
-impl Exit {
-    /// The next event.
+impl QueueReceiver {
+    /// Waits for the next event.
     pub(crate) async fn next(&mut self) -> Option<Event> {
         self.queue.recv().await
     }
 }
 
 impl Overflow {
-    /// Events that were dropped and not taken yet.
+    /// Returns the number of dropped events whose gaps were not taken yet.
     pub(crate) fn dropped(&self) -> u64 {
         self.dropped.load(Ordering::Relaxed)
     }
 
-    /// Takes what was dropped since the last call, to be reported.
+    /// Removes and returns the gaps since the last call, to be reported.
     pub(crate) fn take_gaps(&self) -> Vec<Gap> {
-        // Nearly always nothing was dropped: no lock then.
+        // Usually nothing was dropped: then the lock is not taken.
         if self.dropped() == 0 {
             return Vec::new();
         }
@@ -193,12 +199,12 @@ mod tests {
     }
 
     #[test]
-    fn what_does_not_fit_is_counted_by_run_and_the_end_of_a_run_still_gets_through() {
+    fn overflow_is_counted_by_run_and_run_end_fits() {
         let clock =
             Arc::new(ManualClock::new(WallTime::from_unix_nanos(5), ClockIdentity::new("boot", "system")));
-        let (event_queue, exit) = channel(Arc::<ManualClock>::clone(&clock), EventCounter::default());
+        let (event_queue, receiver) = channel(Arc::<ManualClock>::clone(&clock), EventCounter::default());
         let (pipeline, run): (Slug, _) = ("line".parse().expect("a name"), RunId::random());
-        let offered = PLACES as u64 + 2;
+        let offered = CAPACITY as u64 + 2;
         for number in 1..=offered {
             clock.advance(Span::from_nanos(10));
             event_queue.iteration(&pipeline, iteration(&clock, run, number));
@@ -206,11 +212,11 @@ mod tests {
         let ended = RunEnded { run, ended: clock.wall(), reason: EndReason::Stopped };
         event_queue.event(Some(&pipeline), Event::RunEnded(ended));
 
-        assert_eq!((exit.queue.len(), exit.overflow.dropped()), (PLACES + 1, 2));
-        let gaps = exit.overflow.take_gaps();
+        assert_eq!((receiver.queue.len(), receiver.overflow.dropped()), (CAPACITY + 1, 2));
+        let gaps = receiver.overflow.take_gaps();
         assert_eq!(gaps.len(), 1);
         assert_eq!((gaps[0].count, gaps[0].run, gaps[0].pipeline.as_ref()), (2, Some(run), Some(&pipeline)));
         assert_eq!(gaps[0].to - gaps[0].from, Span::from_nanos(10));
-        assert!(exit.overflow.take_gaps().is_empty());
+        assert!(receiver.overflow.take_gaps().is_empty());
     }
 }

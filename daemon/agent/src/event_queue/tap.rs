@@ -1,4 +1,4 @@
-//! What a program that runs the agent in the foreground sees of its events.
+//! Copies of events for a program that runs the agent in the foreground.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -6,7 +6,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use peernet_stream::Event;
 use tokio::sync::mpsc;
 
-/// The way to the program; clones are the same. Measuring does not wait for it either.
+/// Channel to the program; clones share it. Measuring does not wait for it.
 #[derive(Clone, Debug)]
 pub(crate) struct EventTap {
     listener: mpsc::Sender<Event>,
@@ -18,14 +18,14 @@ impl EventTap {
         Self { listener, missed: Arc::default() }
     }
 
-    /// Hands an event to the program, if it has room for it now.
+    /// Sends an event to the program, if the channel has room.
     pub(super) fn offer(&self, event: Event) {
         if self.listener.try_send(event).is_err() {
             self.missed.fetch_add(1, Ordering::Relaxed);
         }
     }
 
-    /// Events that did not fit.
+    /// Returns the number of events that did not fit.
     pub(crate) fn missed(&self) -> u64 {
         self.missed.load(Ordering::Relaxed)
     }
@@ -48,7 +48,7 @@ mod tests {
     }
 
     #[test]
-    fn what_does_not_fit_is_counted() {
+    fn overflow_is_counted() {
         let (sender, mut listener) = mpsc::channel(1);
         let tap = EventTap::new(sender);
         let event_queue = EventQueue::nowhere().tapped(Some(tap.clone()));
@@ -61,15 +61,15 @@ mod tests {
     }
 
     #[test]
-    fn the_outbox_gets_its_own() {
+    fn outbox_receives_event_as_well() {
         let clock: peernet_clock::SharedClock =
             Arc::new(ManualClock::new(WallTime::from_unix_nanos(5), ClockIdentity::new("boot", "system")));
-        let (event_queue, mut exit) = super::super::channel(clock, super::super::EventCounter::default());
+        let (event_queue, mut receiver) = super::super::channel(clock, super::super::EventCounter::default());
         let (sender, mut listener) = mpsc::channel(4);
         let event_queue = event_queue.tapped(Some(EventTap::new(sender)));
         let event = ended();
         event_queue.event(None, event.clone());
         assert_eq!(listener.try_recv().ok().as_ref(), Some(&event));
-        assert_eq!(exit.queue.try_recv().ok(), Some(event));
+        assert_eq!(receiver.queue.try_recv().ok(), Some(event));
     }
 }

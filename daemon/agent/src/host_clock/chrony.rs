@@ -1,4 +1,4 @@
-//! What chrony says, as `chronyc -c tracking` prints it. No I/O.
+//! Parser of chrony's state, as printed by `chronyc -c tracking`. No I/O.
 
 use std::fmt;
 
@@ -6,12 +6,12 @@ use peernet_clock::{DelaySource, Interval, MonoTime, Span};
 
 use super::claim::{Claim, GROWTH_PPM, SourceReport};
 
-/// The reference id of a chronyd that follows nothing but its own clock (`local`).
+/// Reference id of a chronyd that follows only its own clock (`local`).
 const LOCAL: &str = "7F7F0101";
-/// chrony ages its own bound by so much at least (`maxclockerror`), parts per million.
+/// Smallest rate at which chrony widens its own bound (`maxclockerror`), parts per million.
 const MAX_CLOCK_ERROR_PPM: f64 = 1.0;
 
-/// The reason why a line is not one of `chronyc -c tracking`.
+/// Reason why a line is not one of `chronyc -c tracking`.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub(super) enum TrackingError {
     #[error("{0} fields instead of 14")]
@@ -20,25 +20,25 @@ pub(super) enum TrackingError {
     NotANumber { field: &'static str, text: String },
 }
 
-/// The line of `chronyc -c tracking`.
+/// A line of `chronyc -c tracking`.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Tracking {
     reference: String,
     stratum: u32,
-    /// When chrony last measured, as written.
+    /// Time of chrony's latest measurement, as printed.
     pub(super) measured: String,
-    /// The clock's error by chrony's estimate: what it shows minus true time.
+    /// Error of the clock by chrony's estimate: its reading minus true time.
     error: Span,
-    /// By how much that estimate may be wrong.
+    /// Bound of the error of that estimate.
     bound: Span,
-    /// How fast the bound grows, parts per million.
+    /// Rate at which the bound grows, parts per million.
     growth_ppm: f64,
     synchronised: bool,
     local: bool,
 }
 
 impl Tracking {
-    /// Reads the line: reference id, name, stratum, reference time, system time, last offset, RMS offset, frequency,
+    /// Parses the line: reference id, name, stratum, reference time, system time, last offset, RMS offset, frequency,
     /// residual frequency, skew, root delay, root dispersion, update interval, leap status (chronyc(1), `tracking`).
     pub(super) fn parse(line: &str) -> Result<Self, TrackingError> {
         let fields: Vec<&str> = line.trim().split(',').collect();
@@ -58,7 +58,7 @@ impl Tracking {
             reference: if name.is_empty() { id } else { name }.to_owned(),
             stratum: stratum.parse().map_err(|_| invalid("stratum", stratum))?,
             measured: measured.to_owned(),
-            // Positive means "slow of NTP time": the clock shows less than the truth.
+            // Positive means "slow of NTP time": the clock's reading is less than true time.
             error: -Span::from_seconds_f64(number("system time", system_time)?),
             bound: Span::from_seconds_f64(dispersion.abs() + delay.abs() / 2.0),
             growth_ppm: (growth + MAX_CLOCK_ERROR_PPM).max(GROWTH_PPM),
@@ -67,11 +67,11 @@ impl Tracking {
         })
     }
 
-    /// What follows for the clock, read at `at`.
+    /// Returns the report of a line that was read at `at`.
     ///
-    /// The documented bound of the clock's error is `|system time| + root dispersion + root delay / 2`. As the sign
-    /// of the first term is known, the interval needs to reach from the estimate to zero only, towards which chrony
-    /// slews the clock, and by the other two beyond both.
+    /// The documented bound of the clock's error is `|system time| + root dispersion + root delay / 2`. The sign of
+    /// the first term is known, and chrony slews the clock towards zero. So the interval reaches from the estimate to
+    /// zero, and by the other two terms beyond both.
     pub(super) fn answer(&self, at: MonoTime) -> SourceReport {
         let claim = (self.synchronised && !self.local).then(|| Claim {
             at,
@@ -90,27 +90,28 @@ impl Tracking {
     }
 }
 
-/// chrony claims nothing; `reason` says why.
+/// Returns the report of chrony without a claim; `reason` says why.
 pub(super) fn silent(reason: &impl fmt::Display) -> SourceReport {
     SourceReport { source: DelaySource::Chrony, claim: None, text: format!("chrony, {reason}") }
 }
 
-/// Whether what chrony says is worth anything: after the clock was disturbed it goes on saying what it measured
-/// before, until it measures again.
+/// Decides whether chrony's answers are current. After a step of the clock chrony repeats its last measurement until
+/// it measures again.
 #[derive(Debug, Default)]
 pub(super) struct Trust {
     epoch: u32,
-    /// What it had measured last when it was asked first after the disturbance; `Some(None)`: it was not asked yet.
+    /// Time of the last measurement before the step; `Some(None)` before the first answer after it, `None` if answers
+    /// are current.
     outdated: Option<Option<String>>,
 }
 
 impl Trust {
-    /// Trusts what is said in `epoch` of the clock.
+    /// Accepts answers in `epoch` of the clock.
     pub(super) const fn new(epoch: u32) -> Self {
         Self { epoch, outdated: None }
     }
 
-    /// Whether `tracking`, read in `epoch` at the latest, was measured since the last disturbance.
+    /// Returns whether `tracking`, read in `epoch` at the latest, was measured since the last step.
     pub(super) fn allows(&mut self, tracking: &Tracking, epoch: u32) -> bool {
         if self.epoch != epoch {
             self.epoch = epoch;
@@ -135,7 +136,7 @@ impl Trust {
 mod tests {
     use super::*;
 
-    // Printed by chronyc 4.3.
+    // Output of chronyc 4.3.
     const BIASED: &str = "7F000001,127.0.0.1,11,1795179452.504467807,0.049999367,0.000000412,0.000000412,-1.446,0.001,10.048,0.000005846,0.000007896,0.3,Normal\n";
     const OWN_CLOCK: &str = "7F7F0101,,10,1795179451.641823310,0.000000000,0.000000000,0.000000000,0.000,0.000,0.000,0.000000000,0.000000000,0.0,Normal\n";
     const NOT_SYNCHRONISED: &str = "00000000,,0,0.000000000,0.000000000,0.000000000,0.000000000,0.000,0.000,0.000,1.000000000,1.000000000,0.0,Not synchronised\n";
@@ -145,7 +146,7 @@ mod tests {
     }
 
     #[test]
-    fn a_clock_that_is_slow_has_a_negative_error() {
+    fn slow_clock_has_negative_error() {
         let answer = answer(BIASED);
         assert_eq!(answer.text, "chrony, stratum 11, to 127.0.0.1");
         let claim = answer.claim.expect("chrony was synchronised");
@@ -155,7 +156,7 @@ mod tests {
     }
 
     #[test]
-    fn a_clock_that_is_fast_has_a_positive_error_and_a_vague_frequency_ages_faster() {
+    fn fast_clock_has_positive_error_that_grows_with_skew() {
         let line = "50505300,PPS,1,1795179452.5,-0.002,0,0,0,-4.0,30.0,0.001,0.0005,16.0,Normal";
         let claim = answer(line).claim.expect("chrony was synchronised");
         assert_eq!(claim.error, Interval { lo: Span::from_millis(-1), hi: Span::from_millis(3) });
@@ -163,7 +164,7 @@ mod tests {
     }
 
     #[test]
-    fn who_follows_nobody_claims_nothing() {
+    fn unsynchronised_chrony_claims_nothing() {
         for (line, why) in [(NOT_SYNCHRONISED, "not synchronised"), (OWN_CLOCK, "own clock")] {
             let answer = answer(line);
             assert_eq!(answer.claim, None);
@@ -172,7 +173,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_tracking_is_refused_with_the_reason() {
+    fn invalid_tracking_report_is_refused_with_reason() {
         for line in ["", "506 Cannot talk to daemon", "a,b,c", &BIASED.replace("0.000005846", "nan")] {
             assert!(Tracking::parse(line).is_err(), "{line}");
         }
@@ -181,7 +182,7 @@ mod tests {
     }
 
     #[test]
-    fn after_a_step_only_what_is_measured_anew_counts() {
+    fn only_measurements_after_step_count() {
         let before = Tracking::parse(BIASED).expect("chronyc printed it");
         let after = Tracking { measured: "1795179453.193074185".to_owned(), ..before.clone() };
         let mut trust = Trust::new(0);

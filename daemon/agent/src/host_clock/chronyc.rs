@@ -1,4 +1,4 @@
-//! Runs `chronyc`: the library for chrony's protocol is GPL and so not linked.
+//! Runs `chronyc`. The library for chrony's protocol is not used, because it is GPL.
 
 use std::io;
 use std::process::{ExitStatus, Stdio};
@@ -12,19 +12,19 @@ use super::chrony::{Tracking, TrackingError, Trust, silent};
 use super::claim::SourceReport;
 use crate::config::ClockConfig;
 
-/// How long `chronyc` may take; it gives up after some seconds by itself when nobody answers.
-pub(super) const PATIENCE: Duration = Duration::from_secs(2);
-/// Most bytes of its output that are read; a line has about 150.
+/// Longest time that `chronyc` may take. It gives up after some seconds itself if chronyd does not answer.
+pub(super) const CHRONYC_TIMEOUT: Duration = Duration::from_secs(2);
+/// Largest number of bytes of its output that are read; a line has about 150.
 const MAX_OUTPUT: u64 = 4096;
 
-/// The reason why chrony says nothing.
+/// Reason why there is no answer of chrony.
 #[derive(Debug, thiserror::Error)]
 enum ChronycError {
     #[error("cannot run {command}: {source}")]
     Run { command: String, source: io::Error },
-    #[error("no answer within {} s", PATIENCE.as_secs())]
+    #[error("no answer within {} s", CHRONYC_TIMEOUT.as_secs())]
     Timeout,
-    /// What it printed when it failed.
+    /// Error text that `chronyc` printed.
     #[error("{0}")]
     Complaint(String),
     #[error("{command}: {status}")]
@@ -35,35 +35,35 @@ enum ChronycError {
     Outdated,
 }
 
-/// Asks chrony, again and again.
+/// Queries chrony repeatedly.
 #[derive(Debug)]
 pub(super) struct Chronyc {
     command: String,
     arguments: Vec<String>,
     clock: SharedClock,
     trust: Trust,
-    /// Whether it was said already that there is none.
-    told: bool,
+    /// `true` once it was logged that chrony is not installed.
+    is_absence_logged: bool,
 }
 
 impl Chronyc {
     pub(super) fn new(config: &ClockConfig, clock: SharedClock) -> Self {
         let trust = Trust::new(clock.wall_epoch());
         let (command, arguments) = (config.chronyc.clone(), config.chronyc_arguments.clone());
-        Self { command, arguments, clock, trust, told: false }
+        Self { command, arguments, clock, trust, is_absence_logged: false }
     }
 
-    /// What chrony says now; `None` when there is no chrony on this host.
+    /// Queries chrony; `None` if it is not installed on this host.
     pub(super) async fn ask(&mut self) -> Option<SourceReport> {
         match self.track().await {
             Ok(answer) => Some(answer),
             Err(ChronycError::Run { source, .. }) if source.kind() == io::ErrorKind::NotFound => {
-                if !self.told {
+                if !self.is_absence_logged {
                     tracing::info!(
                         "{} is not installed: chrony is not asked about this host's clock",
                         self.command
                     );
-                    self.told = true;
+                    self.is_absence_logged = true;
                 }
                 None
             }
@@ -74,7 +74,7 @@ impl Chronyc {
     async fn track(&mut self) -> Result<SourceReport, ChronycError> {
         let at = self.clock.mono();
         let command = || self.command.clone();
-        let printed = tokio::time::timeout(PATIENCE, self.print()).await;
+        let printed = tokio::time::timeout(CHRONYC_TIMEOUT, self.print()).await;
         let (status, output, errors) = printed
             .map_err(|_| ChronycError::Timeout)?
             .map_err(|source| ChronycError::Run { command: command(), source })?;
@@ -94,7 +94,7 @@ impl Chronyc {
         }
     }
 
-    /// How it ended, and the first lines of its output and of its errors.
+    /// Runs `chronyc`. Returns its exit status and the first lines of its output and its errors.
     async fn print(&self) -> io::Result<(ExitStatus, String, String)> {
         let mut child = Command::new(&self.command)
             .args(&self.arguments)
@@ -102,6 +102,7 @@ impl Chronyc {
             .stdin(Stdio::null())
             .stdout(Stdio::piped())
             .stderr(Stdio::piped())
+            // The timeout drops this future.
             .kill_on_drop(true)
             .spawn()?;
         let (output, errors) = (child.stdout.take(), child.stderr.take());
@@ -110,7 +111,7 @@ impl Chronyc {
     }
 }
 
-/// The first line of a pipe, which is read to its end.
+/// Returns the first line of a pipe, which is read to its end.
 async fn first_line(pipe: Option<impl AsyncRead + Unpin>) -> io::Result<String> {
     let mut bytes = Vec::new();
     if let Some(pipe) = pipe {

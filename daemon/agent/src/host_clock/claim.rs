@@ -44,12 +44,12 @@ pub(super) struct Summary {
     pub(super) discipline: Option<Discipline>,
     /// Text for users.
     pub(super) text: String,
-    /// Whether claims exclude each other.
+    /// `true` if claims exclude each other.
     pub(super) is_contradictory: bool,
 }
 
-/// Combines reports into the summary that holds at `until`, which is later than now: a claim must hold until the next one
-/// replaces it.
+/// Combines reports into the summary that holds at `until`. That is later than now, because a claim must hold until
+/// the next one replaces it.
 pub(super) fn combine(reports: &[SourceReport], until: MonoTime) -> Summary {
     let claims: Vec<(&SourceReport, Interval)> =
         reports.iter().filter_map(|report| Some((report, report.claim?.at(until)))).collect();
@@ -130,7 +130,7 @@ mod tests {
     }
 
     #[test]
-    fn a_claim_widens_as_it_ages() {
+    fn claim_widens_with_age() {
         let claim = report(DelaySource::Kernel, Some((-1, 1))).claim.expect("it was given one");
         let later = claim.at(MonoTime::from_nanos(10_000_000_000));
         let expected = Span::from_micros(1000 + 150);

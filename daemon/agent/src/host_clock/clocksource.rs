@@ -1,26 +1,27 @@
-//! What the kernel reads the time from.
+//! The kernel's clocksource.
 
 use std::path::{Path, PathBuf};
 
-/// The file that names it. Linux documentation, `Documentation/ABI/testing/sysfs-devices-system-clocksource`.
+/// Path of the file with its name, below sysfs (Linux documentation,
+/// `Documentation/ABI/testing/sysfs-devices-system-clocksource`).
 const FILE: &str = "devices/system/clocksource/clocksource0/current_clocksource";
 
-/// Most bytes of a name that are kept.
+/// Largest number of characters of the name that are kept.
 const MAX_NAME: usize = 64;
 
-/// Reads the name of the current clocksource, again and again.
+/// Reader of the current clocksource's name.
 #[derive(Debug)]
 pub(crate) struct Clocksource {
     file: PathBuf,
 }
 
 impl Clocksource {
-    /// That of the system whose sysfs is at `sys`.
+    /// Creates a reader for the system whose sysfs is at `sys`.
     pub(crate) fn below(sys: &Path) -> Self {
         Self { file: sys.join(FILE) }
     }
 
-    /// Returns its name; empty where it is not known, as in some containers.
+    /// Returns the name; empty if it is not known, as in some containers.
     pub(crate) fn name(&self) -> String {
         let text = std::fs::read_to_string(&self.file).unwrap_or_default();
         text.trim().chars().take(MAX_NAME).collect()

@@ -1,4 +1,4 @@
-//! The kernel's own word about the clock, which time daemons keep up to date: `adjtimex(2)`.
+//! The kernel's claim about the wall clock, which time daemons maintain: `adjtimex(2)`.
 
 use std::io;
 
@@ -7,10 +7,10 @@ use peernet_clock::{DelaySource, Interval, MonoTime, Span};
 use super::claim::{Claim, GROWTH_PPM, SourceReport};
 use super::timex::{self, Timex};
 
-/// The kernel adds so many microseconds to its bound each second (`MAXFREQ`) until a daemon sets it anew.
+/// Microseconds that the kernel adds to its bound each second (`MAXFREQ`) until a daemon sets it again.
 const KERNEL_GROWTH_US: i64 = 500;
 
-/// Asks the kernel.
+/// Queries the kernel.
 pub(super) fn ask(now: MonoTime) -> SourceReport {
     answer(timex::read(), now)
 }
@@ -28,22 +28,22 @@ fn answer(state: io::Result<Timex>, now: MonoTime) -> SourceReport {
     SourceReport { source: DelaySource::Kernel, claim, text }
 }
 
-/// The bound of the error, and the state in words.
+/// Returns the bound of the error, and the state in words.
 fn judge(state: Timex) -> (Option<Span>, String) {
     let Timex { synchronised, max_error_us, estimated_error_us } = state;
     if !synchronised {
         return (None, "kernel, not synchronised".to_owned());
     }
-    // chrony, ntpd and ntpd-rs set both figures. Who leaves nothing in `maxerror` but the kernel's own growth
-    // means "synchronised" and states no error.
+    // chrony, ntpd and ntpd-rs set both `maxerror` and `esterror`. A `maxerror` that consists of the kernel's own
+    // growth only means that the daemon states no error.
     if max_error_us % KERNEL_GROWTH_US != 0 {
         return (Some(Span::from_micros(max_error_us)), "kernel, synchronised".to_owned());
     }
     if estimated_error_us == 0 {
-        // systemd-timesyncd zeroes both, be the error microseconds or tens of milliseconds.
+        // systemd-timesyncd sets both to zero, whether the error is microseconds or tens of milliseconds.
         return (None, "kernel, synchronised by a daemon that states no error".to_owned());
     }
-    // phc2sys zeroes `maxerror` alone, at each update, once a second or more often.
+    // phc2sys sets only `maxerror` to zero, at each update, once a second or more often.
     let bound = max_error_us.max(KERNEL_GROWTH_US);
     (Some(Span::from_micros(bound)), "kernel, synchronised, as by PTP".to_owned())
 }
@@ -52,40 +52,40 @@ fn judge(state: Timex) -> (Option<Span>, String) {
 mod tests {
     use super::*;
 
-    fn said(synchronised: bool, max_error_us: i64, estimated_error_us: i64) -> (Option<Span>, String) {
+    fn judged(synchronised: bool, max_error_us: i64, estimated_error_us: i64) -> (Option<Span>, String) {
         let state = Timex { synchronised, max_error_us, estimated_error_us };
         let answer = answer(Ok(state), MonoTime::from_nanos(0));
         (answer.claim.map(|claim| claim.error.hi), answer.text)
     }
 
     #[test]
-    fn the_bound_of_a_daemon_that_states_one_is_taken() {
+    fn stated_bound_of_daemon_is_used() {
         assert_eq!(
-            said(true, 27_503, 311),
+            judged(true, 27_503, 311),
             (Some(Span::from_micros(27_503)), "kernel, synchronised".to_owned())
         );
     }
 
     #[test]
-    fn an_unsynchronised_kernel_claims_nothing() {
-        assert_eq!(said(false, 16_000_000, 16_000_000), (None, "kernel, not synchronised".to_owned()));
+    fn unsynchronised_kernel_claims_nothing() {
+        assert_eq!(judged(false, 16_000_000, 16_000_000), (None, "kernel, not synchronised".to_owned()));
     }
 
     #[test]
-    fn growth_without_a_figure_of_the_daemons_is_no_bound() {
-        let (bound, text) = said(true, 123_000, 0);
+    fn growth_without_daemons_estimate_is_no_bound() {
+        let (bound, text) = judged(true, 123_000, 0);
         assert_eq!(bound, None);
         assert!(text.contains("states no error"), "{text}");
     }
 
     #[test]
-    fn a_clock_kept_by_ptp_is_believed_within_a_second_of_the_kernels_growth() {
-        assert_eq!(said(true, 0, 16_000_000).0, Some(Span::from_micros(500)));
-        assert_eq!(said(true, 1000, 16_000_000).0, Some(Span::from_micros(1000)));
+    fn ptp_clock_is_believed_within_one_second_of_growth() {
+        assert_eq!(judged(true, 0, 16_000_000).0, Some(Span::from_micros(500)));
+        assert_eq!(judged(true, 1000, 16_000_000).0, Some(Span::from_micros(1000)));
     }
 
     #[test]
-    fn this_machines_kernel_answers() {
+    fn kernel_of_this_machine_answers() {
         let answer = ask(MonoTime::from_nanos(0));
         assert!(answer.text.starts_with("kernel, "), "{}", answer.text);
     }

@@ -1,12 +1,16 @@
-//! This host's own clocks: what its time daemon claims of the wall clock, whether it was stepped or ran off, and whether the
-//! free-running clock was interrupted.
+//! This host's own clocks: the claims of its time daemon about the wall clock, steps of the wall clock, and
+//! interruptions of the free-running clock.
 //!
 //! ```text
-//! watch        ten times a second: do the clocks still go as they should?
-//! clocksource  what the kernel reads them from
-//! vmclock      what the hypervisor says of that, where it says something
-//! sources      every few seconds: chronyc and kernel are asked, claim merges what they say
+//! monitor      ten times a second: checks that the clocks run as they should
+//! clocksource  hardware clock from which the kernel reads the time
+//! vmclock      reports of the hypervisor about disruptions, where there are any
+//! sources      every few seconds: queries chronyc and the kernel; claim combines their answers
 //! ```
+//!
+//! The boot clock minus the monotonic clock is constant except for sleeps, and the wall clock minus the monotonic
+//! clock except for steps. Both differences are read with each stamp (`Clock::epoch`, `Clock::wall_epoch`), so that a
+//! sleep or a step is noticed by the next message. Only slews and a changed clocksource have to be polled here.
 
 mod chrony;
 mod chronyc;
@@ -40,15 +44,15 @@ use monitor::HostClockMonitor;
 use sources::Sources;
 use vmclock::Vmclock;
 
-/// How often the clocks are looked at.
-const LOOK: Duration = Duration::from_millis(100);
-/// After so many looks peers are told anew how far the wall clock is ahead of the free-running one.
-const LOOKS_BETWEEN_NEWS: u32 = 100;
-/// The same where something is claimed about the wall clock, which is of use only with that.
-const LOOKS_BETWEEN_CLAIMS: u32 = 10;
+/// Interval at which the clocks are checked.
+const CHECK_INTERVAL: Duration = Duration::from_millis(100);
+/// Number of checks after which peers are sent again how far the wall clock is ahead of the free-running one.
+const CHECKS_BETWEEN_ANNOUNCEMENTS: u32 = 100;
+/// Number of checks between two such announcements while a time daemon makes a claim, which is about the wall clock.
+const CHECKS_BETWEEN_CLAIMS: u32 = 10;
 
-/// What is known of the clocks before anybody was asked.
-pub(crate) fn not_asked_yet(clock: &SharedClock) -> PeerClock {
+/// Returns the state of the clocks before any source was queried.
+pub(crate) fn initial_state(clock: &SharedClock) -> PeerClock {
     PeerClock {
         discipline: None,
         text: "not asked yet".to_owned(),
@@ -58,7 +62,7 @@ pub(crate) fn not_asked_yet(clock: &SharedClock) -> PeerClock {
     }
 }
 
-/// Returns what is shown of the clocks of a host.
+/// Returns the shown state of a host's clocks.
 pub(crate) fn shown(clock: &PeerClock) -> HostClock {
     let PeerClock { epoch, discipline, text, rehearsal, raw } = clock.clone();
     let clocksource = raw.map(|raw| raw.clocksource).filter(|name| !name.is_empty());
@@ -69,10 +73,11 @@ fn raw_clock(clock: &SharedClock, clocksource: String) -> RawClock {
     RawClock { epoch: clock.epoch(), wall_ahead: clock.wall_ahead(), clocksource }
 }
 
-/// Monitors the host's clocks until `stop` is cancelled, and publishes their state, which begins with [`not_asked_yet`].
+/// Monitors the host's clocks until `stop` is cancelled, and publishes their state, which begins with
+/// [`initial_state`].
 ///
-/// A new epoch is published within a tenth of a second and ends all claims. Claims are published every
-/// `discipline_interval_s`, and once a second where a rehearsal makes them exact.
+/// A new epoch is published within a tenth of a second and voids all claims. Claims are published every
+/// `discipline_interval_s`, and once a second if clock fault injection makes them exact.
 pub(crate) async fn run(
     config: ClockConfig,
     rehearsal: Option<RehearsalConfig>,
@@ -85,12 +90,12 @@ pub(crate) async fn run(
     let vmclock = Vmclock::below(Path::new("/dev"));
     let mut monitor = HostClockMonitor::new(config.max_drift_ppm, clock.clone(), clocksource, vmclock);
     let looking = async {
-        let mut ticks = interval(LOOK);
-        let mut looks = 0_u32;
+        let mut ticks = interval(CHECK_INTERVAL);
+        let mut checks = 0_u32;
         loop {
             ticks.tick().await;
-            monitor.look(&incidents);
-            looks = looks.wrapping_add(1);
+            monitor.check(&incidents);
+            checks = checks.wrapping_add(1);
             let (wall_epoch, raw) = (clock.wall_epoch(), raw_clock(&clock, monitor.clocksource().to_owned()));
             publish.send_if_modified(|known| {
                 let is_disturbed = known.epoch != wall_epoch
@@ -100,9 +105,12 @@ pub(crate) async fn run(
                     known.discipline = None;
                     "the clock was disturbed, not asked since".clone_into(&mut known.text);
                 }
-                let between =
-                    if known.discipline.is_some() { LOOKS_BETWEEN_CLAIMS } else { LOOKS_BETWEEN_NEWS };
-                let is_due = looks.is_multiple_of(between);
+                let between = if known.discipline.is_some() {
+                    CHECKS_BETWEEN_CLAIMS
+                } else {
+                    CHECKS_BETWEEN_ANNOUNCEMENTS
+                };
+                let is_due = checks.is_multiple_of(between);
                 known.raw = Some(raw);
                 is_disturbed || is_due
             });
@@ -116,7 +124,7 @@ pub(crate) async fn run(
             ticks.tick().await;
             let before = (clock.wall_epoch(), clock.epoch());
             let summary = sources.ask().await;
-            // What was said before a step is void.
+            // An answer from before a step is void.
             if (clock.wall_epoch(), clock.epoch()) == before {
                 publish.send_if_modified(|known| {
                     let (epoch, raw_epoch) = before;

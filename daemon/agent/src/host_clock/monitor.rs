@@ -1,12 +1,12 @@
 //! Monitor of the host's clocks: detects steps, slews, sleeps and other disturbances.
 
-use peernet_clock::{Disturbance, MonoTime, SharedClock, Span, Watch};
+use peernet_clock::{ClockWatch, Disturbance, MonoTime, SharedClock, Span};
 use peernet_stream::IncidentKind;
 
 use super::{Clocksource, Vmclock};
-use crate::incidents::{IncidentContext, Incidents, far_in_words};
+use crate::incidents::{IncidentContext, Incidents, step_size_text};
 
-/// Shortest time between two incidents about a slew: a clock whose rate is wrong disturbs every look.
+/// Shortest time between two incidents about a slew, because a clock with a wrong rate is disturbed at every check.
 const SLEW_REPORT_INTERVAL: Span = Span::from_seconds(60);
 
 /// Consequence of a disturbance of the wall clock.
@@ -19,12 +19,12 @@ const RAW_CONSEQUENCE: &str = "delays of that moment are left out";
 #[derive(Debug)]
 pub(super) struct HostClockMonitor {
     clock: SharedClock,
-    watch: Watch,
+    watch: ClockWatch,
     max_drift_ppm: f64,
     wall_epoch: u32,
     slew_reported: Option<MonoTime>,
     clocksource: Clocksource,
-    /// Name of the clocksource at the last look.
+    /// Name of the clocksource at the last check.
     clocksource_name: String,
     vmclock: Vmclock,
 }
@@ -36,7 +36,7 @@ impl HostClockMonitor {
         clocksource: Clocksource,
         vmclock: Vmclock,
     ) -> Self {
-        let (watch, wall_epoch) = (Watch::new(max_drift_ppm), clock.wall_epoch());
+        let (watch, wall_epoch) = (ClockWatch::new(max_drift_ppm), clock.wall_epoch());
         let clocksource_name = clocksource.name();
         Self {
             clock,
@@ -50,17 +50,17 @@ impl HostClockMonitor {
         }
     }
 
-    /// Returns the name of the clocksource from which the kernel read the time at the last look.
+    /// Returns the name of the clocksource from which the kernel read the time at the last check.
     pub(super) fn clocksource(&self) -> &str {
         &self.clocksource_name
     }
 
-    /// Looks at all clocks once. After it [`Clock::wall_epoch`](peernet_clock::Clock::wall_epoch) is a new one if the wall clock was disturbed, and
-    /// [`Clock::epoch`](peernet_clock::Clock::epoch) if the free-running one was.
-    pub(super) fn look(&mut self, incidents: &Incidents) {
+    /// Checks all clocks once. Afterwards [`Clock::wall_epoch`](peernet_clock::Clock::wall_epoch) is a new one if the
+    /// wall clock was disturbed, and [`Clock::epoch`](peernet_clock::Clock::epoch) if the free-running clock was.
+    pub(super) fn check(&mut self, incidents: &Incidents) {
         let readings = self.clock.readings();
-        let disturbances = self.watch.look(readings);
-        // The clock itself notices a step, but no slew. After a sleep, claims from before it no longer hold.
+        let disturbances = self.watch.compare(readings);
+        // The clock itself notices a step, but not a slew. After a sleep earlier claims no longer hold.
         if !disturbances.is_empty() && self.clock.wall_epoch() == self.wall_epoch {
             self.clock.begin_wall_epoch();
         }
@@ -72,15 +72,16 @@ impl HostClockMonitor {
         self.wall_epoch = wall_epoch;
         let all = disturbances.into_iter().chain(unseen.map(Disturbance::Step));
         let mut texts: Vec<String> = all.filter_map(|odd| self.describe(odd, readings.mono)).collect();
-        texts.extend(self.look_at_clocksource());
-        texts.extend(self.look_at_vmclock());
+        texts.extend(self.check_clocksource());
+        texts.extend(self.check_vmclock());
         for text in texts {
             incidents.report(IncidentKind::ClockStep, IncidentContext::default(), text);
         }
     }
 
-    /// Begins new epochs after a change of clocksource: its rate differs, and the kernel does not tell how well it joined the two.
-    fn look_at_clocksource(&mut self) -> Option<String> {
+    /// Begins new epochs after a change of clocksource, because its rate differs, and the kernel does not say how
+    /// exactly it continued the time.
+    fn check_clocksource(&mut self) -> Option<String> {
         let name = self.clocksource.name();
         if name == self.clocksource_name {
             return None;
@@ -93,8 +94,9 @@ impl HostClockMonitor {
         ))
     }
 
-    /// Begins new epochs after a disruption that the hypervisor announces, which no clock of the machine itself can show.
-    fn look_at_vmclock(&mut self) -> Option<String> {
+    /// Begins new epochs after a disruption that the hypervisor announces and that no clock of the machine itself can
+    /// show.
+    fn check_vmclock(&mut self) -> Option<String> {
         let device = self.vmclock.disrupted()?.display().to_string();
         self.begin_epochs();
         Some(format!(
@@ -103,7 +105,7 @@ impl HostClockMonitor {
         ))
     }
 
-    /// Begins a new epoch of both clocks: older stamps cannot be compared with new ones.
+    /// Begins a new epoch of both clocks, because older stamps cannot be compared with new ones.
     fn begin_epochs(&mut self) {
         self.clock.begin_epoch();
         self.clock.begin_wall_epoch();
@@ -117,7 +119,7 @@ impl HostClockMonitor {
                 let direction = if by.is_negative() { "back" } else { "forward" };
                 Some(format!(
                     "this host's wall clock was set {direction} by {}; {WALL_CONSEQUENCE}",
-                    far_in_words(by)
+                    step_size_text(by)
                 ))
             }
             Disturbance::Slew(ppm) => {
@@ -145,7 +147,7 @@ mod tests {
     use std::fs::File;
     use std::sync::Arc;
 
-    use peernet_clock::{ClockIdentity, ManualClock, RehearsalDescription, RehearsedClock, WallTime};
+    use peernet_clock::{ClockFaults, ClockIdentity, FaultyClock, ManualClock, WallTime};
     use peernet_stream::Event;
     use tokio::sync::mpsc;
 
@@ -153,16 +155,16 @@ mod tests {
     use super::*;
     use crate::event_queue::{EventQueue, EventTap};
 
-    /// A monitor with a clock that the test moves and that drifts.
+    /// A monitor with a clock that drifts and that the test moves.
     struct ClockTestbed {
         manual: Arc<ManualClock>,
         clock: SharedClock,
         monitor: HostClockMonitor,
         incidents: Incidents,
         events: mpsc::Receiver<Event>,
-        /// Root of its sysfs.
+        /// Root of the monitor's sysfs.
         sys: tempfile::TempDir,
-        /// Its vmclock device.
+        /// The monitor's vmclock device.
         vmclock: File,
     }
 
@@ -171,9 +173,9 @@ mod tests {
             let since = WallTime::from_unix_nanos(1_700_000_000_000_000_000);
             let identity = ClockIdentity::new("boot", "clock");
             let manual = Arc::new(ManualClock::new(since, identity.clone()));
-            let drifts = RehearsalDescription { offset: Span::ZERO, drift_ppm, steps: Vec::new(), since };
+            let drifts = ClockFaults { offset: Span::ZERO, drift_ppm, steps: Vec::new(), since };
             let inner = Arc::clone(&manual) as SharedClock;
-            let clock: SharedClock = Arc::new(RehearsedClock::new(inner, identity, drifts));
+            let clock: SharedClock = Arc::new(FaultyClock::new(inner, identity, drifts));
             let (listener, events) = mpsc::channel(100);
             let event_queue = EventQueue::nowhere().tapped(Some(EventTap::new(listener)));
             let incidents = Incidents::new(Arc::clone(&clock), event_queue);
@@ -182,15 +184,15 @@ mod tests {
             let vmclock = make(sys.path(), 7);
             let mut monitor =
                 HostClockMonitor::new(50.0, Arc::clone(&clock), clocksource, Vmclock::below(sys.path()));
-            monitor.look(&incidents);
+            monitor.check(&incidents);
             Self { manual, clock, monitor, incidents, events, sys, vmclock }
         }
 
-        /// Looks ten times a second.
-        fn look_for(&mut self, seconds: usize) {
+        /// Checks ten times a second.
+        fn check_for(&mut self, seconds: usize) {
             for _ in 0..seconds * 10 {
                 self.manual.advance(Span::from_millis(100));
-                self.monitor.look(&self.incidents);
+                self.monitor.check(&self.incidents);
             }
         }
 
@@ -207,7 +209,7 @@ mod tests {
     #[test]
     fn step_is_reported_with_direction_and_size() {
         let mut testbed = ClockTestbed::new(40.0);
-        testbed.look_for(1);
+        testbed.check_for(1);
         assert!(testbed.reported().is_empty());
         for (by, words) in [
             (Span::from_seconds(3), "forward by 3.000 s"),
@@ -216,7 +218,7 @@ mod tests {
         ] {
             let before = testbed.clock.wall_epoch();
             testbed.manual.step_wall(by);
-            testbed.look_for(1);
+            testbed.check_for(1);
             let reported = testbed.reported();
             assert!(matches!(&reported[..], [text] if text.contains(words)), "{words}: {reported:?}");
             assert_eq!(testbed.clock.wall_epoch(), before + 1, "one step, one epoch");
@@ -226,7 +228,7 @@ mod tests {
     #[test]
     fn drift_within_limit_is_not_reported() {
         let mut testbed = ClockTestbed::new(40.0);
-        testbed.look_for(60);
+        testbed.check_for(60);
         assert_eq!((testbed.reported().len(), testbed.clock.wall_epoch()), (0, 0));
     }
 
@@ -237,7 +239,7 @@ mod tests {
             for _ in 0..seconds * 10 {
                 testbed.manual.slew_wall(Span::from_micros(-25));
                 testbed.manual.advance(Span::from_millis(100));
-                testbed.monitor.look(&testbed.incidents);
+                testbed.monitor.check(&testbed.incidents);
             }
         };
         slewed(&mut testbed, 50);
@@ -256,7 +258,7 @@ mod tests {
     fn sleep_and_another_clocksource_interrupt_free_running_clock() {
         let mut testbed = ClockTestbed::new(0.0);
         testbed.manual.sleep(Span::from_seconds(7));
-        testbed.look_for(1);
+        testbed.check_for(1);
         let reported = testbed.reported();
         assert!(matches!(&reported[..], [text] if text.contains("slept for 7.000 s")), "{reported:?}");
         assert_eq!((testbed.clock.epoch(), testbed.clock.wall_epoch()), (1, 1));
@@ -264,7 +266,7 @@ mod tests {
         let file = testbed.sys.path().join("devices/system/clocksource/clocksource0/current_clocksource");
         std::fs::create_dir_all(file.parent().expect("it has one")).expect("made");
         std::fs::write(&file, "hpet\n").expect("written");
-        testbed.look_for(1);
+        testbed.check_for(1);
         let reported = testbed.reported();
         assert!(matches!(&reported[..], [text] if text.contains("changed from  to hpet")), "{reported:?}");
         assert_eq!((testbed.clock.epoch(), testbed.clock.wall_epoch()), (2, 2));
@@ -273,10 +275,10 @@ mod tests {
     #[test]
     fn disruption_by_hypervisor_begins_new_epoch_of_both_clocks() {
         let mut testbed = ClockTestbed::new(0.0);
-        testbed.look_for(1);
+        testbed.check_for(1);
         assert!(testbed.reported().is_empty());
         disrupt(&testbed.vmclock, 0, 8);
-        testbed.look_for(1);
+        testbed.check_for(1);
         let reported = testbed.reported();
         assert!(
             matches!(&reported[..], [text] if text.contains("the hypervisor disrupted") && text.contains("vmclock0")),

@@ -1,13 +1,13 @@
-//! What a host whose clock is wrong on purpose claims, when it is to know exactly how wrong.
+//! Exact claim of a host about its clock with injected faults.
 
-use peernet_clock::{DelaySource, Discipline, Interval, RehearsalDescription, Span, WallTime};
+use peernet_clock::{ClockFaults, DelaySource, Discipline, Interval, Span, WallTime};
 
-/// How well it knows.
+/// Half the width of the claim.
 const BOUND: Span = Span::from_micros(1);
 
-/// The error of a clock at `truth` and, if it is not stepped, from `around` before until `around` after: messages
-/// stamped before the claim was made are judged by it too.
-pub(super) fn exactly(description: &RehearsalDescription, truth: WallTime, around: Span) -> Discipline {
+/// Returns a claim that contains the clock's error at `truth` and, unless the clock is stepped, from `around` before
+/// to `around` after, because messages stamped before the claim are judged by it, too.
+pub(super) fn exactly(description: &ClockFaults, truth: WallTime, around: Span) -> Discipline {
     let now = description.error_at(truth);
     let drift = Span::from_nanos((around.nanos() as f64 * description.drift_ppm.abs() * 1e-6).ceil() as i64);
     let error = Interval { lo: now - drift - BOUND, hi: now + drift + BOUND };
@@ -16,16 +16,16 @@ pub(super) fn exactly(description: &RehearsalDescription, truth: WallTime, aroun
 
 #[cfg(test)]
 mod tests {
-    use peernet_clock::RehearsedStep;
+    use peernet_clock::ClockFaultStep;
 
     use super::*;
 
     #[test]
-    fn the_claim_contains_the_error_now_and_around_now() {
-        let description = RehearsalDescription {
+    fn claim_contains_error_around_its_time() {
+        let description = ClockFaults {
             offset: Span::from_seconds(-1),
             drift_ppm: 50.0,
-            steps: vec![RehearsedStep::of_wall(Span::from_seconds(20), Span::from_seconds(3))],
+            steps: vec![ClockFaultStep::of_wall(Span::from_seconds(20), Span::from_seconds(3))],
             since: WallTime::from_unix_nanos(1_700_000_000_000_000_000),
         };
         let around = Span::from_seconds(2);

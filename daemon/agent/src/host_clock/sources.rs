@@ -1,20 +1,21 @@
-//! Everyone who may say something about this host's clock, asked in turn.
+//! The sources of claims about this host's wall clock, queried together.
 
 use std::time::Duration;
 
 use peernet_clock::{SharedClock, Span};
 
-use super::chronyc::{Chronyc, PATIENCE};
+use super::chronyc::{CHRONYC_TIMEOUT, Chronyc};
 use super::claim::{Summary, combine};
 use super::{kernel, rehearsed};
 use crate::config::{ClockConfig, DisciplineSource, RehearsalConfig, RehearsedDiscipline};
 
-/// A claim must hold until the next one replaces it: asking takes time, and so does the way to a peer.
-const ON_THE_WAY: Duration = PATIENCE.saturating_add(Duration::from_secs(1));
-/// A host that knows exactly how wrong its clock is says so often, because the clock may drift fast.
+/// Time that a claim must hold after the next query is due, because the query takes time, and so does the
+/// announcement to a peer.
+const CLAIM_MARGIN: Duration = CHRONYC_TIMEOUT.saturating_add(Duration::from_secs(1));
+/// Longest interval between exact claims. It is short, because the clock may drift fast.
 const EXACT_PERIOD: Duration = Duration::from_secs(1);
 
-/// Who is asked.
+/// The sources that are queried.
 #[derive(Debug)]
 pub(super) struct Sources {
     clock: SharedClock,
@@ -26,16 +27,16 @@ pub(super) struct Sources {
 
 #[derive(Debug)]
 enum Claims {
-    /// Those of the host's time daemons.
+    /// Claims of the host's time daemons.
     Daemons { kernel: bool, chronyc: Option<Chronyc> },
-    /// Rehearsed: the error itself.
+    /// Clock fault injection: the exact error.
     Exact,
-    /// Rehearsed: none.
+    /// Clock fault injection: no claim.
     None,
 }
 
 impl Sources {
-    /// `truth` is the clock that a rehearsal starts from.
+    /// Creates the configured sources. `truth` is the clock without injected faults.
     pub(super) fn new(
         config: &ClockConfig,
         rehearsal: Option<&RehearsalConfig>,
@@ -43,7 +44,7 @@ impl Sources {
         truth: SharedClock,
     ) -> Self {
         let mut period = config.discipline_interval();
-        let asked = |source| config.discipline.contains(&source);
+        let is_configured = |source| config.discipline.contains(&source);
         let claims = match rehearsal.map(|rehearsal| rehearsal.discipline) {
             Some(RehearsedDiscipline::None) => Claims::None,
             Some(RehearsedDiscipline::Exact) => {
@@ -51,21 +52,21 @@ impl Sources {
                 Claims::Exact
             }
             Some(RehearsedDiscipline::Unaware) | None => Claims::Daemons {
-                kernel: asked(DisciplineSource::Kernel),
-                chronyc: asked(DisciplineSource::Chrony).then(|| Chronyc::new(config, clock.clone())),
+                kernel: is_configured(DisciplineSource::Kernel),
+                chronyc: is_configured(DisciplineSource::Chrony).then(|| Chronyc::new(config, clock.clone())),
             },
         };
         Self { clock, truth, period, claims, is_contradictory: false }
     }
 
-    /// How often to ask.
+    /// Returns the interval at which to query.
     pub(super) const fn period(&self) -> Duration {
         self.period
     }
 
-    /// Asks everyone. The summary holds until it is time to ask again, and for as long as it may be on the way.
+    /// Queries all sources. The summary holds until the next query, and for the time that its announcement may take.
     pub(super) async fn ask(&mut self) -> Summary {
-        let ahead = Span::from(self.period + ON_THE_WAY);
+        let ahead = Span::from(self.period + CLAIM_MARGIN);
         let summary = match &mut self.claims {
             Claims::None => Summary { text: "rehearsed, claims nothing".to_owned(), ..Summary::default() },
             Claims::Exact => Summary {

@@ -1,24 +1,24 @@
-//! `adjtimex(2)`, for reading only. No crate that is kept up wraps the reading of the error bounds.
+//! `adjtimex(2)`, read only. No maintained crate wraps the reading of the error bounds safely.
 
 use std::io;
 use std::mem::MaybeUninit;
 
-/// What `adjtimex` tells of the clock's error.
+/// State of the clock's error from `adjtimex`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Timex {
-    /// Whether a daemon keeps the clock right (`STA_UNSYNC` is not set).
+    /// `true` if a daemon keeps the clock synchronised (`STA_UNSYNC` is not set).
     pub(super) synchronised: bool,
-    /// `maxerror`, microseconds.
+    /// `maxerror` in microseconds.
     pub(super) max_error_us: i64,
-    /// `esterror`, microseconds.
+    /// `esterror` in microseconds.
     pub(super) estimated_error_us: i64,
 }
 
-/// Reads the state of the kernel's clock; needs no privilege.
+/// Reads the state of the kernel's clock. Needs no privilege.
 pub(super) fn read() -> io::Result<Timex> {
     #[expect(unsafe_code, reason = "libc's adjtimex has no safe wrapper")]
-    // SAFETY: `timex` is made of integers, for which all bits zero is a value; the pointer is to a whole one of our
-    // own. `modes` is then zero, with which the call changes nothing but fills it in.
+    // SAFETY: `timex` consists of integers, for which all bits zero is a valid value; the pointer is to a complete
+    // one on our stack. So `modes` is zero, with which the call changes nothing and fills in the structure.
     let (state, timex) = unsafe {
         let mut timex = MaybeUninit::<libc::timex>::zeroed();
         let state = libc::adjtimex(timex.as_mut_ptr());

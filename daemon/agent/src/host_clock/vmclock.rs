@@ -1,20 +1,20 @@
-//! What a hypervisor says of the clocks that it supplies: the devices `vmclock` of Linux (`linux/vmclock-abi.h`).
+//! Disruptions of the clocks that a hypervisor reports through `vmclock` devices of Linux (`linux/vmclock-abi.h`).
 
 use std::fs::File;
 use std::io;
 use std::os::unix::fs::FileExt;
 use std::path::{Path, PathBuf};
 
-/// "VCLK", little-endian as all of it.
+/// Magic number "VCLK"; the whole structure is little-endian.
 const MAGIC: u32 = 0x4b4c_4356;
 const VERSION: u16 = 1;
-/// Bytes of the structure up to the end of the marker: magic, size (32 bits each), version (16), two bytes about the counter, the
-/// sequence count (32), the marker (64).
+/// Length in bytes of the structure up to the end of the marker: magic, size (32 bits each), version (16), two bytes
+/// about the counter, sequence count (32), marker (64).
 const BYTES: usize = 24;
-/// A structure that changes for longer is read at the next look.
+/// Number of attempts to read a structure that is being changed. After them it is read at the next check.
 const ATTEMPTS: u32 = 8;
 
-/// The devices, and what they said at the last look.
+/// The devices, and their markers at the last check.
 #[derive(Debug)]
 pub(crate) struct Vmclock {
     devices: Vec<Device>,
@@ -24,12 +24,13 @@ pub(crate) struct Vmclock {
 struct Device {
     path: PathBuf,
     file: File,
-    /// `None` while it was never read.
+    /// Marker at the last check; `None` if it was never read.
     marker: Option<u64>,
 }
 
 impl Vmclock {
-    /// The devices `vmclock*` of a folder, such as `/dev`. Those that cannot be read are named in the log; most hosts have none.
+    /// Opens the devices `vmclock*` of a folder, such as `/dev`. Those that cannot be read are logged; most hosts
+    /// have none.
     pub(crate) fn below(dev: &Path) -> Self {
         let entries = std::fs::read_dir(dev).into_iter().flatten().flatten();
         let named = entries.filter(|entry| entry.file_name().to_string_lossy().starts_with("vmclock"));
@@ -45,13 +46,13 @@ impl Vmclock {
             }
         };
         let mut vmclock = Self { devices: named.map(|entry| entry.path()).filter_map(open).collect() };
-        // What was before is nothing that happened since.
+        // The markers at the start are the baseline.
         let _ = vmclock.disrupted();
         vmclock
     }
 
-    /// Reads the markers. Returns a device whose marker changed since the last look: the counter that this host reads the time from went
-    /// on differently, as when a virtual machine was moved.
+    /// Reads the markers. Returns a device whose marker changed since the last check: the counter that this host
+    /// reads the time from continued differently, for example because the virtual machine was moved.
     pub(crate) fn disrupted(&mut self) -> Option<&Path> {
         let mut disrupted = None;
         for device in &mut self.devices {
@@ -63,7 +64,7 @@ impl Vmclock {
                     }
                 }
                 Ok(None) => {}
-                // It goes on to be asked: what cannot be read for once may be read later.
+                // The device stays in the list, because it may be readable later.
                 Err(error) => tracing::debug!("cannot read {}: {error}", device.path.display()),
             }
         }
@@ -71,10 +72,10 @@ impl Vmclock {
     }
 }
 
-/// Returns the marker; `None` while the structure is being changed.
+/// Reads the marker; `None` while the structure is being changed.
 ///
-/// Linux copies it consistently for a reader. The sequence count is compared all the same, before and after, so that this also holds where
-/// whoever provides the file does not.
+/// Linux copies the structure consistently for a reader. The sequence count is compared nevertheless, so that this
+/// also holds if another provider of the file does not.
 fn read(file: &File) -> io::Result<Option<u64>> {
     let mut before = structure(file)?;
     for _ in 0..ATTEMPTS {
@@ -111,10 +112,10 @@ pub(super) mod tests {
 
     use super::*;
 
-    /// Bytes of a whole structure: `clock_status` and what else follows the marker does not concern us.
+    /// Length of a whole structure in bytes; the fields after the marker are not read.
     const WHOLE: usize = 104;
 
-    /// Makes a device as a folder has it.
+    /// Creates a device in a folder.
     pub(in crate::host_clock) fn make(folder: &Path, marker: u64) -> File {
         let path = folder.join("vmclock0");
         let file = OpenOptions::new().read(true).write(true).create(true).truncate(true).open(path);
@@ -129,7 +130,7 @@ pub(super) mod tests {
         file
     }
 
-    /// Changes the marker as a hypervisor does.
+    /// Changes the marker in the way of a hypervisor.
     pub(in crate::host_clock) fn disrupt(file: &File, sequence: u32, marker: u64) {
         let write = |bytes: &[u8], at| file.write_all_at(bytes, at).expect("written");
         write(&(sequence + 1).to_le_bytes(), 12);
@@ -140,7 +141,7 @@ pub(super) mod tests {
     }
 
     #[test]
-    fn changed_marker_is_told_once() {
+    fn changed_marker_is_reported_once() {
         let dev = tempfile::tempdir().expect("a folder");
         assert_eq!(Vmclock::below(dev.path()).disrupted(), None, "there is none");
         let file = make(dev.path(), 7);
@@ -152,7 +153,7 @@ pub(super) mod tests {
     }
 
     #[test]
-    fn marker_that_is_being_changed_is_told_afterwards() {
+    fn marker_under_change_is_reported_afterwards() {
         let dev = tempfile::tempdir().expect("a folder");
         let file = make(dev.path(), 7);
         let mut vmclock = Vmclock::below(dev.path());
@@ -164,7 +165,7 @@ pub(super) mod tests {
     }
 
     #[test]
-    fn file_that_is_no_vmclock_says_nothing() {
+    fn file_of_another_format_reports_nothing() {
         for (at, byte) in [(0, b'X'), (8, 2)] {
             let dev = tempfile::tempdir().expect("a folder");
             let file = make(dev.path(), 7);

@@ -1,4 +1,4 @@
-//! Whether probes come back, and what is known when they do not. No I/O.
+//! Decides whether the probes of a link are shown as answered, and why not. No I/O.
 
 use peernet_clock::{LogThrottle, MonoTime};
 use peernet_logger::Slug;
@@ -6,55 +6,55 @@ use peernet_probes::ProbeResult;
 use peernet_probes::stamp::sender::{ALTERED_ANSWER, ALTERED_PROBE, ANOTHER_PROCESS, NOT_OURS, UNNAMED};
 use peernet_stream::Probing;
 
-/// So many probes lost in a row, and the link counts as one whose probes are not answered.
-const SILENCE: u32 = 3;
+/// Number of probes lost in a row after which they count as not answered.
+const UNANSWERED_AFTER: u32 = 3;
 
-/// Why probes count as unanswered whose answers come too late.
+/// Reason that is shown when answers come too late.
 const LATE_ANSWERS: &str = "answers arrive more than 2 s after their probes, which count as lost";
 
-/// Decides from what became of the probes to one reflector whether they are shown as answered.
+/// Decides from the results of the probes to one reflector whether they are shown as answered.
 #[derive(Debug)]
 pub(super) struct Answers {
-    /// The name of the cloud, for the log.
+    /// Name of the cloud, for the log.
     peer: Slug,
-    /// This end has a key of its own.
+    /// `true` if this end has a configured key.
     keyed: bool,
-    /// Sent, and neither answered nor lost.
+    /// Number of probes that were sent and are neither answered nor lost.
     under_way: u32,
-    /// Lost in a row.
+    /// Number of probes lost in a row.
     lost: u32,
-    /// How it was probed while they came back.
+    /// Shown state from before the answers stopped.
     before: Option<Probing>,
-    /// What was refused last since one was taken.
+    /// Reason of the latest refusal since the last accepted answer.
     refused: Option<&'static str>,
-    /// So many were refused since one was taken.
+    /// Number of refusals since the last accepted answer.
     refusals: u32,
-    /// So many answers were late since one was in time.
+    /// Number of answers that came too late since the last accepted one.
     late: u32,
-    /// Whoever sends garbage does not fill the log.
+    /// Limits log lines, so that a sender of garbage cannot fill the log.
     log: LogThrottle,
 }
 
 impl Answers {
-    /// Of a reflector that was asked nothing.
+    /// Creates the state for a reflector that has not been probed.
     pub(super) fn new(peer: Slug, keyed: bool) -> Self {
         let log = LogThrottle::default();
         Self { peer, keyed, under_way: 0, lost: 0, before: None, refused: None, refusals: 0, late: 0, log }
     }
 
-    /// Number of probes that were sent and neither answered nor lost.
+    /// Returns the number of probes that were sent and are neither answered nor lost.
     pub(super) const fn under_way(&self) -> u32 {
         self.under_way
     }
 
-    /// Takes what became of a probe by now, and changes what is shown.
+    /// Handles the result of a probe, and updates the shown state.
     pub(super) fn note(&mut self, result: &ProbeResult, now: MonoTime, shown: &mut Probing) {
         match result {
             ProbeResult::Sent => self.under_way = self.under_way.saturating_add(1),
             ProbeResult::Lost => {
                 self.under_way = self.under_way.saturating_sub(1);
                 self.lost = self.lost.saturating_add(1);
-                if self.lost >= SILENCE
+                if self.lost >= UNANSWERED_AFTER
                     && let Probing::On { address, .. } = &*shown
                 {
                     let unanswered = self.unanswered(address.clone());
@@ -105,11 +105,11 @@ impl Answers {
     }
 }
 
-/// What keeps probes from being answered, as far as this end can know: whether it has a key, and what came back and was
-/// refused. `None` when nothing tells it from a blocked port.
+/// Returns the probable reason why probes are not answered, as far as this end can know: whether it has a key, and
+/// which answers were refused. `None` if it may be a blocked port.
 fn why_unanswered(key: bool, refused: Option<&str>) -> Option<String> {
     match (key, refused) {
-        // Authentic, where there is a key.
+        // These answers are authentic if there is a key.
         (_, Some(why @ (ANOTHER_PROCESS | NOT_OURS))) => Some(format!(
             "{why}; the data's address must lead to one machine, for UDP too: see forwarded ports and load balancers"
         )),
@@ -131,12 +131,12 @@ mod tests {
     use super::*;
 
     #[test]
-    fn late_answers_are_the_reason_and_not_refused() {
+    fn late_answers_are_named_as_reason_and_not_refused() {
         let mut answers = Answers::new("cloud".parse().expect("a name"), true);
         let address = "udp://10.0.0.3:862".to_owned();
         let mut shown = Probing::On { address, rate_hz: 10.0, stamps: "kernel".into() };
         let now = MonoTime::from_nanos(0);
-        for _ in 0..SILENCE {
+        for _ in 0..UNANSWERED_AFTER {
             answers.note(&ProbeResult::Sent, now, &mut shown);
             answers.note(&ProbeResult::Lost, now, &mut shown);
         }
@@ -149,7 +149,7 @@ mod tests {
     }
 
     #[test]
-    fn a_key_is_named_where_it_can_be_the_matter() {
+    fn key_is_named_where_it_may_be_the_reason() {
         assert_eq!(why_unanswered(false, None), None);
         for refused in [None, Some("not authenticated by the key"), Some("shorter than a reply")] {
             let reason = why_unanswered(true, refused).expect("something is known");

@@ -1,49 +1,50 @@
-//! The clock window at hand.
+//! The current clock window of a link.
 
 use peernet_stream::{ClockSample, NetworkName};
 use uuid::Uuid;
 
-/// The clock window at hand: exchanges of different windows say nothing about each other.
+/// The current clock window. Exchanges of different windows say nothing about each other.
 #[derive(Debug)]
 pub(super) struct ClockWindow {
-    /// Random.
+    /// Random id of the window.
     id: u64,
-    /// What was learnt is void: another window begins as soon as a time is known to close the second at.
+    /// `true` if the relation was restarted: another window begins as soon as the time is known at which the current
+    /// second is closed.
     is_void: bool,
-    /// The last second that was closed, for each network in use; empty where the window is void.
+    /// Samples of the last closed second, one for each network in use; empty if the window is void.
     last: Vec<ClockSample>,
 }
 
 impl ClockWindow {
-    /// A window without seconds.
+    /// Begins a window without seconds.
     pub(super) fn begin() -> Self {
         Self { id: Uuid::new_v4().as_u64_pair().0, is_void: false, last: Vec::new() }
     }
 
-    /// Its random id.
+    /// Returns the random id of the window.
     pub(super) const fn id(&self) -> u64 {
         self.id
     }
 
-    /// Whether what was learnt is void.
+    /// Returns whether the window is void.
     pub(super) const fn is_void(&self) -> bool {
         self.is_void
     }
 
-    /// What was learnt is void from now on, and the last second is not to be shown any more.
+    /// Makes the window void. Its last second is not shown any more.
     pub(super) fn make_void(&mut self) {
         self.is_void = true;
         self.last.clear();
     }
 
-    /// Takes the second that was closed, a sample for each network in use.
+    /// Keeps the samples of the second that was closed, one for each network in use.
     pub(super) fn keep(&mut self, samples: Vec<ClockSample>) {
         if !self.is_void {
             self.last = samples;
         }
     }
 
-    /// The last second over a network.
+    /// Returns the sample of the last second over a network.
     pub(super) fn last_second(&self, network: &NetworkName) -> Option<&ClockSample> {
         self.last.iter().find(|last| last.network == *network)
     }

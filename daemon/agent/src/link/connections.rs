@@ -1,4 +1,7 @@
-//! The open connections of a link, as live updates tell of them.
+//! The open connections of a link, for live updates.
+//!
+//! The outbox's thread reads them once a second, in less than 30 µs each, so that no sample waits for it. All counts
+//! are totals since the connection was opened; readers compute rates.
 
 use std::collections::BTreeMap;
 
@@ -8,21 +11,21 @@ use peernet_stream::{Connection, NetworkInterface};
 
 use super::shared::Session;
 
-/// Statistics are read anew when they are this old, because each reading asks the kernel; live updates are more frequent.
+/// Age at which statistics are read again. Each reading asks the kernel, and live updates are more frequent.
 const MAX_AGE: Span = Span::from_seconds(1);
 
-/// Connections as they were read last.
+/// Connections as they were last read.
 #[derive(Debug, Default)]
 pub(super) struct Connections {
     read_at: Option<MonoTime>,
     by_session: BTreeMap<u64, (Option<ConnectionAddresses>, Connection)>,
-    /// Whether it was told that the interfaces cannot be listed.
+    /// `true` once it was logged that the interfaces cannot be listed.
     has_complained: bool,
 }
 
 impl Connections {
-    /// Returns the connections of these sessions; reads them anew when that was not done for a second. A session that is
-    /// over keeps what was last read of it until it leaves the link.
+    /// Returns the connections of these sessions, and reads them again if that was last done a second ago. A session
+    /// that is over keeps its last statistics until it leaves the link.
     pub(super) fn of(&mut self, sessions: &[Session], now: MonoTime) -> Vec<Connection> {
         self.by_session.retain(|id, _| sessions.iter().any(|session| session.id == *id));
         let is_due = self.read_at.is_none_or(|at| now - at >= MAX_AGE);
@@ -40,7 +43,7 @@ impl Connections {
     fn read(&mut self, session: &Session) {
         let Some(statistics) = session.statistics.read() else { return };
         let addresses = session.statistics.addresses();
-        // A connection over datagrams stays open when a host gets another address.
+        // The addresses may change: a connection over datagrams stays open when a host gets another address.
         let interface = match self.by_session.get(&session.id) {
             Some((known, connection)) if *known == addresses => connection.interface.clone(),
             _ => addresses.and_then(|addresses| self.interface(&addresses)),

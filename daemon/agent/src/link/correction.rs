@@ -1,4 +1,4 @@
-//! One-way delays and throughputs in the tree of an iteration that went to another host and back.
+//! One-way delays and throughputs in the tree of an iteration that was answered by another host.
 
 use peernet_clock::{Direction, OneWayDelay};
 use peernet_logger::{Measure, Name, NodeId, Rate, Tree, stage};
@@ -17,7 +17,7 @@ pub(crate) fn correct(tree: &mut Tree, transit: NodeId, direction: Direction, de
     }
 }
 
-/// Bits that went in a direction, payload and metadata; `None` when that is not known.
+/// Returns the number of bits sent in a direction, payload and metadata; `None` if it is not known.
 pub(super) fn bits(tree: &Tree, direction: Direction) -> Option<f64> {
     const UP: [Name; 2] = [stage::UPLOAD_BYTES, stage::UPLOAD_LOGGER_BYTES];
     const DOWN: [Name; 2] = [stage::DOWNLOAD_BYTES, stage::DOWNLOAD_LOGGER_BYTES];
@@ -33,9 +33,10 @@ fn value(tree: &Tree, name: &Name) -> Option<f64> {
     tree.nodes().iter().find(|node| node.name == *name)?.measure.value()
 }
 
-/// Bits over a delay, with the bounds that follow from the delay's.
+/// Returns the rate of bits over a delay, with the bounds that follow from those of the delay.
 fn rate(bits: f64, delay: &OneWayDelay) -> Rate {
-    // A delay of zero, which a coarse clock can show, gives no rate; a lower bound of zero an infinite one.
+    // A delay of zero, which a coarse clock can show, gives no rate; a lower bound of zero gives an infinite upper
+    // bound of the rate.
     let over = |seconds: f64| if seconds > 0.0 { bits / seconds } else { f64::INFINITY };
     Rate {
         value: delay.value.map(|delay| over(delay.seconds())).filter(|rate| rate.is_finite()),
@@ -54,7 +55,7 @@ mod tests {
 
     const UP: Span = Span::from_millis(2);
 
-    /// 1,000 bytes up in 2 ms, nothing known of their number down.
+    /// Returns a tree in which 1,000 bytes went up in 2 ms, and an unknown number went down.
     fn exchange() -> (Tree, NodeId, NodeId) {
         let clock =
             Arc::new(ManualClock::new(WallTime::from_unix_nanos(0), ClockIdentity::new("boot", "system")));
@@ -84,7 +85,7 @@ mod tests {
     }
 
     #[test]
-    fn unrelated_clocks_give_the_raw_difference_and_a_throughput_without_value() {
+    fn unrelated_clocks_give_raw_difference_and_no_throughput() {
         let (mut tree, up, _) = exchange();
         correct(&mut tree, up, Direction::Up, OneWayDelay::unsynchronised(UP));
         let Some((_, node)) = tree.find(&["upload"]) else { panic!("{tree:?}") };
@@ -96,7 +97,7 @@ mod tests {
     }
 
     #[test]
-    fn a_bound_that_reaches_zero_leaves_the_rate_open_upwards() {
+    fn bound_of_zero_leaves_rate_unbounded() {
         let delay = OneWayDelay {
             bounds: Some(Interval { lo: Span::ZERO, hi: Span::from_millis(4) }),
             ..OneWayDelay::same_clock(UP)

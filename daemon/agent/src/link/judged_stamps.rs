@@ -1,20 +1,20 @@
-//! Stamps of messages that others sent, made at both ends of a link by programs that only observe.
+//! Stamps of observed messages, made at both ends of a link by agents that only observe.
 
 use peernet_clock::{Clock, MonoTime, OneWayDelay, RawTime, Stamp, WallTime};
 use peernet_logger::{RawStamps, Transit};
 
-/// When a message was at a host.
+/// Time at which a message was at a host.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct HostStamp {
-    /// The host's wall clock.
+    /// Wall clock of the host.
     pub(crate) wall: WallTime,
-    /// The host's free-running clock, by which delays are judged.
+    /// Free-running clock of the host, by which delays are judged.
     pub(crate) raw: RawTime,
-    /// [`Clock::epoch`] of the stamp; `None` where the free-running clock was interrupted near it.
+    /// [`Clock::epoch`] of the stamp; `None` if the free-running clock was interrupted near it.
     pub(crate) epoch: Option<u32>,
 }
 
-/// A message at the two ends of a link.
+/// Stamps of one message at the two ends of a link.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Crossing {
     pub(crate) sender: HostStamp,
@@ -26,28 +26,29 @@ impl Crossing {
         (self.sender.raw, self.receiver.raw)
     }
 
-    /// The receiver's stamp less the sender's, of which nothing else is known than that a clock was interrupted.
+    /// Returns the delay of a message during which a clock was interrupted: only the difference of the wall clocks is
+    /// known.
     pub(super) fn stepped(&self) -> OneWayDelay {
         OneWayDelay::stepped(self.receiver.wall - self.sender.wall, peernet_clock::DelaySource::None)
     }
 
-    /// The same delay with what is kept for ever: the difference of the wall clocks, whichever clocks are related.
+    /// Returns the delay with the difference of the wall clocks as its raw value, whichever clocks are related.
     pub(super) fn with_raw_difference(&self, delay: OneWayDelay) -> OneWayDelay {
         OneWayDelay { raw: self.receiver.wall - self.sender.wall, ..delay }
     }
 
-    /// The content of a node for it.
+    /// Returns the content of a node for this message.
     pub(crate) const fn transit(&self, delay: Option<OneWayDelay>) -> Transit {
         let raw_stamps = Some(RawStamps { sent: self.sender.raw, received: self.receiver.raw });
         Transit { sent: self.sender.wall, received: Some(self.receiver.wall), delay, raw_stamps }
     }
 }
 
-/// Finds out which stamps of this host's clock are of which epoch.
+/// Determines the epoch of stamps of this host's clock.
 #[derive(Debug)]
 pub(crate) struct EpochWatch {
     epoch: u32,
-    /// When the epoch was seen first. Stamps from before may be older than the interruption.
+    /// Time at which the epoch was first seen. Earlier stamps may be from before the interruption.
     since: MonoTime,
 }
 
@@ -56,7 +57,7 @@ impl EpochWatch {
         Self { epoch: clock.epoch(), since: clock.mono() }
     }
 
-    /// Returns a stamp that was made a moment ago with its epoch.
+    /// Returns a stamp that was made a moment ago, with its epoch.
     pub(crate) fn stamp(&mut self, clock: &dyn Clock, stamp: Stamp) -> HostStamp {
         let epoch = clock.epoch();
         if epoch != self.epoch {

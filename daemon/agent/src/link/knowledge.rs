@@ -1,29 +1,30 @@
-//! What an edge knows of its own clocks and a cloud's. No I/O: time comes in as an argument.
+//! The state of a link's clock relation on the edge. No I/O: the time is an argument.
 
 use std::collections::BTreeSet;
 
 use peernet_clock::{
-    Direction, Doubt, ExchangeObservation, Judged, Learned, Offset, OneWayDelay, RawTime, RelatedClocks,
-    Relation, Span, Stamp, Verdict, WallTime,
+    Direction, Doubt, ExchangeObservation, JudgedExchange, LearnResult, Offset, OneWayDelay, RawTime,
+    RelatedClocks, Relation, Span, Stamp, Verdict, WallTime,
 };
 use peernet_logger::{HostId, Slug};
 use peernet_networks::PeerClock;
 use peernet_probes::ProbeResult;
 use peernet_stream::{ClockSample, EstimateBasis, HostClock, NetworkName};
 
+use super::announced_clock::AnnouncedClock;
 use super::clock_window::ClockWindow;
 use super::judged_stamps::{Crossing, HostStamp};
 use super::network_sessions::NetworkSessions;
 use super::reports::{ClockReports, ExcessSkew, LostProof, Restart, SuspectedJump};
 use super::second::Second;
-use super::told_clock::ToldClock;
 use crate::host_clock::shown;
 use crate::same_clock::NotProven;
 
-/// A second is closed no later than this after its end, unless nothing came back any more or the wall clock was set.
-const MOST_OVERDUE: Span = Span::from_seconds(2);
+/// Longest time between the end of a second and the time at which it counts as closed, unless exchanges stopped or
+/// the wall clock was set.
+const MAX_OVERDUE: Span = Span::from_seconds(2);
 
-/// The relation of the two clocks and what the current second adds to it.
+/// The clock relation of a link, and what the current second adds to it.
 #[derive(Debug)]
 pub(super) struct Knowledge {
     peer: HostId,
@@ -32,29 +33,29 @@ pub(super) struct Knowledge {
     window: ClockWindow,
     second: Second,
     networks: NetworkSessions,
-    edge: ToldClock,
-    cloud: ToldClock,
+    edge: AnnouncedClock,
+    cloud: AnnouncedClock,
     reports: ClockReports,
 }
 
-/// Samples and restarts to report.
+/// Samples to record and incidents to report.
 #[derive(Debug, Default)]
 #[must_use]
-pub(super) struct News {
-    /// Seconds that are over.
+pub(super) struct KnowledgeChanges {
+    /// Samples of the seconds that are over.
     pub(super) samples: Vec<ClockSample>,
     pub(super) restart: Option<Restart>,
-    /// The cloud's wall clock was set or ran off, on which no delay depends.
+    /// `true` if the cloud's wall clock was set or drifted away; no delay depends on it.
     pub(super) is_cloud_wall_set: bool,
     pub(super) jump: Option<SuspectedJump>,
     pub(super) excess: Option<ExcessSkew>,
     pub(super) lost_proof: Option<LostProof>,
 }
 
-/// A message that has arrived, and how many bits it had.
+/// A message that has arrived, and its number of bits.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Way {
-    /// The difference of the wall clocks' stamps.
+pub(super) struct MessageDelay {
+    /// Difference of the wall-clock stamps.
     pub(super) raw: Span,
     pub(super) bits: Option<f64>,
 }
@@ -68,8 +69,8 @@ impl Knowledge {
     ) -> Self {
         let second = Second::new(now.wall.unix_seconds());
         let is_cloud_free_running = relation.settings().clocks == RelatedClocks::Raw;
-        let edge = ToldClock::new(edge, true, now.raw);
-        let cloud = ToldClock::new(cloud, is_cloud_free_running, now.raw);
+        let edge = AnnouncedClock::new(edge, true, now.raw);
+        let cloud = AnnouncedClock::new(cloud, is_cloud_free_running, now.raw);
         let mut knowledge = Self {
             peer,
             name,
@@ -85,70 +86,73 @@ impl Knowledge {
         knowledge
     }
 
-    /// A session over this network was opened.
+    /// Records that a session over this network was opened.
     pub(super) fn join(&mut self, network: &NetworkName) {
         self.networks.join(network);
     }
 
-    /// A session over this network is over.
+    /// Records that a session over this network is over.
     pub(super) fn leave(&mut self, network: &NetworkName) {
         self.networks.leave(network);
     }
 
-    /// The session that probed is over and its probes are counted: the last sample of each network without sessions ends here. Another
-    /// session probes from now on.
-    pub(super) fn settle_sessions(&mut self, now: Stamp) -> News {
-        let mut news = self.turn(now);
+    /// Records the last sample of each network without sessions, after the session that probed is over and its probes
+    /// are counted. Another session probes from now on.
+    pub(super) fn settle_sessions(&mut self, now: Stamp) -> KnowledgeChanges {
+        let mut changes = self.turn(now);
         for network in self.networks.take_ended(0) {
             if !self.second.is_empty() {
                 let offset = self.relation.offset(now.raw, now.wall);
-                news.samples.push(self.sample(&network, now, offset));
+                changes.samples.push(self.sample(&network, now, offset));
                 self.second.forget(&network);
             }
         }
-        news
+        changes
     }
 
-    /// An exchange of data over a network finished: judges the delays of its two ways.
+    /// Handles a completed exchange of data over a network: judges the delays of both directions.
     pub(super) fn judge(
         &mut self,
         network: &NetworkName,
         observation: &ExchangeObservation,
-        [there, back]: [Way; 2],
+        [there, back]: [MessageDelay; 2],
         now: Stamp,
-    ) -> ([OneWayDelay; 2], News) {
-        let mut news = self.turn(now);
-        let Judged { learned, up, down } =
-            self.told(whose(observation), |relation| relation.judge(observation));
-        // What is kept for ever is the difference of the wall clocks, whichever clocks are related.
+    ) -> ([OneWayDelay; 2], KnowledgeChanges) {
+        let mut changes = self.turn(now);
+        let JudgedExchange { learned, up, down } =
+            self.update_relation(whose(observation), |relation| relation.judge(observation));
+        // The raw value that is kept for ever is the difference of the wall clocks, whichever clocks are related.
         let (up, down) = (OneWayDelay { raw: there.raw, ..up }, OneWayDelay { raw: back.raw, ..down });
-        self.learned(learned, observation, now, &mut news);
+        self.learned(learned, observation, now, &mut changes);
         self.second.judged(network, Direction::Up, &up, there.bits);
         self.second.judged(network, Direction::Down, &down, back.bits);
-        ([up, down], news)
+        ([up, down], changes)
     }
 
-    /// An exchange of data finished during which one of the hosts says that its related clock was interrupted.
+    /// Handles a completed exchange of data during which one of the hosts' related clocks was interrupted.
     pub(super) fn stepped(
         &mut self,
         network: &NetworkName,
-        ways: [Way; 2],
+        message_delays: [MessageDelay; 2],
         now: Stamp,
-    ) -> ([OneWayDelay; 2], News) {
-        let news = self.turn(now);
-        let delays =
-            ways.map(|way| OneWayDelay { verdict: Verdict::Stepped, ..OneWayDelay::unsynchronised(way.raw) });
-        for (direction, (delay, way)) in [Direction::Up, Direction::Down].iter().zip(delays.iter().zip(ways))
+    ) -> ([OneWayDelay; 2], KnowledgeChanges) {
+        let changes = self.turn(now);
+        let delays = message_delays.map(|message_delay| OneWayDelay {
+            verdict: Verdict::Stepped,
+            ..OneWayDelay::unsynchronised(message_delay.raw)
+        });
+        for (direction, (delay, message_delay)) in
+            [Direction::Up, Direction::Down].iter().zip(delays.iter().zip(message_delays))
         {
-            self.second.judged(network, *direction, delay, way.bits);
+            self.second.judged(network, *direction, delay, message_delay.bits);
         }
-        (delays, news)
+        (delays, changes)
     }
 
-    /// Judges the delays of messages that others sent, one in each direction. Neither the relation nor the second learns of them:
-    /// the first stamp is that of another receiver, not of the departure.
+    /// Judges the delays of messages that others sent, one in each direction. Neither the relation nor the second
+    /// learns from them, because the first stamp is that of another receiver and not of the departure.
     pub(super) fn judge_stamps(&self, up: &Crossing, down: Option<&Crossing>) -> [Option<OneWayDelay>; 2] {
-        let is_current = |stamp: &HostStamp, clock: &ToldClock| stamp.epoch == Some(clock.epoch());
+        let is_current = |stamp: &HostStamp, clock: &AnnouncedClock| stamp.epoch == Some(clock.epoch());
         let is_up_current = is_current(&up.sender, &self.edge) && is_current(&up.receiver, &self.cloud);
         let is_down_current =
             |down: &Crossing| is_current(&down.sender, &self.cloud) && is_current(&down.receiver, &self.edge);
@@ -170,9 +174,14 @@ impl Knowledge {
         ]
     }
 
-    /// Something became of a probe, which was authenticated or not.
-    pub(super) fn probed(&mut self, result: &ProbeResult, authenticated: bool, now: Stamp) -> News {
-        let mut news = self.turn(now);
+    /// Handles the result of a probe.
+    pub(super) fn probed(
+        &mut self,
+        result: &ProbeResult,
+        authenticated: bool,
+        now: Stamp,
+    ) -> KnowledgeChanges {
+        let mut changes = self.turn(now);
         let all = self.second.authenticated.unwrap_or(true);
         self.second.authenticated = Some(all && authenticated);
         let probes = &mut self.second.probes;
@@ -181,116 +190,132 @@ impl Knowledge {
             ProbeResult::Lost => probes.lost = probes.lost.saturating_add(1),
             ProbeResult::Answered(observation) => {
                 probes.answered = probes.answered.saturating_add(1);
-                if self.learn(observation, now, &mut news) {
+                if self.learn(observation, now, &mut changes) {
                     self.second.round_trip(observation.exchange.round_trip());
                 }
             }
             ProbeResult::Stepped(epoch) => {
                 probes.answered = probes.answered.saturating_add(1);
-                self.told((*epoch, None), |relation| relation.edge_stepped(*epoch));
+                // Its stamps are from before and after a step of this host's clock, so that only the step is learnt.
+                self.update_relation((*epoch, None), |relation| relation.edge_stepped(*epoch));
             }
+            // The exchange was counted as answered before.
             ProbeResult::Refined(observation) => {
-                self.learn(observation, now, &mut news);
+                self.learn(observation, now, &mut changes);
             }
             ProbeResult::Refused(_) => probes.refused = probes.refused.saturating_add(1),
-            // It counts as lost.
+            // It was counted as lost before.
             ProbeResult::Late => {}
         }
-        news
+        changes
     }
 
-    /// It is proven that both processes read one clock.
+    /// Handles the proof that both processes read one clock.
     pub(super) fn clock_proven(&mut self) {
         self.relation.set_same_clock(true);
         self.reports.proof_regained();
     }
 
-    /// It is not proven that both processes read one clock.
+    /// Handles an attempt that did not prove that both processes read one clock.
     pub(super) fn clock_not_proven(&mut self) {
         self.relation.set_same_clock(false);
     }
 
-    /// It is no longer proven that both processes read one clock.
-    pub(super) fn proof_lost(&mut self, why: NotProven, now: RawTime) -> News {
+    /// Handles the loss of the proof that both processes read one clock.
+    pub(super) fn proof_lost(&mut self, why: NotProven, now: RawTime) -> KnowledgeChanges {
         self.clock_not_proven();
-        News { lost_proof: self.reports.proof_lost(why, now), ..News::default() }
+        KnowledgeChanges { lost_proof: self.reports.proof_lost(why, now), ..KnowledgeChanges::default() }
     }
 
-    /// The own free-running clock is in this epoch already.
+    /// Sets the epoch of this host's free-running clock.
     pub(super) fn begin_epoch_of_edge(&mut self, epoch: u32) {
         self.edge.begin_epoch(epoch);
     }
 
-    /// What became known of the own clocks.
-    pub(super) fn edge_says(&mut self, clock: PeerClock, now: RawTime) {
-        if let Some(epoch) = self.edge.tell(clock, now) {
-            self.told((epoch, None), |relation| relation.edge_stepped(epoch));
+    /// Handles new information about this host's clocks.
+    pub(super) fn edge_announced(&mut self, clock: PeerClock, now: RawTime) {
+        if let Some(epoch) = self.edge.announce(clock, now) {
+            self.update_relation((epoch, None), |relation| relation.edge_stepped(epoch));
         }
         self.disciplines(now);
     }
 
-    /// What the peer says of its clocks.
-    pub(super) fn cloud_says(&mut self, clock: PeerClock, now: RawTime) -> News {
+    /// Handles new information from the cloud about its clocks.
+    pub(super) fn cloud_announced(&mut self, clock: PeerClock, now: RawTime) -> KnowledgeChanges {
         let before = self.cloud.wall_epoch();
-        if let Some(epoch) = self.cloud.tell(clock, now) {
-            self.told((0, Some(epoch)), |relation| relation.cloud_stepped(epoch));
+        if let Some(epoch) = self.cloud.announce(clock, now) {
+            self.update_relation((0, Some(epoch)), |relation| relation.cloud_stepped(epoch));
         }
         self.disciplines(now);
         let is_free_running = self.relation.settings().clocks == RelatedClocks::Raw;
-        News { is_cloud_wall_set: is_free_running && self.cloud.wall_epoch() > before, ..News::default() }
+        KnowledgeChanges {
+            is_cloud_wall_set: is_free_running && self.cloud.wall_epoch() > before,
+            ..KnowledgeChanges::default()
+        }
     }
 
-    /// Closes the second if it is over.
-    pub(super) fn turn(&mut self, now: Stamp) -> News {
-        let mut news = News::default();
-        self.begin_window(now, &mut news);
+    /// Closes the current second if it is over.
+    pub(super) fn turn(&mut self, now: Stamp) -> KnowledgeChanges {
+        let mut changes = KnowledgeChanges::default();
+        self.begin_window(now, &mut changes);
         if now.wall.unix_seconds() != self.second.at {
             self.disciplines(now.raw);
-            news.lost_proof = self.reports.second_over(now.raw);
-            // A clock that was set back closes it early, one that was set forward as if it had been on time.
+            changes.lost_proof = self.reports.second_over(now.raw);
+            // If the clock was set back, the second is closed early; if it was set forward, it is closed as if it had
+            // been on time.
             let end = self.second.end();
             let at = edge_time(now, end);
             let offset = self.relation.offset(at.raw, end);
-            self.close(at, offset.as_ref(), now.wall, &mut news);
+            self.close(at, offset.as_ref(), now.wall, &mut changes);
         }
-        news
+        changes
     }
 
-    /// Closes the second now: nothing more will come.
-    pub(super) fn finish(&mut self, now: Stamp) -> News {
-        let mut news = self.turn(now);
+    /// Closes the current second now, because nothing more will come.
+    pub(super) fn finish(&mut self, now: Stamp) -> KnowledgeChanges {
+        let mut changes = self.turn(now);
         let offset = self.relation.offset(now.raw, now.wall);
-        self.close(now, offset.as_ref(), now.wall, &mut news);
-        news
+        self.close(now, offset.as_ref(), now.wall, &mut changes);
+        changes
     }
 
-    /// The second of a network that is over if it is the last one, else what the current one holds so far.
+    /// Returns the sample of the previous second of a network if it is available, else one of the current second so
+    /// far.
     pub(super) fn now(&self, network: &NetworkName, now: Stamp) -> ClockSample {
         let previous = self.second.end() - Span::from_seconds(1);
         let current = now.wall.unix_seconds() == self.second.at;
         let last = self.window.last_second(network).filter(|last| current && last.at == previous);
-        // What holds since a step is not told under the name of the window before it.
+        // After a step the new offset must not appear under the id of the window before it.
         let offset = || self.relation.offset(now.raw, now.wall).filter(|_| !self.window.is_void());
         last.cloned().unwrap_or_else(|| self.sample(network, now, offset()))
     }
 
-    /// What is shown of the clocks of the two hosts: the edge's, the cloud's.
+    /// Returns the shown state of the clocks of the edge and the cloud.
     pub(super) fn clocks(&self) -> (HostClock, HostClock) {
         (shown(self.edge.clock()), shown(self.cloud.clock()))
     }
 
-    /// Returns whether the exchange is believed.
-    fn learn(&mut self, observation: &ExchangeObservation, now: Stamp, news: &mut News) -> bool {
-        let learned = self.told(whose(observation), |relation| relation.learn(observation));
-        self.learned(learned, observation, now, news);
-        !matches!(learned, Learned::Refused(_))
+    /// Adds an exchange to the relation. Returns whether it was accepted.
+    fn learn(
+        &mut self,
+        observation: &ExchangeObservation,
+        now: Stamp,
+        changes: &mut KnowledgeChanges,
+    ) -> bool {
+        let learned = self.update_relation(whose(observation), |relation| relation.learn(observation));
+        self.learned(learned, observation, now, changes);
+        !matches!(learned, LearnResult::Refused(_))
     }
 
-    /// Tells the relation something that came with these epochs of the related clocks of edge and cloud. If what was learnt is void
-    /// from now on, a new epoch says by whose fault.
-    fn told<T>(&mut self, (edge, cloud): (u32, Option<u32>), tell: impl FnOnce(&mut Relation) -> T) -> T {
+    /// Passes something to the relation that came with these epochs of the related clocks of edge and cloud. If the
+    /// relation restarts, the window becomes void, and a new epoch says whose clock was stepped.
+    fn update_relation<T>(
+        &mut self,
+        (edge, cloud): (u32, Option<u32>),
+        update: impl FnOnce(&mut Relation) -> T,
+    ) -> T {
         let before = self.relation.counts().restarts;
-        let answer = tell(&mut self.relation);
+        let answer = update(&mut self.relation);
         let edge_new = self.edge.begin_epoch(edge);
         let cloud_new = self.cloud.begin_epoch(cloud.unwrap_or(0));
         let restarted = self.relation.counts().restarts > before;
@@ -301,49 +326,57 @@ impl Knowledge {
         answer
     }
 
-    fn learned(&mut self, learned: Learned, observation: &ExchangeObservation, now: Stamp, news: &mut News) {
-        self.begin_window(now, news);
+    fn learned(
+        &mut self,
+        learned: LearnResult,
+        observation: &ExchangeObservation,
+        now: Stamp,
+        changes: &mut KnowledgeChanges,
+    ) {
+        self.begin_window(now, changes);
         let settings = *self.relation.settings();
         match learned {
-            Learned::Refused(_) => return,
-            Learned::Taken => {}
-            Learned::Restarted(moved) => {
+            LearnResult::Refused(_) => return,
+            LearnResult::Taken => {}
+            LearnResult::Restarted(moved) => {
                 let limit = |doubt| match doubt {
                     Doubt::Drift => settings.max_drift_ppm,
                     Doubt::DriftChange => settings.max_drift_change_ppm_per_s,
                 };
                 let doubt = self.relation.doubt().map(|doubt| (doubt, limit(doubt)));
-                news.restart = self.reports.restarted(moved, doubt).or(news.restart.take());
+                changes.restart = self.reports.restarted(moved, doubt).or(changes.restart.take());
             }
-            Learned::Jumped(moved) => {
+            LearnResult::Jumped(moved) => {
                 let jump = self.reports.jumped(moved, observation.exchange.returned);
-                news.jump = jump.or(news.jump.take());
+                changes.jump = jump.or(changes.jump.take());
             }
         }
         let proven = self.relation.excess_skew();
         let excess = proven.map(|proven| ExcessSkew { proven, limit_ppm: settings.max_drift_ppm });
-        news.excess = self.reports.proven(excess).or(news.excess.take());
+        changes.excess = self.reports.proven(excess).or(changes.excess.take());
         self.second.exchanged(&observation.exchange, settings.max_drift_ppm);
     }
 
-    /// After a step: what the second holds so far belongs to the clocks as they were, of which nothing holds any more.
-    fn begin_window(&mut self, now: Stamp, news: &mut News) {
+    /// Begins a new window after a step. The exchanges of the current second belong to the clocks before the step, so
+    /// that it is closed without an offset.
+    fn begin_window(&mut self, now: Stamp, changes: &mut KnowledgeChanges) {
         if self.window.is_void() {
             let is_current = now.wall.unix_seconds() == self.second.at;
             let at = if is_current { now } else { edge_time(now, self.second.end()) };
-            self.close(at, None, now.wall, news);
+            self.close(at, None, now.wall, changes);
             self.window = ClockWindow::begin();
         }
     }
 
-    /// Closes the second with what is known at `at`, its end, and begins the one of `now`.
-    fn close(&mut self, at: Stamp, offset: Option<&Offset>, now: WallTime, news: &mut News) {
+    /// Closes the second with the state at `at`, its end, and begins the second of `now`.
+    fn close(&mut self, at: Stamp, offset: Option<&Offset>, now: WallTime, changes: &mut KnowledgeChanges) {
         if !self.second.is_empty() {
             let networks: BTreeSet<&NetworkName> =
                 self.networks.names().chain(self.second.networks()).collect();
             let sample = |network| self.sample(network, at, offset.cloned());
             let samples: Vec<ClockSample> = networks.into_iter().map(sample).collect();
-            news.samples.extend_from_slice(&samples);
+            changes.samples.extend_from_slice(&samples);
+            // For live updates, which show the last complete second.
             self.window.keep(samples);
         }
         self.networks.close_second();
@@ -386,20 +419,20 @@ impl Knowledge {
         }
     }
 
-    /// Tells the relation what the time daemons claim of its clocks at this time.
+    /// Passes the current claims of the time daemons to the relation.
     fn disciplines(&mut self, now: RawTime) {
         let limit = self.relation.settings().max_drift_ppm;
         self.relation.set_disciplines(self.edge.claim(now, limit), self.cloud.claim(now, limit));
     }
 }
 
-/// The edge's clocks when its wall clock showed `at`, a moment ago.
+/// Returns the edge's clocks at the wall-clock time `at`, shortly before `now`.
 fn edge_time(now: Stamp, at: WallTime) -> Stamp {
-    let since = (now.wall - at).max(Span::ZERO).min(MOST_OVERDUE);
+    let since = (now.wall - at).max(Span::ZERO).min(MAX_OVERDUE);
     Stamp { wall: at, raw: now.raw - since, ..now }
 }
 
-/// The epochs of the edge and the cloud that an exchange knows of: perhaps before the announcement is here.
+/// Returns the epochs of edge and cloud in an exchange, which may arrive before the announcement of a new epoch.
 const fn whose(observation: &ExchangeObservation) -> (u32, Option<u32>) {
     (observation.edge_epoch, observation.cloud_epoch)
 }

@@ -1,5 +1,7 @@
-//! The reflector that the configuration names for a cloud. Its clock is its own, so that it gets a relation of its own: between this
-//! host's free-running clock and its wall clock.
+//! A reflector that the configuration names for a cloud.
+//!
+//! Its clock is independent of the cloud's, so that it has a separate relation: between this host's free-running
+//! clock and the reflector's wall clock.
 
 use std::collections::VecDeque;
 use std::convert::Infallible;
@@ -20,8 +22,8 @@ use super::probe_target::{ProbeTarget, RESULTS};
 use super::shared::{Shared, lock};
 use crate::config::ReflectorAddress;
 
-/// Round trips of so many answers are kept.
-const MOST_TRIPS: usize = 100;
+/// Number of answers whose round trips are kept.
+const MAX_TRIPS: usize = 100;
 
 /// A reflector that the configuration names for a cloud.
 #[derive(Debug)]
@@ -32,7 +34,7 @@ pub(super) struct NamedReflector {
 }
 
 impl NamedReflector {
-    /// A reflector that was asked nothing.
+    /// Creates a reflector that has not been probed.
     pub(super) fn new(address: ReflectorAddress, settings: RelationSettings) -> Self {
         Self {
             address,
@@ -41,13 +43,13 @@ impl NamedReflector {
         }
     }
 
-    /// Probes it as long as it is polled.
+    /// Probes the reflector as long as the future is polled.
     pub(super) async fn probe(&self, shared: &Shared, peer: &Slug, pace: &ProbePace) -> Infallible {
         let target = ProbeTarget {
             peer: peer.clone(),
             host: self.address.host.clone(),
             port: self.address.port,
-            // The keys there are, are those of the peers.
+            // The configured keys are those of the peers.
             key: None,
             instance: None,
             clocks: RelatedClocks::RawToWall,
@@ -66,7 +68,7 @@ impl NamedReflector {
         }
     }
 
-    /// As it is shown at a time, when this host's wall clock was `ahead` of its free-running one.
+    /// Returns the state to show at `now`, when this host's wall clock is `ahead` of its free-running one.
     pub(super) fn live(&self, rate_hz: f64, now: Stamp, ahead: Interval) -> ReflectorLive {
         let mut probing = lock(&self.probing).clone();
         if let Probing::On { rate_hz: shown, .. } = &mut probing {
@@ -83,19 +85,19 @@ impl NamedReflector {
     }
 }
 
-/// What the probes to a reflector told. No I/O.
+/// Results of the probes to a reflector. No I/O.
 #[derive(Debug)]
 struct ReflectorAnswers {
     relation: Relation,
     probes: ProbeCounts,
-    /// The newest round trips.
+    /// Latest round trips.
     trips: VecDeque<Span>,
 }
 
 impl ReflectorAnswers {
     fn new(settings: RelationSettings) -> Self {
         let clocks = RelatedClocks::RawToWall;
-        // Nobody claims anything about a clock that belongs to no host of ours.
+        // There are no claims of time daemons: the reflector is not one of our hosts.
         let settings = RelationSettings { clocks, trust_time_daemons: false, ..settings };
         let relation = Relation::new(settings);
         Self { relation, probes: ProbeCounts::default(), trips: VecDeque::new() }
@@ -107,7 +109,7 @@ impl ReflectorAnswers {
             ProbeResult::Sent => probes.sent = probes.sent.saturating_add(1),
             ProbeResult::Lost => probes.lost = probes.lost.saturating_add(1),
             ProbeResult::Refused(_) => probes.refused = probes.refused.saturating_add(1),
-            // It counts as lost.
+            // It was counted as lost before.
             ProbeResult::Late => {}
             ProbeResult::Stepped(epoch) => {
                 probes.answered = probes.answered.saturating_add(1);
@@ -116,7 +118,7 @@ impl ReflectorAnswers {
             ProbeResult::Answered(observation) => {
                 probes.answered = probes.answered.saturating_add(1);
                 self.learn(observation);
-                if self.trips.len() >= MOST_TRIPS {
+                if self.trips.len() >= MAX_TRIPS {
                     self.trips.pop_front();
                 }
                 self.trips.push_back(observation.exchange.round_trip());
@@ -125,7 +127,7 @@ impl ReflectorAnswers {
         }
     }
 
-    /// What is refused shows in the offset, which is stale or contradicts itself then.
+    /// Adds an exchange to the relation. A refused one shows in the offset, which becomes stale or contradictory.
     fn learn(&mut self, observation: &ExchangeObservation) {
         let _ = self.relation.learn(observation);
     }
@@ -136,7 +138,8 @@ impl ReflectorAnswers {
         Some(RoundTrip { min: *trips.first()?, median: *trips.get(trips.len() / 2)? })
     }
 
-    /// The reflector's wall clock minus this host's: the relation less how far this host's wall clock is `ahead` of its free-running one.
+    /// Returns the offset of the reflector's wall clock to this host's: the relation's offset minus `ahead`, the lead
+    /// of this host's wall clock over its free-running one.
     fn wall_offset(&self, now: Stamp, ahead: Interval) -> Option<Offset> {
         let offset = self.relation.offset(now.raw, now.wall)?;
         let of_walls = |from: Interval| Interval { lo: from.lo - ahead.hi, hi: from.hi - ahead.lo };
@@ -144,7 +147,8 @@ impl ReflectorAnswers {
             estimate: offset.estimate - ahead.middle(),
             bounds: of_walls(offset.bounds),
             sources: offset.sources.iter().map(|(source, interval)| (*source, of_walls(*interval))).collect(),
-            // The rate against the wall clock is another one, which changes when that is slewed.
+            // The relation's rate is against the free-running clock. The rate against the wall clock differs and
+            // changes when it is slewed.
             skew_ppm: None,
             ..offset
         })
@@ -157,7 +161,8 @@ mod tests {
 
     use super::*;
 
-    /// An exchange at a time with a clock that is `ahead`, over a path of 2 ms there and 1 ms back; milliseconds.
+    /// Returns an exchange at a time with a clock that is `ahead`, over a path of 2 ms there and 1 ms back; all in
+    /// milliseconds.
     fn exchange(at: i64, ahead: i64) -> ProbeResult {
         let raw = |millis: i64| RawTime::from_nanos(millis * 1_000_000);
         ProbeResult::Answered(ExchangeObservation {
@@ -175,7 +180,7 @@ mod tests {
     }
 
     #[test]
-    fn offset_of_wall_clocks_is_relation_less_how_far_own_wall_clock_is_ahead() {
+    fn wall_offset_is_relation_minus_own_wall_lead() {
         let mut answers = ReflectorAnswers::new(RelationSettings::default());
         let millis = Span::from_millis;
         let now = Stamp {

@@ -4,11 +4,12 @@ use std::collections::BTreeMap;
 
 use peernet_stream::NetworkName;
 
-/// Closed seconds in which a network is still told of after its last session. Probes are those of the pair of hosts, sent by the oldest
-/// session whatever its network: those that were under way when another session ended come back or are lost in this time.
+/// Number of closed seconds for which a network still gets samples after its last session. The oldest session sends
+/// the probes for the pair of hosts, whatever its network. Probes that were in flight when another session ended are
+/// answered or lost within this time.
 const LINGER_SECONDS: u8 = 2;
 
-/// Number of sessions by network. The last network stays for good: what follows its sessions is told of it.
+/// Sessions by network. The network of the last session stays, so that later samples have a network.
 #[derive(Debug, Default)]
 pub(super) struct NetworkSessions(BTreeMap<NetworkName, Sessions>);
 
@@ -16,25 +17,25 @@ pub(super) struct NetworkSessions(BTreeMap<NetworkName, Sessions>);
 #[derive(Debug, Default)]
 struct Sessions {
     open: usize,
-    /// Seconds that were closed since the last one was over.
+    /// Number of seconds closed since the last session was over.
     closed_seconds: u8,
 }
 
 impl NetworkSessions {
-    /// A session over this network was opened.
+    /// Records that a session over this network was opened.
     pub(super) fn join(&mut self, network: &NetworkName) {
         let sessions = self.0.entry(network.clone()).or_default();
         (sessions.open, sessions.closed_seconds) = (sessions.open + 1, 0);
     }
 
-    /// A session over this network is over.
+    /// Records that a session over this network is over.
     pub(super) fn leave(&mut self, network: &NetworkName) {
         if let Some(sessions) = self.0.get_mut(network) {
             sessions.open = sessions.open.saturating_sub(1);
         }
     }
 
-    /// A second was told of these networks.
+    /// Records that a second was closed for these networks.
     pub(super) fn close_second(&mut self) {
         for ended in self.0.values_mut().filter(|sessions| sessions.open == 0) {
             ended.closed_seconds = ended.closed_seconds.saturating_add(1);
@@ -42,7 +43,8 @@ impl NetworkSessions {
         self.take_ended(LINGER_SECONDS);
     }
 
-    /// Takes away the networks without sessions of which so many seconds were told, unless none has any session.
+    /// Removes and returns the networks without sessions for which at least `closed_seconds` seconds were closed. If
+    /// no network has a session, none is removed.
     pub(super) fn take_ended(&mut self, closed_seconds: u8) -> Vec<NetworkName> {
         if self.0.values().all(|sessions| sessions.open == 0) {
             return Vec::new();
@@ -54,7 +56,7 @@ impl NetworkSessions {
         ended
     }
 
-    /// The networks, in the order of their names.
+    /// Returns the networks in the order of their names.
     pub(super) fn names(&self) -> impl Iterator<Item = &NetworkName> {
         self.0.keys()
     }

@@ -1,4 +1,4 @@
-//! This host and a cloud.
+//! The link between this host and a cloud.
 
 use std::collections::BTreeMap;
 use std::convert::Infallible;
@@ -17,34 +17,33 @@ use tokio::sync::watch;
 
 use super::connections::Connections;
 use super::correction::{bits, correct};
+use super::incident_texts::{excess_text, jump_text, lost_proof_text, restart_text, wall_set_text};
 use super::judged_stamps::Crossing;
-use super::knowledge::{Knowledge, News, Way};
+use super::knowledge::{Knowledge, KnowledgeChanges, MessageDelay};
 use super::named_reflector::NamedReflector;
 use super::probe_pace::ProbePace;
 use super::shared::{Session, Shared, lock};
-use super::words::{
-    excess_in_words, jump_in_words, lost_proof_in_words, restart_in_words, wall_set_in_words,
-};
 use crate::incidents::IncidentContext;
 use crate::same_clock::NotProven;
 
-/// A session waits no longer for the proof that both ends read one clock: a cloud that has connected answers within a millisecond.
-const FIRST_PROOF: Duration = Duration::from_millis(500);
+/// Longest wait of a session for the proof that both ends read one clock. A cloud that has connected answers within a
+/// millisecond.
+const FIRST_PROOF_TIMEOUT: Duration = Duration::from_millis(500);
 
-/// What this host has to do with one cloud, over whatever networks. Locks are held for microseconds, never while waiting;
-/// that of the connections is taken by live updates alone.
+/// The link to one cloud, over whatever networks. Locks are held for microseconds, never while waiting; that of the
+/// connections is taken by live updates only.
 #[derive(Debug)]
 pub(crate) struct Link {
     pub(super) shared: Arc<Shared>,
     pub(super) cloud: LinkedCloud,
-    /// Whether it is proven that both processes read one clock; `None` until the first attempt is over.
+    /// `true` if it is proven that both processes read one clock; `None` until the first attempt is over.
     same_clock: watch::Sender<Option<bool>>,
-    /// Sessions with the cloud, the oldest first; none any more when the link is over.
+    /// Sessions with the cloud, oldest first; empty when the link is over.
     pub(super) sessions: watch::Sender<Vec<Session>>,
     pub(super) pace: ProbePace,
     knowledge: Mutex<Knowledge>,
     pub(super) probing: Mutex<Probing>,
-    /// The reflector that the configuration names for the cloud.
+    /// Reflector that the configuration names for the cloud.
     reflector: Option<NamedReflector>,
     connections: Mutex<Connections>,
 }
@@ -54,9 +53,9 @@ pub(crate) struct Link {
 pub(super) struct LinkedCloud {
     pub(super) id: HostId,
     pub(super) name: Slug,
-    /// Its clock.
+    /// Identity of its clock.
     pub(super) clock: ClockIdentity,
-    /// Which clocks of the two hosts are related.
+    /// Clocks of the two hosts that are related.
     pub(super) clocks: RelatedClocks,
 }
 
@@ -66,9 +65,10 @@ impl Link {
         let now = clock.stamp();
         let settings = RelationSettings { clocks, ..shared.relation };
         let relation = Relation::new(settings);
-        let told = (shared.host.own.borrow().clone(), accepted.host_clock.clone());
-        let mut knowledge = Knowledge::new((accepted.host, accepted.name.clone()), relation, told, now);
-        // The announcement of the latest interruption may still be on its way.
+        let announcements = (shared.host.own.borrow().clone(), accepted.host_clock.clone());
+        let mut knowledge =
+            Knowledge::new((accepted.host, accepted.name.clone()), relation, announcements, now);
+        // The announcement of the latest interruption may not have arrived yet.
         knowledge.begin_epoch_of_edge(clock.epoch());
         let named = shared.probes.reflectors.get(&accepted.name);
         let reflector = named.map(|address| NamedReflector::new(address.clone(), shared.relation));
@@ -92,87 +92,91 @@ impl Link {
         link
     }
 
-    /// Judges the delays of an exchange over a network that came back, sets them in its tree, and returns how long both ways took
-    /// together by the hosts' monotonic clocks: known even when a wall clock was stepped meanwhile.
+    /// Judges the delays of an answered exchange over a network and sets them in its tree. Returns the sum of both
+    /// directions by the hosts' monotonic clocks, which is known even if a wall clock was stepped meanwhile.
     pub(super) fn correct(&self, network: &NetworkName, exchange: &mut Exchange) -> Option<Span> {
         let (Some(up), Some(down), Some(arrived)) = (exchange.up, exchange.down, exchange.arrived) else {
-            // It never came back: nothing relates the clocks, and of the two ways none is known to have ended.
+            // Without an answer no clock is related, and neither direction is known to have ended.
             return None;
         };
         let transport = transport(&exchange.log, up, down, arrived);
         let tree = exchange.log.tree_mut();
         let bits = [bits(tree, Direction::Up), bits(tree, Direction::Down)];
-        let ways = [Way { raw: raw(tree, up)?, bits: bits[0] }, Way { raw: raw(tree, down)?, bits: bits[1] }];
-        let ([first, second], news) = self.judge(network, exchange.observation.as_ref(), ways, arrived);
+        let message_delays = [
+            MessageDelay { raw: raw(tree, up)?, bits: bits[0] },
+            MessageDelay { raw: raw(tree, down)?, bits: bits[1] },
+        ];
+        let ([first, second], changes) =
+            self.judge(network, exchange.observation.as_ref(), message_delays, arrived);
         correct(tree, up, Direction::Up, first);
         correct(tree, down, Direction::Down, second);
-        self.tell(news);
+        self.report(changes);
         transport
     }
 
-    /// Without witness one of the clocks was stepped meanwhile, and says so.
+    /// Judges an exchange. It has no observation if one of the clocks was stepped meanwhile, as its host reports.
     fn judge(
         &self,
         network: &NetworkName,
         observation: Option<&ExchangeObservation>,
-        ways: [Way; 2],
+        message_delays: [MessageDelay; 2],
         now: Stamp,
-    ) -> ([OneWayDelay; 2], News) {
+    ) -> ([OneWayDelay; 2], KnowledgeChanges) {
         self.pace.note_data(now.mono);
         self.adjust_pace(now.mono);
         let mut knowledge = lock(&self.knowledge);
         match observation {
-            Some(observation) => knowledge.judge(network, observation, ways, now),
-            None => knowledge.stepped(network, ways, now),
+            Some(observation) => knowledge.judge(network, observation, message_delays, now),
+            None => knowledge.stepped(network, message_delays, now),
         }
     }
 
-    /// Judges the delays of messages that others sent, one in each direction, by what is known. Nothing is learnt from them.
+    /// Judges the delays of messages that others sent, one in each direction. Nothing is learnt from them.
     pub(crate) fn judge_stamps(&self, up: &Crossing, down: Option<&Crossing>) -> [Option<OneWayDelay>; 2] {
         lock(&self.knowledge).judge_stamps(up, down)
     }
 
-    /// Something became of a probe, which was authenticated or not.
+    /// Handles the result of a probe.
     pub(super) fn probed(&self, result: &ProbeResult, authenticated: bool) {
         let now = self.shared.host.clock.stamp();
-        let news = lock(&self.knowledge).probed(result, authenticated, now);
-        self.tell(news);
+        let changes = lock(&self.knowledge).probed(result, authenticated, now);
+        self.report(changes);
     }
 
-    /// A second may be over.
+    /// Closes the current second if it is over.
     pub(super) fn turn(&self) {
         let now = self.shared.host.clock.stamp();
         self.adjust_pace(now.mono);
-        let news = lock(&self.knowledge).turn(now);
-        self.tell(news);
+        let changes = lock(&self.knowledge).turn(now);
+        self.report(changes);
     }
 
-    /// There will be nothing more.
+    /// Closes the current second at the end of the link.
     pub(super) fn finish(&self) {
         let now = self.shared.host.clock.stamp();
-        let news = lock(&self.knowledge).finish(now);
-        self.tell(news);
+        let changes = lock(&self.knowledge).finish(now);
+        self.report(changes);
     }
 
-    /// What became known of the own clocks.
-    pub(super) fn edge_says(&self, clock: PeerClock) {
+    /// Handles new information about this host's clocks.
+    pub(super) fn edge_announced(&self, clock: PeerClock) {
         let now = self.shared.host.clock.raw();
-        lock(&self.knowledge).edge_says(clock, now);
+        lock(&self.knowledge).edge_announced(clock, now);
     }
 
-    /// What the cloud says of its clocks.
-    pub(super) fn cloud_says(&self, clock: PeerClock) {
+    /// Handles new information from the cloud about its clocks.
+    pub(super) fn cloud_announced(&self, clock: PeerClock) {
         let now = self.shared.host.clock.raw();
-        let news = lock(&self.knowledge).cloud_says(clock, now);
-        self.tell(news);
+        let changes = lock(&self.knowledge).cloud_announced(clock, now);
+        self.report(changes);
     }
 
-    /// It is proven that both processes read one clock, or it no longer is.
+    /// Handles the result of an attempt to prove that both processes read one clock.
     pub(super) fn set_same_clock(&self, proof: Result<(), NotProven>) {
         let is_proven = proof.is_ok();
         let now = self.shared.host.clock.stamp();
         let before = *self.same_clock.borrow();
-        let mut news = News::default();
+        let mut changes = KnowledgeChanges::default();
         match proof {
             Ok(()) => {
                 lock(&self.knowledge).clock_proven();
@@ -182,24 +186,24 @@ impl Link {
             }
             Err(why) if before == Some(true) => {
                 tracing::debug!(peer = %self.cloud.name, "delays are measured from now on: {why}");
-                news = lock(&self.knowledge).proof_lost(why, now.raw);
+                changes = lock(&self.knowledge).proof_lost(why, now.raw);
             }
             Err(why) => {
                 lock(&self.knowledge).clock_not_proven();
                 tracing::debug!(peer = %self.cloud.name, "delays are measured: {why}");
             }
         }
-        // After the knowledge: who is told that there is a proof may ask for delays at once.
+        // Sent after the knowledge was updated, because a receiver may ask for delays at once.
         self.same_clock.send_replace(Some(is_proven));
         self.adjust_pace(now.mono);
-        self.tell(news);
+        self.report(changes);
     }
 
-    /// Waits until it is known whether both processes read one clock, no longer than [`FIRST_PROOF`].
+    /// Waits until it is known whether both processes read one clock, at most [`FIRST_PROOF_TIMEOUT`].
     pub(crate) async fn first_proof(&self) {
         let mut same_clock = self.same_clock.subscribe();
         let known = same_clock.wait_for(Option::is_some);
-        if tokio::time::timeout(FIRST_PROOF, known).await.is_err() {
+        if tokio::time::timeout(FIRST_PROOF_TIMEOUT, known).await.is_err() {
             tracing::debug!(peer = %self.cloud.name, "not known yet whether both processes read one clock");
         }
     }
@@ -208,12 +212,13 @@ impl Link {
         *self.same_clock.borrow() == Some(true)
     }
 
-    /// The cloud's name.
+    /// Returns the cloud's name.
     pub(crate) const fn name(&self) -> &Slug {
         &self.cloud.name
     }
 
-    /// Probes the reflector that the configuration names for the cloud, if it names one, as long as it is polled.
+    /// Probes the reflector that the configuration names for the cloud, if there is one, as long as the future is
+    /// polled.
     pub(super) async fn probe_named_reflector(&self) -> Infallible {
         match &self.reflector {
             Some(reflector) => reflector.probe(&self.shared, &self.cloud.name, &self.pace).await,
@@ -221,29 +226,29 @@ impl Link {
         }
     }
 
-    /// A session was opened.
+    /// Records that a session was opened.
     pub(super) fn join(&self, session: Session) {
         lock(&self.knowledge).join(&session.network);
         self.sessions.send_modify(|sessions| sessions.push(session));
     }
 
-    /// A session is over. Returns whether it was the last one.
+    /// Records that a session is over. Returns whether it was the last one.
     pub(super) fn leave(&self, id: u64, network: &NetworkName) -> bool {
         lock(&self.knowledge).leave(network);
         self.sessions.send_modify(|sessions| sessions.retain(|session| session.id != id));
         self.sessions.borrow().is_empty()
     }
 
-    /// The session that probed is over, and its probes are counted.
+    /// Records that the session that probed is over and its probes are counted.
     pub(super) fn settle_sessions(&self) {
         let now = self.shared.host.clock.stamp();
-        let news = lock(&self.knowledge).settle_sessions(now);
-        self.tell(news);
+        let changes = lock(&self.knowledge).settle_sessions(now);
+        self.report(changes);
     }
 
-    /// As it is shown: a link for each network in use.
+    /// Returns the live state: a link for each network in use.
     pub(super) fn live(&self) -> Vec<LinkLive> {
-        // Cloned, because reading statistics takes longer than sessions may wait to join.
+        // Cloned, because reading statistics takes longer than a session may wait to join.
         let sessions = self.sessions.borrow().clone();
         let mut networks: BTreeMap<NetworkName, Vec<Slug>> = BTreeMap::new();
         for session in &sessions {
@@ -287,18 +292,18 @@ impl Link {
         self.pace.adjust(&self.shared.probes, self.is_same_clock(), now);
     }
 
-    fn tell(&self, news: News) {
+    fn report(&self, changes: KnowledgeChanges) {
         let host = &self.shared.host;
-        for sample in news.samples {
+        for sample in changes.samples {
             host.event_queue.event(None, Event::Clock(Box::new(sample)));
         }
         let (edge, cloud) = (&host.name, &self.cloud.name);
         let texts = [
-            news.restart.map(|restart| restart_in_words(restart, edge, cloud)),
-            news.jump.map(|jump| jump_in_words(jump, edge, cloud)),
-            news.is_cloud_wall_set.then(|| wall_set_in_words(cloud)),
-            news.excess.map(|excess| excess_in_words(excess, edge, cloud)),
-            news.lost_proof.map(|lost| lost_proof_in_words(&lost, edge, cloud)),
+            changes.restart.map(|restart| restart_text(restart, edge, cloud)),
+            changes.jump.map(|jump| jump_text(jump, edge, cloud)),
+            changes.is_cloud_wall_set.then(|| wall_set_text(cloud)),
+            changes.excess.map(|excess| excess_text(excess, edge, cloud)),
+            changes.lost_proof.map(|lost| lost_proof_text(&lost, edge, cloud)),
         ];
         for text in texts.into_iter().flatten() {
             let what = IncidentContext { peer: Some(self.cloud.id), ..IncidentContext::default() };
@@ -307,7 +312,7 @@ impl Link {
     }
 }
 
-/// The receiver's stamp less the sender's.
+/// Returns the receiver's stamp minus the sender's.
 fn raw(tree: &Tree, transit: NodeId) -> Option<Span> {
     match &tree.get(transit)?.measure {
         Measure::Transit(transit) => Some(transit.received? - transit.sent),
@@ -315,10 +320,12 @@ fn raw(tree: &Tree, transit: NodeId) -> Option<Span> {
     }
 }
 
-/// Both ways together: what the edge waited less what the cloud took, each by its own monotonic clock.
+/// Returns the sum of both directions: the edge's waiting time minus the time on the cloud, each by its own monotonic
+/// clock.
 fn transport(log: &Recorder, up: NodeId, down: NodeId, arrived: Stamp) -> Option<Span> {
     let tree = log.tree();
     let waited = log.offset(arrived.mono) - tree.get(up)?.start;
-    // The cloud's nodes count from the moment at which the message was there.
+    // The starts of the cloud's nodes count from the arrival of the message. A negative result means that the cloud's
+    // times are wrong.
     Some(waited - tree.get(down)?.start).filter(|span| !span.is_negative())
 }

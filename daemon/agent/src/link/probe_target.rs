@@ -16,27 +16,27 @@ use tokio_util::sync::CancellationToken;
 use super::probe_pace::ProbePace;
 use super::shared::{Shared, lock};
 
-/// A probe without an answer for so long is lost.
+/// Time after which a probe without an answer is lost.
 const TIMEOUT: Duration = Duration::from_secs(2);
 /// Pause before the prober is opened again.
 const RETRY: Duration = Duration::from_secs(10);
-/// Results that may wait; they are taken at once.
+/// Capacity of the channel of results, which are received at once.
 pub(super) const RESULTS: usize = 64;
 
-/// A reflector, and whose answers are believed.
+/// A reflector, and the condition under which its answers are accepted.
 #[derive(Clone, Debug)]
 pub(super) struct ProbeTarget {
-    /// The name of the cloud, for the log.
+    /// Name of the cloud, for the log.
     pub(super) peer: Slug,
     pub(super) host: String,
     pub(super) port: u16,
     pub(super) key: Option<Key>,
-    /// The process that must answer; any at `None`.
+    /// Number of the process that must answer; `None` accepts any.
     pub(super) instance: Option<u64>,
     pub(super) clocks: RelatedClocks,
 }
 
-/// The reason why a reflector is not probed.
+/// Reason why a reflector is not probed.
 #[derive(Debug, thiserror::Error)]
 enum ProbingError {
     #[error("this host sends no probes: [probes] send = false")]
@@ -52,7 +52,8 @@ enum ProbingError {
 }
 
 impl ProbeTarget {
-    /// Probes as long as it is polled, at the link's pace. Says in `shown` how, or why it does not.
+    /// Probes at the link's pace as long as the future is polled. Keeps the state, or the reason why there are no
+    /// probes, in `shown`.
     pub(super) async fn probe(
         &self,
         shared: &Shared,

@@ -1,4 +1,5 @@
-//! The task of a link: probes, what both hosts tell of their clocks, the proof that these are one, the end of each second.
+//! The task of a link: probes, announcements of both hosts' clocks, the proof of a common clock, the end of each
+//! second.
 
 use std::convert::Infallible;
 use std::pin::pin;
@@ -16,23 +17,23 @@ use super::probe_target::{ProbeTarget, RESULTS};
 use super::shared::{Session, lock};
 use crate::same_clock::prove;
 
-/// Looks after a link until its last session is over.
-pub(super) async fn tend(link: Arc<Link>) {
+/// Runs the task of a link until its last session is over.
+pub(super) async fn maintain(link: Arc<Link>) {
     let mut beside = pin!(link.probe_named_reflector());
     let mut sessions = link.sessions.subscribe();
     loop {
-        // One session at a time tells where the cloud is and what it says of its clock: the oldest.
+        // The oldest session is used: it says where the cloud is, and receives what the cloud announces of its clock.
         let Some(session) = sessions.borrow_and_update().first().cloned() else { break };
         tokio::select! {
-            () = tend_by(&link, session, &mut sessions) => {}
+            () = maintain_over(&link, session, &mut sessions) => {}
             never = &mut beside => match never {},
         }
     }
     link.finish();
 }
 
-/// Looks after a link by means of one of its sessions, until that one is over.
-async fn tend_by(link: &Arc<Link>, session: Session, sessions: &mut watch::Receiver<Vec<Session>>) {
+/// Runs the task by means of one session, until that session is over.
+async fn maintain_over(link: &Arc<Link>, session: Session, sessions: &mut watch::Receiver<Vec<Session>>) {
     let id = session.id;
     let authenticated = link.shared.probes.key_for(&session).is_some();
     let (mut peer, mut own) = (session.clock.clone(), link.shared.host.own.clone());
@@ -55,9 +56,9 @@ async fn tend_by(link: &Arc<Link>, session: Session, sessions: &mut watch::Recei
             }
             Ok(()) = own.changed() => {
                 let clock = own.borrow_and_update().clone();
-                link.edge_says(clock);
+                link.edge_announced(clock);
             }
-            clock = next(&mut peer) => link.cloud_says(clock),
+            clock = next(&mut peer) => link.cloud_announced(clock),
             Some(result) = arriving.recv() => {
                 link.probed(&result, authenticated);
                 answers.note(&result, link.shared.host.clock.mono(), &mut lock(&link.probing));
@@ -67,7 +68,8 @@ async fn tend_by(link: &Arc<Link>, session: Session, sessions: &mut watch::Recei
             never = &mut probing => match never {},
         }
     }
-    // The session is over: probes that are not answered count as lost: each that was sent is answered or lost.
+    // The session is over. Probes without an answer count as lost, so that each probe sent is either answered or
+    // lost.
     while let Ok(result) = arriving.try_recv() {
         link.probed(&result, authenticated);
         answers.note(&result, link.shared.host.clock.mono(), &mut lock(&link.probing));
@@ -78,7 +80,7 @@ async fn tend_by(link: &Arc<Link>, session: Session, sessions: &mut watch::Recei
     link.settle_sessions();
 }
 
-/// What the cloud tells next; nothing any more when the session is over.
+/// Waits for the cloud's next announcement of its clocks; for ever once the session is over.
 async fn next(clock: &mut watch::Receiver<PeerClock>) -> PeerClock {
     match clock.changed().await {
         Ok(()) => clock.borrow_and_update().clone(),
@@ -86,7 +88,8 @@ async fn next(clock: &mut watch::Receiver<PeerClock>) -> PeerClock {
     }
 }
 
-/// Probes the cloud of a session as long as it is polled; says at the link why it does not.
+/// Probes the cloud of a session as long as the future is polled. If there are no probes, the reason is kept at the
+/// link.
 async fn probe(link: &Link, session: &Session, results: mpsc::Sender<ProbeResult>) -> Infallible {
     let Some(port) = session.probes else {
         *lock(&link.probing) = Probing::Off(format!("{} answers no probes", link.cloud.name));
@@ -103,7 +106,7 @@ async fn probe(link: &Link, session: &Session, results: mpsc::Sender<ProbeResult
     target.probe(&link.shared, &link.pace, &link.probing, results).await
 }
 
-/// From a moment to the next second of the same clock.
+/// Returns the time to the next full second of the same clock.
 fn until_next_second(unix_nanos: i64) -> Duration {
     const SECOND: i64 = 1_000_000_000;
     Duration::from_nanos((SECOND - unix_nanos.rem_euclid(SECOND)).unsigned_abs())
@@ -114,7 +117,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_next_second_is_never_now_and_never_more_than_a_second_away() {
+    fn next_second_is_later_by_one_second_at_most() {
         assert_eq!(until_next_second(0), Duration::from_secs(1));
         assert_eq!(until_next_second(1_999_999_999), Duration::from_nanos(1));
         assert_eq!(until_next_second(-1), Duration::from_nanos(1));

@@ -16,11 +16,11 @@ use tokio_util::task::TaskTracker;
 
 use super::pair::Link;
 use super::probing;
-use super::shared::{Near, ProbeSettings, Session, Shared, lock};
+use super::shared::{LinkContext, ProbeSettings, Session, Shared, lock};
 use crate::config::ClockConfig;
 use crate::same_clock::ClockSocket;
 
-/// The links by cloud; clones are the same.
+/// The links by cloud; clones share them.
 #[derive(Clone, Debug)]
 pub(crate) struct Links(Arc<Inner>);
 
@@ -28,36 +28,36 @@ pub(crate) struct Links(Arc<Inner>);
 struct Inner {
     shared: Arc<Shared>,
     open: Mutex<BTreeMap<HostId, Arc<Link>>>,
-    /// The last cloud of each pipeline.
-    served_by: Mutex<BTreeMap<Slug, Cloud>>,
-    /// One task per link; it ends with the link's last session.
+    /// Latest cloud of each pipeline.
+    serving_cloud: Mutex<BTreeMap<Slug, Cloud>>,
+    /// Tracker of the tasks: one per link, which ends with the link's last session.
     tasks: TaskTracker,
-    /// The first of them that died.
+    /// First panic of one of these tasks.
     died: watch::Sender<Option<LinkPanic>>,
     sessions: AtomicU64,
-    /// Sessions that are over.
+    /// Number of sessions that are over.
     ended_sessions: AtomicU64,
 }
 
-/// A cloud as it introduced itself.
+/// Description of a cloud, as it introduced itself.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Cloud {
-    /// Decides.
+    /// Random identifier of the host; stays the same when the host is renamed.
     pub id: HostId,
     /// Version of its program.
     pub version: String,
-    /// What it is made of.
+    /// Hardware of the host.
     pub hardware: Hardware,
 }
 
-/// The task of a link panicked.
+/// Error for a panic in the task of a link.
 #[derive(Clone, Debug, thiserror::Error)]
 #[error("the task of the link to {peer} panicked; the log says where")]
 pub(crate) struct LinkPanic {
     peer: Slug,
 }
 
-/// A session's share in a link; the link is over when the last one is dropped.
+/// A session's share in a link. The link is over when the last one is dropped.
 #[derive(Debug)]
 pub(crate) struct Attached {
     link: Arc<Link>,
@@ -67,13 +67,13 @@ pub(crate) struct Attached {
 }
 
 impl Links {
-    /// No links yet.
-    pub(crate) fn new(host: Near, clock: &ClockConfig, probes: ProbeSettings) -> Self {
+    /// Creates an empty registry.
+    pub(crate) fn new(host: LinkContext, clock: &ClockConfig, probes: ProbeSettings) -> Self {
         let shared = Arc::new(Shared { host, relation: clock.relation(), probes });
         Self(Arc::new(Inner {
             shared,
             open: Mutex::default(),
-            served_by: Mutex::default(),
+            serving_cloud: Mutex::default(),
             tasks: TaskTracker::new(),
             died: watch::Sender::new(None),
             sessions: AtomicU64::new(0),
@@ -81,8 +81,8 @@ impl Links {
         }))
     }
 
-    /// A session of `pipeline` with the cloud at `address` was opened, whose hello named this clock socket: it joins the link there is, or
-    /// begins one.
+    /// Adds a session of `pipeline` with the cloud at `address` to the link of that cloud, which is created if
+    /// necessary. `clock_socket` is the socket that the session's hello named.
     pub(crate) fn attach(
         &self,
         session: &peernet_networks::Session,
@@ -96,10 +96,11 @@ impl Links {
             version: accepted.version.clone(),
             hardware: accepted.hardware.clone(),
         };
-        lock(&self.0.served_by).insert(pipeline.clone(), cloud);
+        lock(&self.0.serving_cloud).insert(pipeline.clone(), cloud);
         let clocks = session.clocks();
         let own = self.0.shared.host.clock.identity();
-        // A wall clock is no free-running clock, and clocks of two names are not to be one.
+        // A proof is of use only between free-running clocks, and only if both hosts use the same name for their
+        // clock.
         let may_be_one = clocks == RelatedClocks::Raw && own.may_be_one_with(&accepted.clock);
         let clock_socket = clock_socket.filter(|_| may_be_one);
         let joining = Session {
@@ -126,7 +127,7 @@ impl Links {
                 let link = Arc::new(Link::new(&self.0.shared, accepted, clocks));
                 link.join(joining);
                 open.insert(accepted.host, Arc::clone(&link));
-                self.0.tasks.spawn(self.clone().tend(Arc::clone(&link)));
+                self.0.tasks.spawn(self.clone().maintain(Arc::clone(&link)));
                 link
             }
         };
@@ -134,26 +135,27 @@ impl Links {
         Attached { link, links: self.clone(), session: id, network }
     }
 
-    /// The last cloud of a pipeline, which may be gone.
-    pub(crate) fn served_by(&self, pipeline: &Slug) -> Option<Cloud> {
-        lock(&self.0.served_by).get(pipeline).cloned()
+    /// Returns the latest cloud of a pipeline, which may be gone.
+    pub(crate) fn serving_cloud(&self, pipeline: &Slug) -> Option<Cloud> {
+        lock(&self.0.serving_cloud).get(pipeline).cloned()
     }
 
-    /// All links as they are shown.
+    /// Returns the live state of all links.
     pub(crate) fn live(&self) -> Vec<LinkLive> {
+        // Cloned, so that sessions can open and close while the links are read.
         let links: Vec<_> = self.open().values().cloned().collect();
         links.iter().flat_map(|link| link.live()).collect()
     }
 
-    /// Number of sessions, with a connection each, that are over since the agent started.
+    /// Returns the number of sessions that are over since the agent started; each had one connection.
     pub(crate) fn ended_sessions(&self) -> u64 {
         self.0.ended_sessions.load(Ordering::Relaxed)
     }
 
-    /// Looks after the links' tasks until it is told to stop and all sessions are over.
+    /// Supervises the links' tasks until `stop` is cancelled and all sessions are over.
     ///
     /// # Errors
-    /// When one of them died.
+    /// When one of the tasks panicked.
     pub(crate) async fn run(self, stop: CancellationToken) -> Result<(), LinkPanic> {
         let mut died = self.0.died.subscribe();
         let over = async {
@@ -163,6 +165,7 @@ impl Links {
         };
         tokio::select! {
             biased;
+            // A link without its task would silently stop to learn, so that its panic ends the agent.
             panic = died.wait_for(Option::is_some) => match panic {
                 Ok(panic) => panic.clone().map_or(Ok(()), Err),
                 Err(_) => Ok(()),
@@ -171,10 +174,10 @@ impl Links {
         }
     }
 
-    /// The task of a link.
-    async fn tend(self, link: Arc<Link>) {
+    /// Runs the task of a link.
+    async fn maintain(self, link: Arc<Link>) {
         let peer = link.name().clone();
-        if AssertUnwindSafe(probing::tend(link)).catch_unwind().await.is_err() {
+        if AssertUnwindSafe(probing::maintain(link)).catch_unwind().await.is_err() {
             self.0.died.send_replace(Some(LinkPanic { peer }));
         }
     }
@@ -185,8 +188,8 @@ impl Links {
 }
 
 impl Attached {
-    /// Judges the delays of an exchange of the session that came back, sets them in its tree, and returns how long both ways
-    /// took together by the hosts' monotonic clocks.
+    /// Judges the delays of an answered exchange of the session, and sets them in its tree. Returns the sum of both
+    /// directions by the hosts' monotonic clocks.
     pub(crate) fn correct(&self, exchange: &mut Exchange) -> Option<Span> {
         self.link.correct(&self.network, exchange)
     }
@@ -202,6 +205,8 @@ impl std::ops::Deref for Attached {
 
 impl Drop for Attached {
     fn drop(&mut self) {
+        // Locked during both steps, because a session that opens meanwhile must not join a link that is being
+        // removed.
         let mut open = self.links.open();
         let over = self.link.leave(self.session, &self.network);
         if over && open.get(&self.link.cloud.id).is_some_and(|link| Arc::ptr_eq(link, &self.link)) {
@@ -211,14 +216,15 @@ impl Drop for Attached {
     }
 }
 
-/// The host that answers probes. Where names are looked up, the address is that of another program.
+/// Returns the host that answers probes. If the address is that of a name service, it is the host at the other end of
+/// the connection.
 fn cloud_host(session: &peernet_networks::Session, address: &Address) -> String {
     let connected = address.listener_name().and_then(|_| session.statistics_reader().addresses());
     connected.map_or_else(|| address.host(), |addresses| addresses.remote.ip().to_string())
 }
 
-/// Whether what is known of the cloud still holds. A program that was started anew counts its clock's steps anew, and
-/// nobody knows how its clock was set in between.
+/// Returns whether the link's knowledge of the cloud is still valid. A program that was restarted counts its clock's
+/// epochs from 0 again, and its clock may have been set in between.
 fn is_same_cloud(link: &Link, accepted: &SessionAccepted, clocks: RelatedClocks) -> bool {
     let known = link.sessions.borrow().first().map(|session| session.instance);
     link.cloud.clock == accepted.clock && link.cloud.clocks == clocks && known == Some(accepted.instance)

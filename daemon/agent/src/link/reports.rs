@@ -1,26 +1,28 @@
-//! What is reported of steps, jumps, lost proofs and doubts, and how often. No I/O.
+//! Decides which steps, jumps, lost proofs and violated assumptions are reported, and how often. No I/O.
 
 use peernet_clock::{Doubt, ProvenSkew, RawTime, Span};
 
 use crate::same_clock::NotProven;
 
-/// Suspected jumps are reported at most once in such a time, and so are lost proofs: a route that flaps makes one after the other.
+/// Shortest interval between two reports of suspected jumps, and of lost proofs: a flapping route causes one after
+/// the other.
 const REPORT_INTERVAL: Span = Span::from_seconds(60);
-/// A connection that proved one clock ends with its session. If the session has not ended after such a time the proof alone is lost.
+/// Time after which the loss of a proof's connection is reported. The connection ends with its session; if the
+/// session is not over by then, only the proof was lost.
 const SESSION_END: Span = Span::from_seconds(1);
 
-/// Decides what is reported of a restart of the relation, of doubts about its assumptions, and of lost proofs of one clock.
+/// Decides which restarts of the relation, violated assumptions and lost proofs of a common clock are reported.
 #[derive(Debug, Default)]
 pub(super) struct ClockReports {
-    /// Whose clock is known to have been stepped since the last restart: the edge's, the cloud's.
+    /// `true` for the edge's and the cloud's clock if it was stepped since the last restart.
     stepped: (bool, bool),
-    /// The last restart was reported as a doubt.
+    /// `true` if the last restart was reported as a violated assumption.
     is_in_doubt: bool,
-    /// It was reported that the exchanges prove a skew beyond the limit.
+    /// `true` once it was reported that the exchanges prove a skew beyond the limit.
     is_skew_told: bool,
     jumps: ReportLimit,
     lost_proofs: ReportLimit,
-    /// The proof that was lost with its connection, and when: the session may be over, too.
+    /// Proof that was lost with its connection, and the time: the session may be over, too.
     ended_proof: Option<(NotProven, RawTime)>,
 }
 
@@ -28,57 +30,58 @@ pub(super) struct ClockReports {
 #[derive(Debug, Default)]
 struct ReportLimit {
     last_report: Option<RawTime>,
-    /// Events since the last report.
-    untold: u32,
+    /// Number of events since the last report.
+    unreported: u32,
 }
 
 impl ReportLimit {
-    /// Returns how many events were not reported since the last report, if that is long enough ago; else counts this one.
-    fn untold_before(&mut self, at: RawTime) -> Option<u32> {
+    /// Returns the number of events since the last report if another one is allowed; otherwise counts this event.
+    fn unreported_before(&mut self, at: RawTime) -> Option<u32> {
         if self.last_report.is_some_and(|last| (at - last).abs() < REPORT_INTERVAL) {
-            self.untold = self.untold.saturating_add(1);
+            self.unreported = self.unreported.saturating_add(1);
             return None;
         }
         self.last_report = Some(at);
-        Some(std::mem::take(&mut self.untold))
+        Some(std::mem::take(&mut self.unreported))
     }
 }
 
 impl ClockReports {
-    /// Notes whose clock was stepped. A step without a restart counts only while another one waits for its report.
+    /// Records whose clock was stepped. A step without a restart counts only while another one waits for its report.
     pub(super) const fn note_steps(&mut self, restarted: bool, (edge, cloud): (bool, bool)) {
         let counts = restarted || self.stepped.0 || self.stepped.1;
         self.stepped.0 |= counts && edge;
         self.stepped.1 |= counts && cloud;
     }
 
-    /// Returns the report of a restart that moved the offset by `moved`; `doubt` is the assumption that the clocks seem not to
-    /// keep, with its limit.
+    /// Returns the report of a restart that moved the offset by `moved`. `doubt` is the assumption that the clocks
+    /// seem to violate, with its limit.
     pub(super) fn restarted(&mut self, moved: Option<Span>, doubt: Option<(Doubt, f64)>) -> Option<Restart> {
         let (edge, cloud) = std::mem::take(&mut self.stepped);
-        // Clocks beyond the limit begin anew several times a second: that is reported once, until they keep it again.
+        // Clocks beyond the limit cause several restarts per second. They are reported once, until the clocks keep
+        // the limit again.
         let was_in_doubt = std::mem::replace(&mut self.is_in_doubt, doubt.is_some());
         (doubt.is_none() || !was_in_doubt).then_some(Restart { moved, edge, cloud, doubt })
     }
 
     /// Returns the report of a jump that is suspected at a time, unless there was one shortly before.
     pub(super) fn jumped(&mut self, moved: Span, at: RawTime) -> Option<SuspectedJump> {
-        let untold = self.jumps.untold_before(at)?;
-        Some(SuspectedJump { moved, untold })
+        let unreported = self.jumps.unreported_before(at)?;
+        Some(SuspectedJump { moved, unreported })
     }
 
-    /// Returns the report of a proof of one clock that was lost, unless there was one shortly before. A proof that was lost with
-    /// its connection is reported by [`second_over`](Self::second_over), if the session goes on without it.
+    /// Returns the report of a lost proof, unless there was one shortly before. A proof that was lost with its
+    /// connection is reported by [`second_over`](Self::second_over), if the session continues without it.
     pub(super) fn proof_lost(&mut self, why: NotProven, at: RawTime) -> Option<LostProof> {
         if let NotProven::Ended(_) = why {
             self.ended_proof = Some((why, at));
             return None;
         }
-        let untold = self.lost_proofs.untold_before(at)?;
-        Some(LostProof { why, untold })
+        let unreported = self.lost_proofs.unreported_before(at)?;
+        Some(LostProof { why, unreported })
     }
 
-    /// One clock is proven again.
+    /// Records that the common clock is proven again.
     pub(super) fn proof_regained(&mut self) {
         self.ended_proof = None;
     }
@@ -86,8 +89,8 @@ impl ClockReports {
     /// Returns the report of a proof whose connection ended some time ago.
     pub(super) fn second_over(&mut self, now: RawTime) -> Option<LostProof> {
         let (why, at) = self.ended_proof.take_if(|(_, at)| (now - *at).abs() >= SESSION_END)?;
-        let untold = self.lost_proofs.untold_before(at)?;
-        Some(LostProof { why, untold })
+        let unreported = self.lost_proofs.unreported_before(at)?;
+        Some(LostProof { why, unreported })
     }
 
     /// Returns the report of a skew that is proven to be beyond the limit, once until it no longer is.
@@ -97,43 +100,43 @@ impl ClockReports {
     }
 }
 
-/// The offset jumped, and no host noticed a step.
+/// A jump of the offset that no host noticed as a step.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct SuspectedJump {
-    /// By how much.
+    /// Size of the jump.
     pub(super) moved: Span,
-    /// How many were suspected since the last report, without one of their own.
-    pub(super) untold: u32,
+    /// Number of suspected jumps since the last report that were not reported.
+    pub(super) unreported: u32,
 }
 
-/// It is no longer proven that both processes read one clock.
+/// Loss of the proof that both processes read one clock.
 #[derive(Debug)]
 pub(super) struct LostProof {
     pub(super) why: NotProven,
-    /// How many proofs were lost since the last report, without one of their own.
-    pub(super) untold: u32,
+    /// Number of lost proofs since the last report that were not reported.
+    pub(super) unreported: u32,
 }
 
-/// The exchanges prove a skew beyond the limit.
+/// Skew beyond the limit, as proven by the exchanges.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct ExcessSkew {
-    /// The skew that is proven.
+    /// Skew that is proven.
     pub(super) proven: ProvenSkew,
-    /// The limit, parts per million.
+    /// Limit in parts per million.
     pub(super) limit_ppm: f64,
 }
 
-/// A clock was stepped: the relation began anew.
+/// Restart of the relation because a clock was stepped.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Restart {
-    /// By how much the offset moved, where that is known.
+    /// Change of the offset, if it is known.
     pub(super) moved: Option<Span>,
-    /// Whether it was the edge's clock, as far as known.
+    /// `true` if the edge's clock is known to have been stepped.
     pub(super) edge: bool,
-    /// Whether it was the cloud's.
+    /// `true` if the cloud's clock is known to have been stepped.
     pub(super) cloud: bool,
-    /// The assumption, with its limit in parts per million or parts per million per second, where it is more likely that the clocks do not
-    /// keep it.
+    /// Assumption that the clocks more probably violate, with its limit in parts per million or parts per million per
+    /// second.
     pub(super) doubt: Option<(Doubt, f64)>,
 }
 
@@ -154,9 +157,10 @@ mod tests {
     #[test]
     fn lost_proofs_are_reported_once_a_minute_with_their_number() {
         let mut reports = ClockReports::default();
-        let mut untold = |millis| reports.proof_lost(NotProven::PeerTime, at(millis)).map(|lost| lost.untold);
-        let told = [0, 4_000, 59_999, 60_000, 70_000, 121_000].map(&mut untold);
-        assert_eq!(told, [Some(0), None, None, Some(2), None, Some(1)]);
+        let mut unreported =
+            |millis| reports.proof_lost(NotProven::PeerTime, at(millis)).map(|lost| lost.unreported);
+        let reported = [0, 4_000, 59_999, 60_000, 70_000, 121_000].map(&mut unreported);
+        assert_eq!(reported, [Some(0), None, None, Some(2), None, Some(1)]);
     }
 
     #[test]
@@ -172,7 +176,7 @@ mod tests {
         assert!(reports.proof_lost(ended(), at(0)).is_none());
         assert!(reports.second_over(at(999)).is_none(), "the session may still end");
         let lost = reports.second_over(at(1_000)).expect("the session goes on");
-        assert!(matches!(lost, LostProof { why: NotProven::Ended(_), untold: 0 }), "{lost:?}");
+        assert!(matches!(lost, LostProof { why: NotProven::Ended(_), unreported: 0 }), "{lost:?}");
         assert!(reports.second_over(at(2_000)).is_none(), "it is reported once");
 
         assert!(reports.proof_lost(ended(), at(100_000)).is_none());

@@ -1,45 +1,45 @@
-//! What happened between two hosts within one second. No I/O.
+//! Events between two hosts within one second. No I/O.
 
 use std::collections::BTreeMap;
 
 use peernet_clock::{Direction, Exchange, OneWayDelay, Span, Verdict, WallTime};
 use peernet_stream::{DelayPoint, DelaySecond, NetworkName, ProbeCounts, RoundTrip};
 
-use super::thinned::Thinned;
+use super::downsampled::Downsampled;
 
-/// A verdict that fewer than one in so many delays were given is not the second's.
+/// Inverse of the share of delays that a verdict must have to be that of the second.
 const RARE: u32 = 20;
 
 /// One second of the edge's wall clock, or a part of it.
 #[derive(Debug)]
 pub(super) struct Second {
-    /// Seconds since the Unix epoch.
+    /// Start in seconds since the Unix epoch.
     pub(super) at: i64,
     pub(super) probes: ProbeCounts,
-    /// Whether these are authenticated, all of them; `None` without probes.
+    /// `true` if all probes are authenticated; `None` without probes.
     pub(super) authenticated: Option<bool>,
-    /// The exchange that bounds the offset best from above, and the one that does from below.
+    /// Exchange with the best upper bound of the offset; `lower` is the one with the best lower bound.
     pub(super) upper: Option<Exchange>,
     pub(super) lower: Option<Exchange>,
-    trips: Thinned<Span>,
+    trips: Downsampled<Span>,
     shortest: Option<Span>,
-    /// Of data, by the network that it went over.
-    delays: BTreeMap<NetworkName, Ways>,
+    /// Delays of data by network.
+    delays: BTreeMap<NetworkName, DelaysByDirection>,
 }
 
-/// The delays of both directions.
+/// Delays of both directions.
 #[derive(Debug, Default)]
-struct Ways {
+struct DelaysByDirection {
     up: Delays,
     down: Delays,
 }
 
-/// The delays of one direction.
+/// Delays of one direction.
 #[derive(Debug, Default)]
 struct Delays {
-    /// By verdict, in the order of [`Verdict::ALL`], from best to worst.
+    /// Counts by verdict, in the order of [`Verdict::ALL`], from best to worst.
     verdicts: [u32; Verdict::ALL.len()],
-    points: Thinned<DelayPoint>,
+    points: Downsampled<DelayPoint>,
 }
 
 impl Second {
@@ -50,24 +50,24 @@ impl Second {
             authenticated: None,
             upper: None,
             lower: None,
-            trips: Thinned::default(),
+            trips: Downsampled::default(),
             shortest: None,
             delays: BTreeMap::new(),
         }
     }
 
-    /// When it ends.
+    /// Returns the end of the second.
     pub(super) const fn end(&self) -> WallTime {
         WallTime::from_unix_nanos(self.at.saturating_add(1).saturating_mul(1_000_000_000))
     }
 
-    /// Whether anything happened.
+    /// Returns whether nothing happened.
     pub(super) fn is_empty(&self) -> bool {
         self.upper.is_none() && self.probes == ProbeCounts::default() && self.delays.is_empty()
     }
 
-    /// An exchange was believed. Which of two says more at the end of the second depends on when they were, too:
-    /// a bound widens by the drift since then.
+    /// Adds an accepted exchange. Which of two bounds is better at the end of the second also depends on their ages,
+    /// because a bound widens by the drift since then.
     pub(super) fn exchanged(&mut self, exchange: &Exchange, max_drift_ppm: f64) {
         let drift = |age: Span| Span::from_nanos((age.nanos() as f64 * max_drift_ppm * 1e-6).ceil() as i64);
         let lower_than = |best: &Exchange| exchange.upper() + drift(best.sent - exchange.sent) < best.upper();
@@ -81,13 +81,13 @@ impl Second {
         }
     }
 
-    /// A probe took so long, both ways together.
+    /// Adds the round trip of a probe.
     pub(super) fn round_trip(&mut self, trip: Span) {
         self.shortest = Some(self.shortest.map_or(trip, |shortest| shortest.min(trip)));
         self.trips.push(trip);
     }
 
-    /// A delay of data over a network was judged.
+    /// Adds the judged delay of data over a network.
     pub(super) fn judged(
         &mut self,
         network: &NetworkName,
@@ -95,34 +95,34 @@ impl Second {
         delay: &OneWayDelay,
         bits: Option<f64>,
     ) {
-        let ways = self.delays.entry(network.clone()).or_default();
+        let by_direction = self.delays.entry(network.clone()).or_default();
         match direction {
-            Direction::Up => ways.up.add(delay, bits),
-            Direction::Down => ways.down.add(delay, bits),
+            Direction::Up => by_direction.up.add(delay, bits),
+            Direction::Down => by_direction.down.add(delay, bits),
         }
     }
 
-    /// The networks that data went over.
+    /// Returns the networks that carried data.
     pub(super) fn networks(&self) -> impl Iterator<Item = &NetworkName> {
         self.delays.keys()
     }
 
-    /// Everything of a network is told.
+    /// Removes the delays of a network, after its last sample.
     pub(super) fn forget(&mut self, network: &NetworkName) {
         self.delays.remove(network);
     }
 
-    /// Round trips of probes.
+    /// Returns the round trips of probes.
     pub(super) fn round_trips(&self) -> Option<RoundTrip> {
         Some(RoundTrip { min: self.shortest?, median: self.trips.median(|trip| *trip)? })
     }
 
-    /// Delays of one direction over a network.
+    /// Returns the delays of one direction over a network.
     pub(super) fn delays(&self, network: &NetworkName, direction: Direction) -> Option<DelaySecond> {
-        let ways = self.delays.get(network)?;
+        let by_direction = self.delays.get(network)?;
         match direction {
-            Direction::Up => ways.up.summary(),
-            Direction::Down => ways.down.summary(),
+            Direction::Up => by_direction.up.summary(),
+            Direction::Down => by_direction.down.summary(),
         }
     }
 }
@@ -145,6 +145,7 @@ impl Delays {
     fn summary(&self) -> Option<DelaySecond> {
         let count = self.count();
         let frequent = |(_, given): &(&Verdict, &u32)| **given > 0 && given.saturating_mul(RARE) >= count;
+        // The worst verdict that is frequent enough: `ALL` is ordered from best to worst.
         let (verdict, _) = Verdict::ALL.iter().zip(&self.verdicts).rfind(frequent)?;
         Some(DelaySecond { count, median: self.points.median(|point| point.value), verdict: *verdict })
     }
@@ -160,7 +161,8 @@ mod tests {
         RawTime::from_nanos(millis * 1_000_000)
     }
 
-    /// An exchange that began at `sent`, with these one-way delays, between clocks that agree; milliseconds.
+    /// Returns an exchange that began at `sent`, with these one-way delays, between clocks that agree; all in
+    /// milliseconds.
     fn exchange(sent: i64, up: i64, down: i64) -> Exchange {
         Exchange {
             sent: at(sent),
@@ -172,7 +174,7 @@ mod tests {
     }
 
     #[test]
-    fn the_best_exchange_from_either_side_is_kept() {
+    fn best_exchange_of_each_bound_is_kept() {
         let mut second = Second::new(0);
         for exchange in [exchange(0, 5, 1), exchange(100, 2, 7), exchange(200, 6, 6)] {
             second.exchanged(&exchange, 50.0);
@@ -182,7 +184,7 @@ mod tests {
     }
 
     #[test]
-    fn an_older_exchange_has_to_be_better_by_the_drift_since() {
+    fn older_exchange_must_be_better_by_drift() {
         // 900 ms at 10,000 ppm are 9 ms.
         for (up, kept) in [(4, exchange(900, 4, 4)), (3, exchange(900, 3, 3))] {
             let mut second = Second::new(0);
@@ -197,7 +199,7 @@ mod tests {
     }
 
     #[test]
-    fn the_worst_verdict_counts_unless_it_is_rare() {
+    fn worst_verdict_counts_unless_rare() {
         let ok = |millis| OneWayDelay::same_clock(Span::from_millis(millis));
         let stepped = ok(-1);
         let (mut second, network) = (Second::new(0), NetworkName::default());

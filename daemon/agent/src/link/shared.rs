@@ -1,4 +1,4 @@
-//! What the links of an agent have in common, and the sessions that they stand for.
+//! State that the links of an agent share, and their sessions.
 
 use std::collections::BTreeMap;
 use std::sync::{Mutex, MutexGuard, PoisonError};
@@ -15,26 +15,26 @@ use crate::event_queue::EventQueue;
 use crate::incidents::Incidents;
 use crate::same_clock::ClockPeers;
 
-/// What links need of their host.
+/// The parts of the agent that links use.
 #[derive(Clone, Debug)]
-pub(crate) struct Near {
+pub(crate) struct LinkContext {
     pub(crate) name: Slug,
     pub(crate) clock: SharedClock,
-    /// What is known of this host's clocks.
+    /// State of this host's clocks.
     pub(crate) own: watch::Receiver<PeerClock>,
     pub(crate) event_queue: EventQueue,
     pub(crate) incidents: Incidents,
 }
 
-/// What all links have in common.
+/// State that all links share.
 #[derive(Debug)]
 pub(super) struct Shared {
-    pub(super) host: Near,
+    pub(super) host: LinkContext,
     pub(super) relation: RelationSettings,
     pub(super) probes: ProbeSettings,
 }
 
-/// How links are probed.
+/// Settings of the probes.
 #[derive(Clone, Debug)]
 pub(crate) struct ProbeSettings {
     pub(super) send: bool,
@@ -43,12 +43,12 @@ pub(crate) struct ProbeSettings {
     pub(crate) key: Option<Key>,
     pub(super) padding_bytes: u16,
     pub(crate) stamps: Stamps,
-    /// Reflectors that are named for clouds, by their names.
+    /// Reflectors that are named for clouds, by the names of the clouds.
     pub(super) reflectors: BTreeMap<Slug, ReflectorAddress>,
 }
 
 impl ProbeSettings {
-    /// What the configuration says; reads the file of the key.
+    /// Returns the configured settings; reads the file of the key.
     ///
     /// # Errors
     /// When the key cannot be read.
@@ -69,36 +69,36 @@ impl ProbeSettings {
         })
     }
 
-    /// The key for probes of a session: the configured one, else the one that came with the session.
+    /// Returns the key for the probes of a session: the configured one, else the one that came with the session.
     pub(super) fn key_for(&self, session: &Session) -> Option<Key> {
         let given = || session.probe_key.map(|key| Key::from_bytes(key.as_bytes()));
         self.key.clone().or_else(given)
     }
 }
 
-/// A session with a cloud, as its link sees it.
+/// A session with a cloud, as its link uses it.
 #[derive(Clone, Debug)]
 pub(super) struct Session {
     pub(super) id: u64,
     pub(super) pipeline: Slug,
     pub(super) network: NetworkName,
-    /// Where the cloud is found.
+    /// Host name or address of the cloud.
     pub(super) host: String,
-    /// UDP port of its probe reflector.
+    /// UDP port of the cloud's probe reflector.
     pub(super) probes: Option<u16>,
-    /// The process that serves it.
+    /// Random number of the process that serves the session.
     pub(super) instance: u64,
-    /// What it gave to authenticate probes.
+    /// Key from the cloud to authenticate probes.
     pub(super) probe_key: Option<ProbeKey>,
-    /// What it tells of its clock.
+    /// Announcements of the cloud about its clocks.
     pub(super) clock: watch::Receiver<PeerClock>,
-    /// Who may prove that the process which serves it reads this host's clock.
+    /// Processes that may prove that they read this host's clock.
     pub(super) clock_peers: ClockPeers,
-    /// What was sent and received on its connection.
+    /// Statistics of the session's connection.
     pub(super) statistics: StatisticsReader,
 }
 
 pub(super) fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
-    // A panic under the lock leaves figures that are at worst incomplete.
+    // After a panic under the lock the values are at worst incomplete.
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }

@@ -5,17 +5,18 @@ use peernet_logger::{Measure, Name, Node, Tree};
 use peernet_statistics::Summary;
 use peernet_stream::{Outcome, OutcomeCounts, Second};
 
-/// 1 where the iteration took longer than the deadline of its pipeline or has no answer, else 0. Absent without a deadline.
+/// Name of the value that is 1 if an iteration missed its deadline or has no answer, else 0. Absent if the pipeline
+/// has no deadline.
 pub(crate) const DEADLINE_MISSED: Name = Name::from_static("deadline-missed");
 
-/// Names per second at most: a peer adds nodes of its own choice, and the memory for them must be bounded.
-const MOST_NAMES: usize = 64;
+/// Largest number of names per second. A peer adds nodes of its choice, and their memory must be bounded.
+const MAX_NAMES: usize = 64;
 
-/// One second of one pipeline.
+/// Statistics of one second of one pipeline.
 #[derive(Debug)]
 pub(super) struct Cell {
     pub(super) at: i64,
-    /// Rises with every change of the ring; a receiver has seen the cell up to `shown`.
+    /// Version of the ring at the last change of this second. The receiver has it up to version `shown`.
     pub(super) version: u64,
     pub(super) shown: u64,
     counts: OutcomeCounts,
@@ -45,8 +46,8 @@ impl Cell {
             Outcome::Lost(_) => self.counts.lost += 1,
             Outcome::Timeout => self.counts.timeout += 1,
         }
-        // What a failed one took says nothing of how long a working one takes. That its pipeline has a deadline is told by
-        // the name alone: a second without any answer would say nothing of it.
+        // The durations of a failed iteration say nothing about those of a working one. Only the name of the
+        // deadline's value is kept, so that a second without answers still shows that the pipeline has a deadline.
         if *outcome != Outcome::Ok {
             if tree.find(&[DEADLINE_MISSED.as_str()]).is_some() {
                 self.values.open(0, &DEADLINE_MISSED);
@@ -62,11 +63,11 @@ impl Cell {
         }
     }
 
-    /// Adds what is known of the clocks to a message's way.
+    /// Adds verdict and bounds of the one-way delay of a node.
     fn judge(&mut self, node: &Node) {
         let Measure::Transit(transit) = &node.measure else { return };
         let Some(delay) = transit.delay else { return };
-        // What has no value is not averaged in, its error bar neither.
+        // A delay without a value is left out of the averages, and its error bar as well.
         if let Some(bounds) = delay.bounds.filter(|_| delay.value.is_some()) {
             self.bounds.record(0, &node.name, half_width(bounds));
         }
@@ -74,12 +75,12 @@ impl Cell {
         let known = self.verdicts.iter_mut().find(|(name, given, _)| *name == node.name && *given == verdict);
         if let Some((_, _, count)) = known {
             *count += 1;
-        } else if self.verdicts.len() < MOST_NAMES {
+        } else if self.verdicts.len() < MAX_NAMES {
             self.verdicts.push((node.name.clone(), Name::from_static(verdict), 1));
         }
     }
 
-    /// The second as it is sent.
+    /// Returns the second in the form in which it is sent.
     pub(super) fn second(&self) -> Second {
         Second {
             at: self.at,
@@ -91,31 +92,31 @@ impl Cell {
     }
 }
 
-/// Half the width of a bound, in seconds: the ± of a delay.
+/// Returns half the width of an interval in seconds: the ± of a delay.
 fn half_width(bounds: Interval) -> f64 {
     bounds.width().seconds() / 2.0
 }
 
-/// Summaries by name, in the order in which the names came up.
+/// Summaries by name, in the order in which the names first occurred.
 #[derive(Debug)]
 struct Summaries(Vec<(Name, Summary)>);
 
 impl Summaries {
-    /// Adds a value and returns where the next name probably stands: trees of one pipeline have their nodes
-    /// in the same order nearly always, so that a name is found at the first look.
+    /// Adds a value and returns the probable index of the next name. The trees of a pipeline nearly always have their
+    /// nodes in the same order, so that the first comparison finds the name.
     fn record(&mut self, hint: usize, name: &Name, value: f64) -> usize {
         let Some(index) = self.open(hint, name) else { return hint };
         self.0[index].1.record(value);
         index + 1
     }
 
-    /// The place of a name, which is added when it is new; `None` where there is no room for it.
+    /// Returns the index of a name, which is added if it is new; `None` if there is no room for it.
     fn open(&mut self, hint: usize, name: &Name) -> Option<usize> {
         let found = match self.0.get(hint) {
             Some((known, _)) if known == name => Some(hint),
             _ => self.0.iter().position(|(known, _)| known == name),
         };
-        if found.is_none() && self.0.len() < MOST_NAMES {
+        if found.is_none() && self.0.len() < MAX_NAMES {
             self.0.push((name.clone(), Summary::default()));
             return Some(self.0.len() - 1);
         }

@@ -1,4 +1,4 @@
-//! The live picture of the whole agent.
+//! The live statistics of the whole agent.
 
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
@@ -8,86 +8,86 @@ use peernet_stream::{Outcome, PipelineLive, PipelineState, Placement};
 
 use super::ring::{Ring, Shown};
 
-/// What a pipeline shows of itself. The pipeline's task writes; the lock is held for microseconds.
+/// Live state of a pipeline. The pipeline's task writes it; the lock is held for microseconds.
 #[derive(Debug)]
 pub(crate) struct Display {
     pipeline: Slug,
     load: String,
-    face: Mutex<Face>,
+    display_state: Mutex<DisplayState>,
 }
 
 #[derive(Debug)]
-struct Face {
+struct DisplayState {
     state: PipelineState,
     run: Option<RunId>,
     placement: Placement,
     ring: Ring,
-    senses_since: Option<MonoTime>,
+    sensor_busy_since: Option<MonoTime>,
 }
 
 impl Display {
-    /// A pipeline that is starting.
+    /// Creates the state of a pipeline that is starting.
     pub(crate) fn new(pipeline: Slug, load: String, placement: Placement) -> Self {
-        let face = Face {
+        let display_state = DisplayState {
             state: PipelineState::Starting,
             run: None,
             placement,
             ring: Ring::default(),
-            senses_since: None,
+            sensor_busy_since: None,
         };
-        Self { pipeline, load, face: Mutex::new(face) }
+        Self { pipeline, load, display_state: Mutex::new(display_state) }
     }
 
-    /// What the pipeline does now.
+    /// Sets the state that is shown for the pipeline.
     pub(crate) fn set_state(&self, state: PipelineState) {
-        self.face().state = state;
+        self.display_state().state = state;
     }
 
-    /// Since when the sensor is set up, or asked for a sample on its thread; `None` when it is not.
-    pub(crate) fn set_senses_since(&self, since: Option<MonoTime>) {
-        self.face().senses_since = since;
+    /// Sets the time since which the sensor is being set up or its thread is asked for a sample; `None` if neither.
+    pub(crate) fn set_sensor_busy_since(&self, since: Option<MonoTime>) {
+        self.display_state().sensor_busy_since = since;
     }
 
-    /// The pipeline began a run.
+    /// Sets the run in progress.
     pub(crate) fn set_run(&self, run: RunId) {
-        self.face().run = Some(run);
+        self.display_state().run = Some(run);
     }
 
-    /// More is known of where it computes.
+    /// Sets the placement, once more is known of it.
     pub(crate) fn set_placement(&self, placement: Placement) {
-        self.face().placement = placement;
+        self.display_state().placement = placement;
     }
 
-    /// Adds an iteration that is not warm-up and ended within the second `at`.
+    /// Adds an iteration that is not warm-up and ended within the second `at` (Unix time).
     pub(crate) fn record(&self, at: i64, outcome: &Outcome, tree: &Tree) {
-        self.face().ring.record(at, outcome, tree);
+        self.display_state().ring.record(at, outcome, tree);
     }
 
     fn live(&self) -> (PipelineLive, Shown) {
-        let face = self.face();
-        let (seconds, shown) = face.ring.changed();
+        let display_state = self.display_state();
+        let (seconds, shown) = display_state.ring.changed();
         let live = PipelineLive {
             pipeline: self.pipeline.clone(),
-            state: face.state.clone(),
-            run: face.run,
-            placement: face.placement.clone(),
+            state: display_state.state.clone(),
+            run: display_state.run,
+            placement: display_state.placement.clone(),
             load: self.load.clone(),
             seconds,
         };
         (live, shown)
     }
 
-    fn face(&self) -> MutexGuard<'_, Face> {
-        // A panic under the lock leaves numbers that are at worst incomplete.
-        self.face.lock().unwrap_or_else(PoisonError::into_inner)
+    fn display_state(&self) -> MutexGuard<'_, DisplayState> {
+        // After a panic under the lock the numbers are at worst incomplete.
+        self.display_state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
-/// All pipelines of the agent.
+/// Live statistics of all pipelines; clones share them.
 #[derive(Clone, Debug)]
 pub(crate) struct LiveStatistics(Arc<[Arc<Display>]>);
 
-/// What was put into an update: to be handed back once the update is on its way.
+/// Seconds that an update contains; passed to [`LiveStatistics::delivered`] once the update is sent.
 #[derive(Debug)]
 pub(crate) struct Receipt(Vec<Shown>);
 
@@ -96,28 +96,28 @@ impl LiveStatistics {
         Self(displays.into())
     }
 
-    /// Every pipeline with the seconds that changed since those of the last receipt.
-    pub(crate) fn look(&self) -> (Vec<PipelineLive>, Receipt) {
+    /// Returns every pipeline with the seconds that changed since the last delivered receipt.
+    pub(crate) fn snapshot(&self) -> (Vec<PipelineLive>, Receipt) {
         let (pipelines, shown) = self.0.iter().map(|display| display.live()).unzip();
         (pipelines, Receipt(shown))
     }
 
-    /// Since when a pipeline waits for its sensor, if it does.
-    pub(crate) fn senses_since(&self, pipeline: &Slug) -> Option<MonoTime> {
-        self.0.iter().find(|display| display.pipeline == *pipeline)?.face().senses_since
+    /// Returns the time since which a pipeline waits for its sensor, if it does.
+    pub(crate) fn sensor_busy_since(&self, pipeline: &Slug) -> Option<MonoTime> {
+        self.0.iter().find(|display| display.pipeline == *pipeline)?.display_state().sensor_busy_since
     }
 
-    /// The update of this receipt is on its way: what it held need not be shown again.
+    /// Marks the seconds of a receipt as sent.
     pub(crate) fn delivered(&self, receipt: &Receipt) {
         for (display, shown) in self.0.iter().zip(&receipt.0) {
-            display.face().ring.shown(shown);
+            display.display_state().ring.shown(shown);
         }
     }
 
-    /// The receiver was restarted and knows nothing.
+    /// Marks all seconds as not sent, because the receiver was restarted and has none.
     pub(crate) fn start_over(&self) {
         for display in self.0.iter() {
-            display.face().ring.forget_shown();
+            display.display_state().ring.forget_shown();
         }
     }
 }

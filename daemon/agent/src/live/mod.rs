@@ -1,7 +1,7 @@
-//! Live statistics: one-second summaries of each pipeline, shown to the aggregator every 250 ms.
+//! Live statistics: one-second summaries of each pipeline, sent to the aggregator every 250 ms.
 //!
-//! Nothing is queued: an update is put together when it can be handed to the socket, from whatever changed
-//! since the last one that was. What could not be sent is part of the next.
+//! Nothing is queued: an update is composed when it can be handed to the socket, from the seconds that changed since
+//! the last one that was sent. Seconds that could not be sent are part of the next update.
 
 mod cell;
 mod live_statistics;
@@ -12,5 +12,5 @@ pub(crate) use live_statistics::{Display, LiveStatistics, Receipt};
 
 use std::time::Duration;
 
-/// How often an update is sent.
+/// Interval between two updates.
 pub(crate) const INTERVAL: Duration = Duration::from_millis(250);

@@ -1,4 +1,4 @@
-//! The last seconds of one pipeline.
+//! The latest seconds of one pipeline.
 
 use std::collections::VecDeque;
 
@@ -7,27 +7,29 @@ use peernet_stream::{Outcome, Second};
 
 use super::cell::Cell;
 
-/// Seconds kept.
-const KEPT: usize = 64;
-/// Seconds in one update at most: after an outage the newest go first and the others follow.
-const SENT: usize = 8;
-/// A second further before the newest one means that the wall clock was set back: iterations are recorded when they end.
-const STEP: i64 = 1;
+/// Number of seconds that are kept.
+const MAX_SECONDS: usize = 64;
+/// Largest number of seconds in one update. After an outage the newest are sent first.
+const MAX_SENT_SECONDS: usize = 8;
+/// Largest distance in seconds by which an iteration may be recorded before the newest one. Iterations are recorded
+/// when they end, so that a larger distance means that the wall clock was set back.
+const MAX_STEP_BACK: i64 = 1;
 
-/// One cell per second in which something ended, oldest first.
+/// Cells of the seconds in which an iteration ended, oldest first.
 #[derive(Debug, Default)]
 pub(super) struct Ring {
     cells: VecDeque<Cell>,
     version: u64,
 }
 
-/// What of a ring was put into an update: (second, version).
+/// Seconds of a ring that are in an update: (second, version).
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub(crate) struct Shown(Vec<(i64, u64)>);
 
 impl Ring {
-    /// Adds an iteration that ended within the second `at`.
+    /// Adds an iteration that ended within the second `at` (Unix time).
     pub(super) fn record(&mut self, at: i64, outcome: &Outcome, tree: &Tree) {
+        // The version orders changes and marks, so that a second that changes while an update is sent is sent again.
         self.version += 1;
         let version = self.version;
         let cell = self.cell(at);
@@ -36,8 +38,8 @@ impl Ring {
     }
 
     fn cell(&mut self, at: i64) -> &mut Cell {
-        if self.cells.back().is_some_and(|newest| at < newest.at - STEP) {
-            // Seconds that come a second time are others.
+        if self.cells.back().is_some_and(|newest| at < newest.at - MAX_STEP_BACK) {
+            // Seconds that occur again after the clock was set back replace the earlier ones.
             self.cells.retain(|cell| cell.at < at);
         }
         let after = self.cells.iter().rposition(|cell| cell.at <= at);
@@ -46,7 +48,8 @@ impl Ring {
             other => {
                 let mut index = other.map_or(0, |index| index + 1);
                 self.cells.insert(index, Cell::new(at));
-                if self.cells.len() > KEPT && index > 0 {
+                // The new cell itself stays, because the caller writes to it.
+                if self.cells.len() > MAX_SECONDS && index > 0 {
                     self.cells.pop_front();
                     index -= 1;
                 }
@@ -56,23 +59,24 @@ impl Ring {
         &mut self.cells[index]
     }
 
-    /// The seconds that changed since they were last shown, newest first.
+    /// Returns the seconds that changed since they were last sent, newest first.
     pub(super) fn changed(&self) -> (Vec<Second>, Shown) {
-        let changed = self.cells.iter().rev().filter(|cell| cell.version > cell.shown).take(SENT);
+        let changed = self.cells.iter().rev().filter(|cell| cell.version > cell.shown).take(MAX_SENT_SECONDS);
         let (seconds, shown) = changed.map(|cell| (cell.second(), (cell.at, cell.version))).unzip();
         (seconds, Shown(shown))
     }
 
-    /// Notes that an update was handed on.
+    /// Marks the seconds of an update as sent.
     pub(super) fn shown(&mut self, shown: &Shown) {
         for (at, version) in &shown.0 {
+            // A cell that changed after the update was made has a larger version and is sent again.
             if let Some(cell) = self.cells.iter_mut().find(|cell| cell.at == *at) {
                 cell.shown = *version;
             }
         }
     }
 
-    /// Every second is to be shown again: the receiver has lost what it knew.
+    /// Marks all seconds as not sent.
     pub(super) fn forget_shown(&mut self) {
         for cell in &mut self.cells {
             cell.shown = 0;
@@ -102,7 +106,7 @@ mod tests {
     }
 
     #[test]
-    fn a_second_is_complete_each_time_it_is_shown_and_shown_again_only_when_it_changed() {
+    fn shown_second_is_complete_and_repeated_only_after_change() {
         let mut ring = Ring::default();
         ring.record(10, &Outcome::Ok, &tree(4));
         ring.record(11, &Outcome::Ok, &tree(6));
@@ -147,7 +151,7 @@ mod tests {
     }
 
     #[test]
-    fn delays_without_a_value_are_counted_by_verdict_and_never_averaged_in() {
+    fn delays_without_value_are_counted_and_not_averaged() {
         let mut ring = Ring::default();
         ring.record(10, &Outcome::Ok, &tree(4));
         let mut inconsistent = tree(0);
@@ -173,27 +177,27 @@ mod tests {
     }
 
     #[test]
-    fn updates_and_memory_are_bounded_however_long_nobody_looks() {
+    fn updates_and_memory_are_bounded_without_reader() {
         let mut ring = Ring::default();
         for at in 0..1000 {
             ring.record(at, &Outcome::Ok, &tree(1));
         }
-        assert_eq!(ring.cells.len(), KEPT);
+        assert_eq!(ring.cells.len(), MAX_SECONDS);
         let mut seen = Vec::new();
         loop {
             let (seconds, shown) = ring.changed();
             if seconds.is_empty() {
                 break;
             }
-            assert!(seconds.len() <= SENT);
+            assert!(seconds.len() <= MAX_SENT_SECONDS);
             seen.extend(seconds.iter().map(|second| second.at));
             ring.shown(&shown);
         }
-        assert!(seen.iter().copied().eq((1000 - KEPT as i64..1000).rev()), "newest first: {seen:?}");
+        assert!(seen.iter().copied().eq((1000 - MAX_SECONDS as i64..1000).rev()), "newest first: {seen:?}");
     }
 
     #[test]
-    fn seconds_that_a_wall_clock_shows_twice_are_not_added_up() {
+    fn repeated_seconds_of_wall_clock_are_not_summed() {
         let mut ring = Ring::default();
         for at in 4990..=5000 {
             ring.record(at, &Outcome::Ok, &tree(1));

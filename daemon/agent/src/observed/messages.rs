@@ -1,4 +1,4 @@
-//! What an agent asks of another one about messages that both observe, and the answer: JSON documents.
+//! Request for the stamps of observed messages, and the answer, as JSON documents.
 
 use bytes::Bytes;
 use peernet_clock::{RawTime, Span, WallTime};
@@ -9,59 +9,60 @@ use serde::{Deserialize, Serialize, de::DeserializeOwned};
 use crate::config::PairBy;
 use crate::link::HostStamp;
 
-/// Version of the questions and answers. Fields that are not known are ignored, so that they may grow without a new one.
+/// Version of requests and answers. Unknown fields are ignored, so that fields may be added within a version.
 pub(super) const VERSION: u32 = 1;
 
-/// Messages that may be asked for at once.
+/// Largest number of messages in a request.
 pub(crate) const MAX_KEYS: usize = 256;
 
-/// Longest question or answer: several times what so many keys take, and too little to keep the reader from its other peers.
+/// Longest request or answer in bytes: several times the size of [`MAX_KEYS`] keys, and short enough not to delay the
+/// receiver's other peers.
 const MAX_BYTES: usize = 256 << 10;
 
-/// Asks when messages were received.
+/// Request for the stamps of messages.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub(crate) struct StampRequest {
     pub(super) version: u32,
     /// Name of the pipeline on the host that is asked.
     pub(super) pipeline: Slug,
-    /// What the asking pipeline pairs messages by.
+    /// Rule by which the asking pipeline pairs messages.
     pub(super) pair_by: PairBy,
-    /// What the messages are paired by: `header.stamp` in nanoseconds, or `header.seq`.
+    /// Keys of the messages: `header.stamp` in nanoseconds, or `header.seq`.
     pub(super) keys: Vec<i64>,
 }
 
-/// The answer: what is known of each key, in the order of the request.
+/// Answer with the stamps of each key, in the order of the request.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub(crate) struct StampAnswer {
     pub(super) version: u32,
     pub(crate) pairs: Vec<ObservedPair>,
 }
 
-/// When a host received an input message and the output message that belongs to it.
+/// Stamps of an input message and of the output message that belongs to it.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub(crate) struct ObservedPair {
-    /// What both are paired by.
+    /// Key by which both are paired.
     pub(crate) key: i64,
-    /// `None` where it was not received.
+    /// Stamp of the input message; `None` if it was not received.
     input: Option<WireStamp>,
     output: Option<WireStamp>,
     /// Nanoseconds from the input message to the output message, on the monotonic clock.
     elapsed_ns: Option<i64>,
 }
 
-/// A stamp on its way to another host.
+/// A stamp as it is sent to another host.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 struct WireStamp {
-    /// Nanoseconds of the wall clock since 1970.
+    /// Reading of the wall clock in nanoseconds since 1970.
     wall_ns: i64,
-    /// Nanoseconds of the free-running clock.
+    /// Reading of the free-running clock in nanoseconds.
     raw_ns: i64,
-    /// How often the free-running clock was interrupted before; absent where it was interrupted near the stamp.
+    /// Number of interruptions of the free-running clock before; absent if it was interrupted near the stamp.
     #[serde(default)]
     epoch: Option<u32>,
 }
 
-/// A question or an answer that cannot be read.
+/// Reason why a request or an answer cannot be read.
 #[derive(Debug, thiserror::Error)]
 pub(crate) enum StampMessageError {
     #[error("it has no payload")]
@@ -99,8 +100,10 @@ impl StampAnswer {
         sample(self)
     }
 
+    /// Reads an answer.
+    ///
     /// # Errors
-    /// The sample is no answer of this version.
+    /// When the sample is not an answer of this version.
     pub(crate) fn read(sample: &Sample) -> Result<Self, StampMessageError> {
         read(sample)
     }
@@ -125,7 +128,7 @@ impl ObservedPair {
         self.output.map(HostStamp::from)
     }
 
-    /// From the input message to the output message, by the monotonic clock of the host.
+    /// Returns the time from the input message to the output message by the host's monotonic clock.
     pub(crate) fn elapsed(&self) -> Option<Span> {
         self.elapsed_ns.map(Span::from_nanos)
     }
@@ -153,7 +156,7 @@ fn sample(message: &impl Serialize) -> Result<Sample, StampMessageError> {
 }
 
 fn read<T: DeserializeOwned>(sample: &Sample) -> Result<T, StampMessageError> {
-    /// The part that every version has.
+    /// Part of the document that every version has.
     #[derive(Deserialize)]
     struct Versioned {
         version: u32,
@@ -162,6 +165,7 @@ fn read<T: DeserializeOwned>(sample: &Sample) -> Result<T, StampMessageError> {
     if part.bytes.len() > MAX_BYTES {
         return Err(StampMessageError::TooLong(part.bytes.len()));
     }
+    // Read first, because a document of another version may have other fields.
     let Versioned { version } = serde_json::from_slice(&part.bytes)?;
     if version != VERSION {
         return Err(StampMessageError::Version(version));
@@ -181,7 +185,8 @@ mod tests {
         Sample::of(Description::unshaped(MediaType::Json), Bytes::copy_from_slice(text.as_bytes()))
     }
 
-    /// A file of `tests/fixtures/wire/observed`: what version 1 wrote stays readable. A file that is there is never changed.
+    /// Reads a file of `tests/fixtures/wire/observed`: documents that version 1 wrote must stay readable. An existing
+    /// file is never changed.
     fn fixture(name: &str) -> Vec<u8> {
         let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tests/fixtures/wire/observed");
         std::fs::read(folder.join(name)).expect("the fixture is there")

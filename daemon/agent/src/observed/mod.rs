@@ -1,7 +1,8 @@
-//! Stamps of messages that this host's pipelines observe, for agents of other hosts that observe the same messages.
+//! Stamps of the messages that this host's pipelines observe, for agents on other hosts that observe the same
+//! messages.
 //!
-//! `messages` is what the two agents say to each other, `ring` what is kept of a pipeline, and `pipelines` what a peer is
-//! answered. No I/O: the session is `serve`'s.
+//! `messages` defines requests and answers, `ring` keeps the newest stamps of a pipeline, and `pipelines` answers
+//! requests. No I/O: `serve` owns the session.
 
 mod messages;
 mod pipelines;

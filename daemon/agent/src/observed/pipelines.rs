@@ -1,4 +1,4 @@
-//! The pipelines of this host that observe, as peers can ask about them.
+//! The observing pipelines of this host about which peers can ask.
 
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -13,17 +13,17 @@ use super::ring::{Side, StampRing};
 use crate::config::{AgentConfig, PairBy, PipelineConfig, PlacementConfig, StartMode};
 use crate::link::HostStamp;
 
-/// The name that is asked for in the place of a model.
+/// Name by which stamps are requested in place of a model.
 pub(crate) const MODEL: &str = "observed-stamps";
 
-/// Messages of a pipeline that are kept: those of eight seconds at 1 kHz.
+/// Number of messages of a pipeline that are kept: those of eight seconds at 1 kHz.
 const CAPACITY: usize = 8192;
 
-/// The pipelines of this host that observe and start with it; clones are the same.
+/// The observing pipelines of this host that start with the agent; clones share them.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct ObservedPipelines(Arc<BTreeMap<Slug, Arc<ObservedPipeline>>>);
 
-/// What peers can ask about one of them.
+/// Stamps of one observing pipeline.
 #[derive(Debug)]
 pub(crate) struct ObservedPipeline {
     pair_by: PairBy,
@@ -31,7 +31,7 @@ pub(crate) struct ObservedPipeline {
 }
 
 impl ObservedPipelines {
-    /// Those of a host that serves; none where it does not, because nobody can ask.
+    /// Returns the pipelines of a host that serves; none if it does not serve, because no peer can ask.
     pub(crate) fn of(config: &AgentConfig) -> Self {
         let pipeline = |pipeline: &PipelineConfig| match &pipeline.placement {
             PlacementConfig::Observe(observed) if pipeline.start == StartMode::Boot => {
@@ -49,7 +49,7 @@ impl ObservedPipelines {
         self.0.get(pipeline).cloned()
     }
 
-    /// Returns why no peer can ask about any pipeline here; `None` where there is one.
+    /// Returns why peers cannot ask about any pipeline here; `None` if they can.
     pub(crate) fn refusal(&self, host: &Slug) -> Option<String> {
         self.0.is_empty().then(|| {
             format!(
@@ -62,7 +62,7 @@ impl ObservedPipelines {
     /// Answers a request.
     ///
     /// # Errors
-    /// The request cannot be read, or there is no such pipeline here.
+    /// When the request cannot be read, or there is no such pipeline here.
     pub(crate) fn answer(&self, sample: &Sample, host: &Slug) -> Result<Sample, AnswerError> {
         let request = StampRequest::read(sample).map_err(AnswerError::Request)?;
         let StampRequest { pipeline, pair_by, keys, .. } = request;
@@ -84,26 +84,26 @@ impl ObservedPipelines {
     }
 }
 
-/// A request without an answer.
+/// Reason why a request is not answered.
 #[derive(Debug, Error)]
 pub(crate) enum AnswerError {
-    /// It cannot be read.
+    /// The request cannot be read.
     #[error("cannot read the request: {0}")]
     Request(#[source] StampMessageError),
-    /// No pipeline that observes has the name.
+    /// No observing pipeline has this name.
     #[error(
         "no pipeline of host {host} that observes is named {pipeline}; there is {}; set peer_pipeline to it",
         names(known)
     )]
     Unknown { host: Slug, pipeline: Slug, known: Vec<Slug> },
-    /// The pipeline finds the two messages of a pair otherwise.
+    /// The pipeline pairs its messages by another rule.
     #[error(
         "pipeline {pipeline} of host {host} pairs by {}, and the one that asks by {}; set pair_by to the same \"stamp\" or \
          \"sequence\" in both",
         here.describe(), there.describe()
     )]
     PairedOtherwise { host: Slug, pipeline: Slug, here: PairBy, there: PairBy },
-    /// It asks for too many messages.
+    /// The request has too many keys.
     #[error("{0} messages are too many for one request; at most {MAX_KEYS}")]
     TooMany(usize),
     /// The answer cannot be written.
@@ -121,7 +121,7 @@ impl ObservedPipeline {
         Self { pair_by, ring: Mutex::new(StampRing::new(CAPACITY, lifetime)) }
     }
 
-    /// Notes a message that was received at `at`.
+    /// Keeps the stamp of a message that was received at `at`.
     pub(crate) fn note(&self, side: Side, key: i64, stamp: HostStamp, at: MonoTime) {
         self.ring.lock().unwrap_or_else(PoisonError::into_inner).note(side, key, stamp, at);
     }
@@ -150,7 +150,7 @@ mod tests {
     }
 
     #[test]
-    fn received_messages_are_told_by_their_keys() {
+    fn received_messages_are_found_by_key() {
         let pipelines = pipelines(&format!("{SERVE}{DETECTOR}"));
         let detector = pipelines.find(&slug("detector")).expect("it is there");
         let stamp = |nanos| HostStamp {
@@ -168,7 +168,7 @@ mod tests {
     }
 
     #[test]
-    fn what_cannot_be_answered_names_the_next_step() {
+    fn refused_request_names_next_step() {
         let pipelines = pipelines(&format!("{SERVE}{DETECTOR}"));
         let refused =
             |request: &StampRequest| ask(&pipelines, request).expect_err("it is refused").to_string();
@@ -185,7 +185,7 @@ mod tests {
     }
 
     #[test]
-    fn host_without_observing_pipelines_says_so() {
+    fn host_without_observing_pipelines_refuses_requests() {
         for text in [SERVE, DETECTOR] {
             let refusal = pipelines(text).refusal(&slug("rack")).expect("nobody can ask");
             assert!(refusal.contains("host rack") && refusal.contains("kind = \"observe\""), "{refusal}");

@@ -1,4 +1,4 @@
-//! The newest messages of an observed pipeline. No I/O.
+//! The newest stamps of an observed pipeline. No I/O.
 
 use std::collections::{HashMap, VecDeque};
 
@@ -7,21 +7,21 @@ use peernet_clock::{MonoTime, Span};
 use super::ObservedPair;
 use crate::link::HostStamp;
 
-/// Which of the two topics a message is of.
+/// Topic of a message.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Side {
     Input,
     Output,
 }
 
-/// When the newest messages were received, by what they are paired by.
+/// Stamps of the newest messages, by key.
 #[derive(Debug)]
 pub(super) struct StampRing {
     capacity: usize,
-    /// A key that comes again so much later is that of another message, as of a recording that is played in a loop.
+    /// Time after which the same key belongs to another message, for example in a recording that is played in a loop.
     lifetime: Span,
     received: HashMap<i64, Entry>,
-    /// The keys, the oldest first; each once.
+    /// The keys, oldest first, without duplicates.
     order: VecDeque<i64>,
 }
 
@@ -37,12 +37,14 @@ impl StampRing {
         Self { capacity, lifetime, received: HashMap::new(), order: VecDeque::new() }
     }
 
-    /// Notes a message that was received at `at`. Of several with one key the first counts, as where they are paired.
+    /// Keeps the stamp of a message that was received at `at`. Of several messages with one key the first counts, as
+    /// in the pairing.
     pub(super) fn note(&mut self, side: Side, key: i64, stamp: HostStamp, at: MonoTime) {
         let empty = Entry { first: at, input: None, output: None };
         match self.received.get(&key) {
             Some(known) if at - known.first < self.lifetime => {}
             Some(_) => {
+                // A linear search, but only where a recording is played again.
                 self.order.retain(|other| *other != key);
                 self.received.insert(key, empty);
                 self.order.push_back(key);
@@ -66,7 +68,7 @@ impl StampRing {
         }
     }
 
-    /// Returns what is known of a key.
+    /// Returns the stamps of a key.
     pub(super) fn find(&self, key: i64) -> ObservedPair {
         let entry = self.received.get(&key);
         let (input, output) = (entry.and_then(|entry| entry.input), entry.and_then(|entry| entry.output));
@@ -91,7 +93,7 @@ mod tests {
     }
 
     #[test]
-    fn both_messages_of_a_key_are_found_in_any_order_of_arrival() {
+    fn messages_of_key_are_found_in_any_order() {
         let mut ring = StampRing::new(4, Span::from_seconds(5));
         note(&mut ring, Side::Input, 1, 10);
         assert!(!ring.find(1).is_complete());
@@ -104,7 +106,7 @@ mod tests {
     }
 
     #[test]
-    fn first_message_of_a_key_counts_until_its_time_is_over() {
+    fn first_message_of_key_counts_until_it_expires() {
         let mut ring = StampRing::new(4, Span::from_millis(1000));
         note(&mut ring, Side::Input, 1, 10);
         note(&mut ring, Side::Input, 1, 20);
@@ -117,7 +119,7 @@ mod tests {
     }
 
     #[test]
-    fn memory_is_bounded_and_the_newest_stay() {
+    fn memory_is_bounded_and_newest_stamps_stay() {
         let mut ring = StampRing::new(8, Span::from_seconds(5));
         for key in 0..10_000 {
             note(&mut ring, Side::Input, key, key);

@@ -1,4 +1,4 @@
-//! One connection to the aggregator: a DEALER that lives and dies with it.
+//! One connection to the aggregator: a DEALER socket that lives as long as its connection.
 
 use std::io;
 use std::time::Duration;
@@ -11,40 +11,41 @@ use zeromq::{
     TrySendError,
 };
 
-/// Messages that the socket takes before the connection has: few, because live figures grow old behind them.
+/// Number of messages that the socket buffers. It is small, because live figures grow old behind them.
 const QUEUE: u32 = 8;
-const HEARTBEAT: Duration = Duration::from_secs(1);
-/// A peer this silent is gone.
-const SILENCE: Duration = Duration::from_secs(5);
-/// How long finding out why a connection failed may take.
-const DIAGNOSIS: Duration = Duration::from_secs(1);
-const HANDSHAKE: Duration = Duration::from_secs(5);
-/// The library would dial again by itself, behind our back and with the old messages still in its queue.
+const HEARTBEAT_INTERVAL: Duration = Duration::from_secs(1);
+/// Time without a sign of the peer after which it counts as gone.
+const SILENCE_TIMEOUT: Duration = Duration::from_secs(5);
+/// Longest time for finding out why a connection failed.
+const DIAGNOSIS_TIMEOUT: Duration = Duration::from_secs(1);
+const HANDSHAKE_TIMEOUT: Duration = Duration::from_secs(5);
+/// Interval of the library's own reconnecting, which is switched off: it would happen unnoticed, with old messages
+/// still in the queue.
 const NEVER: Duration = Duration::from_secs(365 * 24 * 3600);
 
-/// The reason why there is no connection, or none any more.
+/// Reason why there is no connection, or no longer.
 #[derive(Debug, thiserror::Error)]
 pub(super) enum ConnectionError {
-    /// The socket could not be made, connected or read.
+    /// The socket could not be created, connected or read.
     #[error(transparent)]
     Socket(#[from] zeromq::Error),
-    /// The socket tells no more of its connection.
+    /// The monitor of the socket has ended.
     #[error(transparent)]
     Monitor(#[from] zeromq::MonitorRecvError),
-    /// Something that does not speak the protocol listens there.
+    /// The peer does not speak ZMTP.
     #[error("something else answers there ({0})")]
     Handshake(String),
-    /// The system refused the connection.
+    /// The system refused the connection, or it failed.
     #[error("nobody answers ({})", .0.to_string().to_lowercase())]
     Refused(#[source] io::Error),
-    /// The system did not say anything in time.
+    /// The connection was not established in time.
     #[error("nobody answers")]
     Unanswered,
-    /// The connection is accepted but does not last.
+    /// The peer accepts connections and closes them at once.
     #[error("something there takes connections and closes them at once")]
     ClosedAtOnce,
-    /// The connection was open, and ended.
-    #[error("{}", in_words(.0))]
+    /// The connection was open and has ended.
+    #[error("{}", disconnect_text(.0))]
     Disconnected(DisconnectReason),
 }
 
@@ -59,17 +60,19 @@ impl Connection {
     /// Opens a connection.
     ///
     /// # Errors
-    /// What stood in the way.
+    /// When the connection cannot be established.
     pub(super) async fn open(address: &Address) -> Result<Self, ConnectionError> {
         let options = Options::default()
             .workload_profile(WorkloadProfile::Latency)
             .send_hwm(QUEUE)
             .max_message_size(peernet_stream::codec::MAX_MESSAGE_BYTES)
-            .heartbeat_interval(HEARTBEAT)
-            .heartbeat_timeout(SILENCE)
-            .tcp_user_timeout(SILENCE)
-            .handshake_timeout(HANDSHAKE)
+            .heartbeat_interval(HEARTBEAT_INTERVAL)
+            .heartbeat_timeout(SILENCE_TIMEOUT)
+            // Without it TCP would repeat unacknowledged data for many minutes on a dead link.
+            .tcp_user_timeout(SILENCE_TIMEOUT)
+            .handshake_timeout(HANDSHAKE_TIMEOUT)
             .reconnect(ReconnectPolicy::Fixed(NEVER))
+            // Batches that are lost with the connection are sent again.
             .linger(Duration::ZERO);
         let socket = Socket::try_new(SocketType::Dealer, options)?;
         let mut monitor = socket.monitor();
@@ -89,16 +92,16 @@ impl Connection {
         }
     }
 
-    /// Hands a frame to the connection; gives it back when there is no room now.
+    /// Passes a frame to the socket; returns it if there is no room now.
     pub(super) fn send(&self, frame: Vec<u8>) -> Result<(), Vec<u8>> {
         match self.socket.try_send(Message::single(frame)) {
             Err(TrySendError::Full(message)) => Err(message.into_bytes().map(Into::into).unwrap_or_default()),
-            // A connection that is closed shows itself at the next receive; what was sent last is repeated.
+            // A closed connection is noticed at the next receive, and unacknowledged batches are sent again.
             Ok(()) | Err(TrySendError::Closed | TrySendError::Error(_)) => Ok(()),
         }
     }
 
-    /// Hands frames over in their order, each when there is room for it.
+    /// Passes frames to the socket in order, waiting for room for each.
     pub(super) async fn deliver(&self, frames: Vec<Vec<u8>>) {
         for mut frame in frames {
             while let Err(back) = self.send(frame) {
@@ -108,8 +111,8 @@ impl Connection {
         }
     }
 
-    /// The next message's frames, or why there will be none; nothing when it is `blocked`, and has room again. Dropping
-    /// the future loses nothing.
+    /// Waits for the next message, or for the end of the connection. Returns `None` if it was `blocked` and has room
+    /// again. Dropping the future loses nothing.
     pub(super) async fn receive(&mut self, blocked: bool) -> Result<Option<Message>, ConnectionError> {
         loop {
             tokio::select! {
@@ -125,7 +128,7 @@ impl Connection {
         }
     }
 
-    /// Closes after what was handed over has gone, no later than after `linger`.
+    /// Closes the connection after the queued frames were sent, at the latest after `linger`.
     pub(super) async fn close(self, linger: Duration) {
         if let Err(error) = self.socket.close_with_linger(Some(linger)).await {
             tracing::debug!(%error, "closing the connection to the aggregator did not end cleanly");
@@ -133,16 +136,16 @@ impl Connection {
     }
 }
 
-/// The library keeps to itself why a connection failed: the system is asked once more.
+/// Finds out why a connection failed, by connecting once more, because the library does not say why.
 async fn diagnose(address: &Address) -> ConnectionError {
-    match tokio::time::timeout(DIAGNOSIS, TcpStream::connect(address.authority())).await {
+    match tokio::time::timeout(DIAGNOSIS_TIMEOUT, TcpStream::connect(address.authority())).await {
         Ok(Err(error)) => ConnectionError::Refused(error),
         Ok(Ok(_)) => ConnectionError::ClosedAtOnce,
         Err(_) => ConnectionError::Unanswered,
     }
 }
 
-fn in_words(reason: &DisconnectReason) -> String {
+fn disconnect_text(reason: &DisconnectReason) -> String {
     match reason {
         DisconnectReason::PeerClosed => "the aggregator closed the connection".to_owned(),
         DisconnectReason::Error(text) => text.clone(),

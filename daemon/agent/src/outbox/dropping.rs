@@ -1,57 +1,57 @@
-//! Tells the log that events are being dropped: when it begins, once a minute while it goes on, and when it is over.
+//! Logs that events are being dropped: at the beginning, once a minute, and at the end.
 
 use peernet_clock::{MonoTime, Span};
 
-const SAY_EVERY: Span = Span::from_seconds(60);
-/// Without a loss for so long it is over.
+const REPORT_INTERVAL: Span = Span::from_seconds(60);
+/// Time without a further loss after which a period of losses is over.
 const OVER_AFTER: Span = Span::from_seconds(5);
 
-/// Watches the number of events that were dropped.
+/// Watches the number of dropped events.
 #[derive(Debug, Default)]
-pub(super) struct Dropping {
+pub(super) struct DroppingWatch {
     seen: Option<u64>,
-    spell: Option<Spell>,
+    period: Option<DroppingPeriod>,
 }
 
-/// A time in which events are dropped.
+/// A period in which events are dropped.
 #[derive(Clone, Copy, Debug)]
-struct Spell {
+struct DroppingPeriod {
     before: u64,
     last: MonoTime,
-    said: MonoTime,
+    reported_at: MonoTime,
 }
 
-/// What is worth a line.
+/// Report for the log.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Said {
-    /// So many were dropped in this spell, and it goes on.
+pub(super) enum DroppingReport {
+    /// Events are being dropped; the number is that of this period so far.
     Dropping(u64),
-    /// It is over.
+    /// The period is over; the number is its total.
     Over(u64),
 }
 
-impl Dropping {
-    /// So many were dropped by `now`, ever.
-    pub(super) fn look(&mut self, dropped: u64, now: MonoTime) -> Option<Said> {
+impl DroppingWatch {
+    /// Updates the total number of dropped events at `now`, and returns a report if one is due.
+    pub(super) fn update(&mut self, dropped: u64, now: MonoTime) -> Option<DroppingReport> {
         let seen = self.seen.replace(dropped).unwrap_or(dropped);
-        match &mut self.spell {
+        match &mut self.period {
             None if dropped > seen => {
-                self.spell = Some(Spell { before: seen, last: now, said: now });
-                Some(Said::Dropping(dropped - seen))
+                self.period = Some(DroppingPeriod { before: seen, last: now, reported_at: now });
+                Some(DroppingReport::Dropping(dropped - seen))
             }
             None => None,
-            Some(spell) => {
+            Some(period) => {
                 if dropped > seen {
-                    spell.last = now;
+                    period.last = now;
                 }
-                let count = dropped - spell.before;
-                if now - spell.last >= OVER_AFTER {
-                    self.spell = None;
-                    return Some(Said::Over(count));
+                let count = dropped - period.before;
+                if now - period.last >= OVER_AFTER {
+                    self.period = None;
+                    return Some(DroppingReport::Over(count));
                 }
-                (now - spell.said >= SAY_EVERY).then(|| {
-                    spell.said = now;
-                    Said::Dropping(count)
+                (now - period.reported_at >= REPORT_INTERVAL).then(|| {
+                    period.reported_at = now;
+                    DroppingReport::Dropping(count)
                 })
             }
         }
@@ -63,16 +63,16 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_spell_is_told_at_its_beginning_once_a_minute_and_at_its_end() {
+    fn dropping_is_reported_at_start_each_minute_and_end() {
         let at = |seconds: i64| MonoTime::from_nanos(0) + Span::from_seconds(seconds);
-        let mut dropping = Dropping::default();
-        // What was dropped before the start is no news.
-        assert_eq!(dropping.look(7, at(0)), None);
-        assert_eq!(dropping.look(9, at(1)), Some(Said::Dropping(2)));
-        let told: Vec<_> = (2..130).filter_map(|s| dropping.look(9 + s as u64, at(s))).collect();
-        assert_eq!(told, [Said::Dropping(63), Said::Dropping(123)]);
-        assert_eq!(dropping.look(138, at(133)), None);
-        assert_eq!(dropping.look(138, at(134)), Some(Said::Over(131)));
-        assert_eq!(dropping.look(138, at(500)), None);
+        let mut dropping = DroppingWatch::default();
+        // Events that were dropped before the start are not reported.
+        assert_eq!(dropping.update(7, at(0)), None);
+        assert_eq!(dropping.update(9, at(1)), Some(DroppingReport::Dropping(2)));
+        let reported: Vec<_> = (2..130).filter_map(|s| dropping.update(9 + s as u64, at(s))).collect();
+        assert_eq!(reported, [DroppingReport::Dropping(63), DroppingReport::Dropping(123)]);
+        assert_eq!(dropping.update(138, at(133)), None);
+        assert_eq!(dropping.update(138, at(134)), Some(DroppingReport::Over(131)));
+        assert_eq!(dropping.update(138, at(500)), None);
     }
 }

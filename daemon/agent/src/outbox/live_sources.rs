@@ -10,7 +10,7 @@ use crate::host_clock;
 use crate::link::Links;
 use crate::live::{LiveStatistics, Receipt};
 
-/// Everything that the agent reads to make a live update.
+/// The parts of the agent whose state is in a live update.
 #[derive(Clone, Debug)]
 pub(crate) struct LiveSources {
     pub(crate) live_statistics: LiveStatistics,
@@ -21,14 +21,15 @@ pub(crate) struct LiveSources {
 }
 
 impl LiveSources {
-    /// Makes a live update of the current state. The caller gives the receipt back to the board after sending.
+    /// Returns a live update of the current state. The caller passes the receipt to [`LiveStatistics::delivered`]
+    /// after sending.
     pub(crate) fn update(
         &self,
         host: HostId,
         sent: WallTime,
         accounting: Accounting,
     ) -> (LiveUpdate, Receipt) {
-        let (pipelines, receipt) = self.live_statistics.look();
+        let (pipelines, receipt) = self.live_statistics.snapshot();
         let update = LiveUpdate {
             host,
             sent,

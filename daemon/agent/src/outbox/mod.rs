@@ -1,12 +1,20 @@
-//! The way to the aggregator: events that must all arrive, and live figures that must be fresh.
+//! The outbox: sends durable events and live updates to the aggregator.
 //!
-//! Pipelines hand their events to the [`EventQueue`] and go on. One task takes them from there, drives the sending end
-//! of the event stream (`peernet_stream::Sending`, which batches, numbers and repeats), and owns the
-//! connection. A second one owns the [spool], the file in which batches are safe until the aggregator has them.
+//! Tasks put their events into the [`EventQueue`](crate::event_queue::EventQueue) and continue. The outbox task takes
+//! them from there, drives the sending end of the event stream (`peernet_stream::Sending`, a state machine that
+//! batches, numbers and repeats), and owns the connection. A second task owns the [spool], the file in which batches
+//! are safe until the aggregator has stored them; so neither the outbox nor a live update ever waits for a disk.
+//!
+//! A batch is sent after it was written to the spool. While the disk of the spool fails, batches are sent from
+//! memory: otherwise nothing would store them.
+//!
+//! Memory is bounded at every step: the queue, the batches before the spool, the spool, the batches in flight. The
+//! last resort is to drop the newest event, to count it by run, and to insert a gap. `produced = stored + waiting +
+//! dropped` holds at all times.
 
 mod connection;
+mod connection_state;
 mod dropping;
-mod line;
 mod live_sources;
 mod reports;
 mod sender;
@@ -14,10 +22,10 @@ mod shutdown;
 mod spool;
 
 pub(crate) use live_sources::LiveSources;
+pub(crate) use spool::{FileKind, OpenSpool};
 pub use spool::{
     InspectError, Inspection, SpoolDamage, SpoolDefect, SpoolError, SpoolReadError, inspect, waiting_events,
 };
-pub(crate) use spool::{Look, OpenSpool};
 
 use peernet_clock::{SharedClock, Span};
 use peernet_logger::HostId;
@@ -33,22 +41,22 @@ use self::reports::Reports;
 use self::sender::Sender;
 use self::spool::{SpoolTask, SpoolTaskError};
 use crate::config::{AgentConfig, SpoolConfig};
-use crate::event_queue::Exit;
+use crate::event_queue::QueueReceiver;
 use crate::incidents::Incidents;
 use crate::reconnect_backoff::ReconnectBackoff;
 use crate::runs::Runs;
 use crate::tasks::{Failure, FailureCause};
 
-/// What may be under way at once, in batches of the usual length: enough to keep the aggregator busy over one round trip and one write to its disk,
-/// few enough that a live update behind them is still live.
+/// Largest number of batches of usual length in flight: enough to keep the aggregator busy over one round trip and
+/// one write to its disk, few enough that a live update behind them is still current.
 const WINDOW: u32 = 32;
-/// Places in memory that iterations leave to the other events.
+/// Places in memory that are reserved for events other than iterations.
 const RESERVE: u64 = 1024;
 
-/// The spool of this host; none without an aggregator.
+/// Opens the spool of this host; returns `None` without an aggregator.
 ///
 /// # Errors
-/// When it cannot be had.
+/// When it cannot be opened.
 pub(crate) async fn open_spool(
     config: &AgentConfig,
     host: HostId,
@@ -62,51 +70,51 @@ pub(crate) async fn open_spool(
     OpenSpool::open(&path, host, kept_by_agent, clock).await.map(Some)
 }
 
-/// Everything that the outbox needs from the rest of the agent.
+/// The parts of the agent that the outbox uses.
 #[derive(Debug)]
-pub(crate) struct Sources {
+pub(crate) struct OutboxContext {
     pub(crate) clock: SharedClock,
-    /// Takes the incidents of the outbox itself.
+    /// Receives the incidents of the outbox itself.
     pub(crate) incidents: Incidents,
     pub(crate) runs: Runs,
     pub(crate) live: LiveSources,
 }
 
-/// The outbox task; it ends with this, as it would in a crash.
+/// The outbox task. Dropping this aborts the task, as a crash would.
 #[derive(Debug)]
 pub(crate) struct Outbox {
     task: AbortOnDropHandle<Result<(), SpoolTaskError>>,
-    /// Takes the moment by which it must have ended.
+    /// Receives the deadline for the end of the task.
     stop: oneshot::Sender<Instant>,
     ended: CancellationToken,
     accounting: watch::Receiver<Accounting>,
 }
 
 impl Outbox {
-    /// Starts sending to `address`.
+    /// Starts the task that sends to `address`.
     pub(crate) fn start(
         config: &AgentConfig,
         address: Address,
-        exit: Exit,
+        receiver: QueueReceiver,
         spool: OpenSpool,
         (description, secret): (HostDescription, HostSecret),
-        sources: Sources,
+        sources: OutboxContext,
     ) -> Self {
         let OpenSpool { file, state, aside, counter: _ } = spool;
-        let Sources { clock, incidents, runs, live } = sources;
+        let OutboxContext { clock, incidents, runs, live } = sources;
         let reports = Reports::new(incidents);
         if let Some(aside) = &aside {
-            reports.put_aside(aside);
+            reports.quarantined(aside);
         }
         let process = Uuid::new_v4().as_u64_pair().0;
         let reconnect_backoff = ReconnectBackoff::new(description.id);
         let machine = Sending::new(sending(config), description, secret, process, state);
         let (publish, accounting) = watch::channel(machine.accounting());
-        let ((stop, told), ended) = (oneshot::channel(), CancellationToken::new());
+        let ((stop, stop_receiver), ended) = (oneshot::channel(), CancellationToken::new());
         let spool = SpoolTask::start(file, config.spool.sync_interval());
-        let sender = Sender::new(machine, spool, exit, publish, reports, clock, (runs, live));
-        // Large, for the state machine lives in it.
-        let work = Box::pin(sender.run(address, reconnect_backoff, told));
+        let sender = Sender::new(machine, spool, receiver, publish, reports, clock, (runs, live));
+        // On the heap, because the future contains the large state machine.
+        let work = Box::pin(sender.run(address, reconnect_backoff, stop_receiver));
         let guard = ended.clone().drop_guard();
         let task = tokio::spawn(async move {
             let _ended = guard;
@@ -115,19 +123,19 @@ impl Outbox {
         Self { task: AbortOnDropHandle::new(task), stop, ended, accounting }
     }
 
-    /// Cancelled when the task has ended, however that came.
+    /// Returns a token that is cancelled when the task has ended for any reason.
     pub(crate) fn ended(&self) -> CancellationToken {
         self.ended.clone()
     }
 
-    /// What became of the events.
+    /// Returns the current counts of events.
     pub(crate) fn accounting(&self) -> Accounting {
         self.accounting.borrow().clone()
     }
 
-    /// Makes everything safe, hands over what is taken until `deadline`, and takes leave.
+    /// Stops the task: writes all events to the spool, sends events until `deadline`, and says goodbye.
     pub(crate) async fn close(self, deadline: Instant) -> Result<(), Failure> {
-        // A task that has ended already says why below.
+        // If the task has ended already, its result below is the reason.
         let _ = self.stop.send(deadline);
         let failed = |cause| Failure { part: "outbox".to_owned(), cause };
         let ended = self.task.await.map_err(|died| failed(died.into()))?;
@@ -147,7 +155,7 @@ fn sending(config: &AgentConfig) -> SendingConfig {
         memory,
         reserve_events: RESERVE.min(memory.events / 8),
         compression: spool.compression.into(),
-        // Longer than the way there and back on any link: it takes an aggregator without room to be asked again.
+        // Longer than the round trip of any link: time until an aggregator without room is asked again.
         first_pause: Span::from_seconds(1),
         longest_pause: Span::from_seconds(10),
         refused_pause: Span::from_seconds(1),

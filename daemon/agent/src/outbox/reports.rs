@@ -1,4 +1,4 @@
-//! What the outbox says of itself: to the log and, as incidents, to the aggregator.
+//! Reports of the outbox about itself, to the log and as incidents to the aggregator.
 
 use std::fmt;
 
@@ -7,12 +7,12 @@ use peernet_logger::Slug;
 use peernet_networks::Address;
 use peernet_stream::{Accounting, IncidentKind};
 
-use super::dropping::{Dropping, Said};
-use super::spool::PutAside;
+use super::dropping::{DroppingReport, DroppingWatch};
+use super::spool::QuarantinedSpool;
 use crate::incidents::{IncidentContext, Incidents};
 use crate::reconnect_backoff::ReconnectBackoff;
 
-/// With a comma between thousands.
+/// Formats a number with commas between thousands.
 fn grouped(number: u64) -> String {
     let digits = number.to_string();
     let mut text = String::with_capacity(digits.len() * 4 / 3);
@@ -25,39 +25,39 @@ fn grouped(number: u64) -> String {
     text
 }
 
-/// What is so when the aggregator takes the agent in.
+/// State at the time when the aggregator accepts the agent.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Welcome {
-    /// The newest batch that the aggregator has.
+    /// Number of the newest batch that the aggregator has.
     pub(super) stored: u64,
-    /// It lacks batches that were acknowledged.
+    /// `true` if it lacks batches that were acknowledged.
     pub(super) lacks: bool,
-    /// Events that wait.
+    /// Number of events that wait.
     pub(super) waiting: u64,
-    /// Connections to clouds that ended since the last live update.
-    pub(super) untold_ends: u64,
+    /// Number of connections to clouds that ended since the last live update.
+    pub(super) unreported_ends: u64,
 }
 
-/// Says each trouble once.
+/// Reports each trouble once.
 #[derive(Debug)]
 pub(super) struct Reports {
     incidents: Incidents,
-    /// The trouble with the connection that was reported last.
-    said: Option<String>,
-    /// The trouble with what is in the spool that was reported last.
-    rotten: Option<String>,
-    dropping: Dropping,
+    /// Trouble with the connection that was reported last.
+    reported_trouble: Option<String>,
+    /// Damage in the spool that was reported last.
+    damage: Option<String>,
+    dropping: DroppingWatch,
 }
 
 impl Reports {
     pub(super) fn new(incidents: Incidents) -> Self {
-        Self { incidents, said: None, rotten: None, dropping: Dropping::default() }
+        Self { incidents, reported_trouble: None, damage: None, dropping: DroppingWatch::default() }
     }
 
-    /// The aggregator took us in.
+    /// Reports that the aggregator accepted the agent.
     pub(super) fn welcomed(&mut self, aggregator: &Slug, welcome: &Welcome) {
-        let Welcome { stored, lacks, waiting, untold_ends } = *welcome;
-        self.said = None;
+        let Welcome { stored, lacks, waiting, unreported_ends } = *welcome;
+        self.reported_trouble = None;
         let has = match stored {
             0 => String::new(),
             stored => format!(", which has batches up to {stored}"),
@@ -73,7 +73,7 @@ impl Reports {
             1 => ", 1 event waits".to_owned(),
             waiting => format!(", {} events wait", grouped(waiting)),
         };
-        let untold = match untold_ends {
+        let unreported = match unreported_ends {
             0 => String::new(),
             1 => "; 1 connection to a cloud ended meanwhile, what it sent and received since the last live figures is not stored".to_owned(),
             ends => format!(
@@ -81,11 +81,11 @@ impl Reports {
                 grouped(ends)
             ),
         };
-        let text = format!("connected to the aggregator {aggregator}{has}{wait}{lost}{untold}");
+        let text = format!("connected to the aggregator {aggregator}{has}{wait}{lost}{unreported}");
         self.incidents.report(IncidentKind::Connected, IncidentContext::default(), text);
     }
 
-    /// The aggregator knows no secret of this host and was told it.
+    /// Reports that the aggregator has no secret of this host and is sent it.
     pub(super) fn enrolling(&self, aggregator: &Slug) {
         tracing::info!(
             %aggregator,
@@ -93,15 +93,15 @@ impl Reports {
         );
     }
 
-    /// It did not.
+    /// Reports that the aggregator refused the agent.
     pub(super) fn refused(&mut self, reason: &str) {
         let text = format!("the aggregator refuses this agent and is asked again: {reason}");
         self.connection(IncidentKind::Refused, text);
     }
 
-    /// There is no connection.
+    /// Reports the loss of the connection, or that it cannot be opened.
     pub(super) fn away(&mut self, address: &Address, reason: &impl fmt::Display) {
-        if self.said.is_none() {
+        if self.reported_trouble.is_none() {
             let text = format!(
                 "no connection to the aggregator at {address}: {reason}; measuring goes on, events wait, and it is \
                  tried again every {} to {} s",
@@ -112,8 +112,8 @@ impl Reports {
         }
     }
 
-    /// Something takes connections there and says nothing.
-    pub(super) fn mute(&mut self, address: &Address) {
+    /// Reports that the peer accepts connections but does not speak the protocol.
+    pub(super) fn silent(&mut self, address: &Address) {
         let text = format!(
             "connected to {address}, but no aggregator answers there; is it the event port (5550) of an \
              aggregator? It is tried again, events wait"
@@ -121,7 +121,7 @@ impl Reports {
         self.connection(IncidentKind::Disconnected, text);
     }
 
-    /// What the spool holds goes on in a new stream.
+    /// Reports that the spool continues in a new stream.
     pub(super) fn renewed(&self, stored: u64, newest: u64) {
         let text = format!(
             "the aggregator has batches up to {stored} of a stream that ends at {newest} here, or others under the \
@@ -130,28 +130,28 @@ impl Reports {
         self.incidents.report(IncidentKind::Gap, IncidentContext::default(), text);
     }
 
-    /// The spool cannot be written or read.
+    /// Reports that the spool cannot be written or read.
     pub(super) fn spool_failed(&self, reason: &str) {
         let text = format!("{reason}; measuring goes on, and it is tried again");
         self.incidents.report(IncidentKind::Gap, IncidentContext::default(), text);
     }
 
-    /// It can again.
+    /// Reports that the spool can be used again.
     pub(super) fn spool_recovered(&self) {
         let text = "the spool can be used again".to_owned();
         self.incidents.note(IncidentKind::Gap, IncidentContext::default(), text);
     }
 
-    /// Something in it was not as it should be.
-    pub(super) fn rotten(&mut self, text: String) {
-        if self.rotten.as_ref() != Some(&text) {
+    /// Reports damage in the spool.
+    pub(super) fn damage(&mut self, text: String) {
+        if self.damage.as_ref() != Some(&text) {
             self.incidents.report(IncidentKind::Gap, IncidentContext::default(), text.clone());
-            self.rotten = Some(text);
+            self.damage = Some(text);
         }
     }
 
-    /// A new one had to take its place.
-    pub(super) fn put_aside(&self, aside: &PutAside) {
+    /// Reports that a broken spool was replaced by a new one.
+    pub(super) fn quarantined(&self, aside: &QuarantinedSpool) {
         let text = format!(
             "{}; it is kept as {}, and an empty one takes its place: events that the aggregator had not got are \
              missing there",
@@ -161,12 +161,13 @@ impl Reports {
         self.incidents.report(IncidentKind::Gap, IncidentContext::default(), text);
     }
 
-    /// So stand the events. That some are missing stands in the stream as a gap; the log is for who looks here.
+    /// Logs whether events are being dropped. The gaps in the stream tell the aggregator; the log is for people on
+    /// this host.
     pub(super) fn account(&mut self, account: &Accounting, now: MonoTime) {
         let mib = |bytes: u64| bytes as f64 / f64::from(1 << 20);
-        match self.dropping.look(account.dropped, now) {
+        match self.dropping.update(account.dropped, now) {
             None => {}
-            Some(Said::Dropping(events)) => tracing::warn!(
+            Some(DroppingReport::Dropping(events)) => tracing::warn!(
                 events,
                 "events are dropped, the gaps say why: the spool holds {:.1} of {:.1} MiB ([spool] limit_bytes), the \
                  memory before it {:.1} MiB",
@@ -174,16 +175,16 @@ impl Reports {
                 mib(account.spool_limit_bytes),
                 mib(account.memory_bytes)
             ),
-            Some(Said::Over(events)) => {
+            Some(DroppingReport::Over(events)) => {
                 tracing::info!(events, "no event was dropped for some seconds; those before stand in gaps");
             }
         }
     }
 
     fn connection(&mut self, kind: IncidentKind, text: String) {
-        if self.said.as_ref() != Some(&text) {
+        if self.reported_trouble.as_ref() != Some(&text) {
             self.incidents.report(kind, IncidentContext::default(), text.clone());
-            self.said = Some(text);
+            self.reported_trouble = Some(text);
         }
     }
 }
@@ -193,7 +194,7 @@ mod tests {
     use super::grouped;
 
     #[test]
-    fn thousands_are_told_apart() {
+    fn thousands_are_separated() {
         for (number, text) in [(7, "7"), (999, "999"), (1_000, "1,000"), (12_345_678, "12,345,678")] {
             assert_eq!(grouped(number), text);
         }

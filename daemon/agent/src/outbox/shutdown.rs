@@ -1,10 +1,10 @@
-//! Decision of how long a stopping outbox goes on delivering. No I/O: time comes in as an argument.
+//! Computes how long a stopping outbox continues to deliver. No I/O: the time is an argument.
 
 use std::time::Duration;
 
 use tokio::time::Instant;
 
-/// Shutdown of the outbox: all events go to the spool, and those that the aggregator stores in time also to the aggregator.
+/// Shutdown of the outbox: all events go to the spool, and to the aggregator as long as it stores them in time.
 #[derive(Debug)]
 pub(super) struct Shutdown {
     deadline: Instant,
@@ -19,9 +19,9 @@ pub(super) struct Shutdown {
 /// State of the outbox at one time.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct OutboxState {
-    /// Whether all events are in the spool.
+    /// `true` if all events are in the spool.
     pub(super) spooled: bool,
-    /// Whether the aggregator is known to be unreachable.
+    /// `true` if the aggregator is known to be unreachable.
     pub(super) away: bool,
     /// Number of events that the aggregator has stored.
     pub(super) stored: u64,
@@ -30,13 +30,13 @@ pub(super) struct OutboxState {
 }
 
 impl Shutdown {
-    /// Begins a shutdown `now` that ends by `deadline`, when `stored` events are stored already.
+    /// Begins a shutdown at `now` that ends by `deadline`, when `stored` events are stored already.
     pub(super) fn begin(now: Instant, deadline: Instant, stored: u64) -> Self {
         Self { deadline, quiet: deadline.saturating_duration_since(now) / 2, last_progress: now, stored }
     }
 
-    /// Returns the time until which delivery goes on, and at which this is to be called again; `None` when the shutdown is
-    /// complete.
+    /// Returns the time until which delivery continues, and at which this is to be called again; `None` when the
+    /// shutdown is complete.
     pub(super) fn next(&mut self, now: Instant, state: OutboxState) -> Option<Instant> {
         let OutboxState { spooled, away, stored, waiting } = state;
         if stored > self.stored {

@@ -1,22 +1,23 @@
-//! Whether an answer was right, where the data set knows: accuracy beside latency.
+//! Accuracy of answers to samples with a label: the values `top-1` and `top-5`.
 
 use peernet_inference::UNKNOWN_LABEL;
 use peernet_logger::{Name, Recorder, Unit};
 use peernet_sample::{MediaType, Sample, plain_label};
 use serde::Deserialize;
 
-/// 1 where the answer's best class is the sample's label, else 0. The mean over iterations is the top-1 accuracy.
+/// Name of the value that is 1 if the answer's best class is the sample's label, else 0. Its mean over iterations is
+/// the top-1 accuracy.
 const TOP_1: Name = Name::from_static("top-1");
-/// 1 where the label is among the answer's five best classes, else 0.
+/// Name of the value that is 1 if the label is among the answer's five best classes, else 0.
 const TOP_5: Name = Name::from_static("top-5");
-/// How many classes `top-5` looks at.
+/// Number of classes that `top-5` considers.
 const FIVE: usize = 5;
 
-/// What is read of a classifier's answer.
+/// The parts of a classifier's answer that are read.
 #[derive(Debug, Deserialize)]
 struct Classification {
     label: String,
-    /// Best first; without it only `top-1` can be told.
+    /// Classes, best first; without them only `top-1` is recorded.
     top: Option<Vec<Class>>,
 }
 
@@ -25,14 +26,17 @@ struct Class {
     label: String,
 }
 
-/// Records `top-1` and `top-5` of an answer to a sample whose right answer is `label`; nothing where the answer is
-/// no classification, JSON with `label` and, best first, `top`, or the model said that the label is none of its classes:
-/// what cannot be right is no measurement.
+/// Records `top-1` and `top-5` of an answer to a sample with the label `label`.
+///
+/// Records nothing if the answer is not a classification (JSON with `label` and, best first, `top`), or if the model
+/// marked the label as none of its classes (`unknown-label`): such a sample cannot be answered correctly, so that it
+/// says nothing about the model.
 pub(super) fn judge(log: &mut Recorder, label: &str, answer: &Sample) {
     if log.tree().find(&[UNKNOWN_LABEL.as_str()]).is_some() {
         return;
     }
     let Some(Classification { label: best, top }) = classification(answer) else { return };
+    // A label is often the name of a folder, whose spelling differs from that of the model's class.
     let label = plain_label(label);
     let same = |class: &str| plain_label(class) == label;
     let first = same(&best);
@@ -43,7 +47,7 @@ pub(super) fn judge(log: &mut Recorder, label: &str, answer: &Sample) {
     }
 }
 
-/// An answer that is JSON need not be a classification.
+/// Reads an answer as a classification; `None` if it is something else.
 fn classification(answer: &Sample) -> Option<Classification> {
     let part = answer.parts.first().filter(|part| part.description.media == MediaType::Json)?;
     serde_json::from_slice(&part.bytes).ok()
@@ -63,7 +67,7 @@ mod tests {
 
     use super::*;
 
-    /// `top-1` and `top-5` of an answer, where they are recorded.
+    /// Returns `top-1` and `top-5` of an answer, where they are recorded.
     fn judged(label: &str, answer: &str) -> (Option<f64>, Option<f64>) {
         let clock = ManualClock::new(WallTime::from_unix_nanos(0), ClockIdentity::new("boot", "system"));
         let mut log = Recorder::begin(Arc::new(clock), HostId::random());
@@ -73,7 +77,7 @@ mod tests {
     }
 
     #[test]
-    fn a_label_that_the_model_does_not_know_is_not_scored() {
+    fn label_unknown_to_model_is_not_scored() {
         let clock = ManualClock::new(WallTime::from_unix_nanos(0), ClockIdentity::new("boot", "system"));
         let mut log = Recorder::begin(Arc::new(clock), HostId::random());
         log.value(UNKNOWN_LABEL, 1.0, Unit::NONE);
@@ -88,7 +92,7 @@ mod tests {
     }
 
     #[test]
-    fn the_best_and_the_best_five_are_compared_with_the_label() {
+    fn top_one_and_top_five_are_compared_with_label() {
         let top: Vec<_> =
             ["a", "b", "c", "d", "e", "f"].map(|l| format!(r#"{{"label":"{l}","score":0.1}}"#)).into();
         let answer = format!(r#"{{"label":"a","score":0.1,"top":[{}]}}"#, top.join(","));
@@ -99,14 +103,14 @@ mod tests {
     }
 
     #[test]
-    fn spelling_of_folders_does_not_matter() {
+    fn folder_spelling_does_not_matter() {
         let answer = r#"{"label":"golden retriever","top":[]}"#;
         assert_eq!(judged("Golden_Retriever", answer), (Some(1.0), Some(1.0)));
         assert_eq!(judged("golden", answer), (Some(0.0), Some(0.0)));
     }
 
     #[test]
-    fn without_a_ranking_only_the_best_is_judged_and_other_answers_not_at_all() {
+    fn answer_without_ranking_has_no_top_five_score() {
         assert_eq!(judged("a", r#"{"label":"a"}"#), (Some(1.0), None));
         for answer in [r#"{"boxes":[]}"#, "{", "[]", r#"{"label":3}"#] {
             assert_eq!(judged("a", answer), (None, None), "{answer}");

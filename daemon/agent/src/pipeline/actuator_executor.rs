@@ -24,7 +24,7 @@ pub(super) enum ActError {
 #[derive(Clone)]
 pub(super) struct ActuatorExecutor {
     actuator: Arc<Mutex<Box<dyn Actuator>>>,
-    /// Whether the actuator may block. It then runs on a thread, because it would delay all iterations in flight.
+    /// `true` if the actuator may block. It then runs on a thread, because it would delay all iterations in flight.
     blocks: bool,
 }
 
@@ -57,11 +57,11 @@ impl ActuatorExecutor {
         // If the thread panics, this copy has what was recorded before.
         let spare = log.clone();
         let (source, answer) = (source.to_owned(), answer.clone());
-        let actuator_executor = spawn_blocking(move || {
+        let acting = spawn_blocking(move || {
             let acted = act(actuator.as_mut(), &mut log, &source, &answer);
             (log, acted.map_err(ActError::from))
         });
-        actuator_executor.await.unwrap_or_else(|panic| (spare, Err(panic.into())))
+        acting.await.unwrap_or_else(|panic| (spare, Err(panic.into())))
     }
 }
 

@@ -3,8 +3,8 @@
 use peernet_clock::{MonoTime, Span};
 use peernet_stream::Outcome;
 
-/// Growing pause after each failed iteration of a closed loop, which would otherwise fail as fast as it can: a model's queue
-/// may be full, or every picture broken.
+/// Growing pause after each failed iteration of a closed loop, which would otherwise fail as fast as it can, for
+/// example because a model's queue is full or every picture is broken.
 #[derive(Debug, Default)]
 pub(super) struct FailureBackoff {
     failures: u32,
@@ -12,11 +12,11 @@ pub(super) struct FailureBackoff {
 }
 
 impl FailureBackoff {
-    /// Failures in a row without a pause: a few samples may be bad.
+    /// Number of failures in a row without a pause, because a few samples may be bad.
     const FREE: u32 = 3;
     const LONGEST: Span = Span::from_seconds(1);
 
-    /// Records how an iteration ended.
+    /// Records the outcome of an iteration that ended at `now`.
     pub(super) fn record_outcome(&mut self, outcome: &Outcome, now: MonoTime) {
         if *outcome == Outcome::Ok {
             *self = Self::default();
@@ -24,11 +24,12 @@ impl FailureBackoff {
         }
         self.failures = self.failures.saturating_add(1);
         let over = self.failures.saturating_sub(Self::FREE);
+        // 2 ms, 4 ms and so on. The bound of the exponent prevents an overflow.
         let pause = Span::from_millis(1 << over.min(10)).min(Self::LONGEST);
         self.until = (over > 0).then(|| now + pause);
     }
 
-    /// Returns the end of the pause; `None` if there is none now.
+    /// Returns the end of the pause; `None` if the loop does not pause.
     pub(super) fn paused_until(&self, now: MonoTime) -> Option<MonoTime> {
         self.until.filter(|until| *until > now)
     }
@@ -39,16 +40,16 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_few_failures_are_free_many_slow_down_and_a_success_lets_go() {
+    fn repeated_failures_pause_until_success() {
         let (mut backoff, now) = (FailureBackoff::default(), MonoTime::from_nanos(0));
         let failed = Outcome::Failed("broken".into());
-        let reconnect_backoff: Vec<i64> = (0..16)
+        let pauses: Vec<i64> = (0..16)
             .map(|_| {
                 backoff.record_outcome(&failed, now);
                 backoff.paused_until(now).map_or(0, |until| (until - now).nanos() / 1_000_000)
             })
             .collect();
-        assert_eq!(reconnect_backoff, [0, 0, 0, 2, 4, 8, 16, 32, 64, 128, 256, 512, 1000, 1000, 1000, 1000]);
+        assert_eq!(pauses, [0, 0, 0, 2, 4, 8, 16, 32, 64, 128, 256, 512, 1000, 1000, 1000, 1000]);
         backoff.record_outcome(&Outcome::Ok, now);
         assert_eq!(backoff.paused_until(now), None);
     }

@@ -1,4 +1,4 @@
-//! What pipelines need of the rest of the agent.
+//! The parts of the agent that pipelines use.
 
 use std::sync::Arc;
 
@@ -10,15 +10,15 @@ use crate::host::{EventSinks, Host};
 use crate::link::Links;
 use crate::observed::ObservedPipelines;
 
-/// What pipelines need of the rest of the agent.
+/// The parts of the agent that pipelines use.
 #[derive(Clone, Debug)]
 pub(crate) struct PipelineContext {
     pub(crate) host: Host,
     pub(crate) events: EventSinks,
-    /// This host's models.
+    /// Models of this host.
     pub(crate) bank: Arc<Bank>,
     pub(crate) links: Links,
-    /// What peers can ask about this host's pipelines that observe.
+    /// Stamps of the messages that this host's pipelines observe, which peers may ask for.
     pub(crate) observed: ObservedPipelines,
     /// Key of the fingerprints of programs' arguments.
     pub(crate) fingerprints: FingerprintKey,

@@ -1,4 +1,4 @@
-//! Whether an iteration missed its deadline.
+//! Judges whether an iteration missed its deadline.
 
 use peernet_clock::Span;
 use peernet_logger::{Measure, NodeId, Tree, Unit, stage};
@@ -6,7 +6,7 @@ use peernet_stream::Outcome;
 
 use crate::live::DEADLINE_MISSED;
 
-/// Adds to a closed tree whether the iteration missed this deadline.
+/// Adds the value `deadline-missed`, 0 or 1, to a closed tree. An iteration without an answer misses every deadline.
 pub(super) fn judge(tree: &mut Tree, outcome: &Outcome, deadline: Span) {
     let total = tree.find(&[stage::TOTAL.as_str()]).and_then(|(_, node)| node.measure.value());
     let is_in_time = *outcome == Outcome::Ok && total.is_some_and(|total| total <= deadline.seconds());

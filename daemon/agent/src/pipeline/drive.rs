@@ -1,4 +1,4 @@
-//! The inner loop of a pipeline: from start to start until something ends it.
+//! Drives the inner loop of a pipeline: waits for whatever the state machine needs next.
 
 use std::pin::pin;
 use std::sync::Arc;
@@ -13,9 +13,9 @@ use super::placement::Placement;
 use super::resources::PipelineResources;
 use super::run::Run;
 
-/// Runs iterations of `run` at `placement` until one of the ends; all that had begun has been recorded by then.
+/// Runs iterations of `run` at `placement` until the loop ends. All iterations that had begun are recorded by then.
 ///
-/// After `stop` nothing begins any more, and what is under way has `patience` to finish.
+/// After `stop` no iteration begins, and those in flight have `patience` to complete.
 pub(super) async fn drive(
     resources: &mut PipelineResources,
     run: &mut Run,
@@ -26,6 +26,7 @@ pub(super) async fn drive(
 ) -> LoopEnd {
     let timeout = resources.config.timeout();
     let mut pipeline_loop = PipelineLoop::new(resources, run, context);
+    // Polled in this task and not spawned, so that an answer wakes no second task.
     let mut executing = FuturesUnordered::new();
     let mut stopping = pin!(stop.cancelled());
     let mut gone = pin!(placement.closed());
@@ -36,7 +37,7 @@ pub(super) async fn drive(
             executing.push(ready.execute(placement, timeout, pipeline_loop.resources.actuator.clone()));
         }
         if pipeline_loop.begin() {
-            // A loop of parts that never wait would keep its thread from all other tasks.
+            // If no part ever waits, the loop would never yield its thread to other tasks.
             tokio::task::consume_budget().await;
             continue;
         }
@@ -48,6 +49,7 @@ pub(super) async fn drive(
         let start_timer = &mut pipeline_loop.resources.start_timer;
         tokio::select! {
             biased;
+            // First in this biased choice, so that a stream of answers cannot delay the stop.
             () = &mut stopping, if !is_stopping => {
                 is_stopping = true;
                 given_up.as_mut().reset(tokio::time::Instant::now() + patience);
@@ -58,11 +60,11 @@ pub(super) async fn drive(
                 pipeline_loop.end(LoopEnd::Disconnected(reason.to_string()));
             }
             Some(completed) = executing.next() => pipeline_loop.complete(completed),
-            Some(sensed) = maybe(sensing) => match sensed {
+            Some(sensed) = await_if_some(sensing) => match sensed {
                 Ok(sensed) => pipeline_loop.sensed(sensed),
                 Err(_) => pipeline_loop.sensor_died(),
             },
-            Some(elapsed) = maybe(alarm_at.map(|at| Box::pin(start_timer.until(at)))) => {
+            Some(elapsed) = await_if_some(alarm_at.map(|at| Box::pin(start_timer.until(at)))) => {
                 if let Err(error) = elapsed {
                     pipeline_loop.end(LoopEnd::Broken(LoopError::Timer(Arc::new(error))));
                 }
@@ -75,8 +77,8 @@ pub(super) async fn drive(
     }
 }
 
-/// What `future` yields, if there is one.
-async fn maybe<F: Future>(future: Option<F>) -> Option<F::Output> {
+/// Waits for `future` and returns its result; `None` at once if there is no future.
+async fn await_if_some<F: Future>(future: Option<F>) -> Option<F::Output> {
     match future {
         Some(future) => Some(future.await),
         None => None,

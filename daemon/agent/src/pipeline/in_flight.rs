@@ -17,7 +17,7 @@ use super::progress::Position;
 pub(super) struct PendingIteration {
     pub(super) position: Position,
     pub(super) start: Start,
-    /// When it really began, which is later than intended if the pipeline was busy.
+    /// Time at which it really began; later than intended if the pipeline was busy.
     pub(super) began_at: MonoTime,
 }
 
@@ -26,14 +26,14 @@ pub(super) struct QueuedSample {
     pub(super) pending: PendingIteration,
     pub(super) log: Recorder,
     pub(super) sample: Sample,
-    /// The node `send-queue`; `None` in a closed loop, where no sample waits.
+    /// The open node `send-queue`; `None` in a closed loop, where no sample waits.
     pub(super) queued: Option<NodeId>,
 }
 
 /// An iteration with its outcome.
 pub(super) struct CompletedIteration {
     pub(super) pending: PendingIteration,
-    /// The right class, if the data set has labels.
+    /// The label of the sample: its correct class, if the data set has labels.
     pub(super) label: Option<String>,
     pub(super) log: Recorder,
     pub(super) outcome: Outcome,
@@ -44,7 +44,8 @@ pub(super) struct CompletedIteration {
 }
 
 impl QueuedSample {
-    /// Starts to wait with a sample. A closed loop never waits and records no node.
+    /// Starts the wait of a sample for its place in flight. In a closed loop no sample waits, and no node is
+    /// recorded.
     pub(super) fn new(
         pending: PendingIteration,
         mut log: Recorder,
@@ -55,7 +56,7 @@ impl QueuedSample {
         Self { pending, log, sample, queued }
     }
 
-    /// Computes the answer at the placement and acts on it.
+    /// Gets the answer from the placement and passes it to the actuator.
     pub(super) async fn execute(
         mut self,
         placement: &Placement,

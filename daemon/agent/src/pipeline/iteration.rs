@@ -1,27 +1,29 @@
 //! The tree of one iteration, from its intended start to its end.
+//!
+//! The root starts at the intended moment, so that a stall of the edge shows in the latency.
 
 use peernet_clock::{MonoTime, SharedClock, Span};
 use peernet_logger::{HostId, Measure, Name, NodeId, Recorder, Tree, Unit, stage};
 
 use super::in_flight::PendingIteration;
 
-/// Starts that were skipped between this iteration and the one before it, because the pipeline was too far
-/// behind its rate. Absent when there were none.
+/// Name of the number of starts that were skipped between the previous iteration and this one, because the pipeline
+/// was too far behind its rate. Absent if there were none.
 const SKIPPED_STARTS: Name = Name::from_static("skipped-starts");
-/// From the intended start to the real one. Part of `unattributed`, named because it says that the pipeline
-/// did not keep up. Absent in a closed loop, which is never late.
+/// Name of the time from the intended start to the real one. It is part of `unattributed` and has a separate node
+/// because it shows that the pipeline did not keep up. Absent in a closed loop, which is never late.
 const LATENESS: Name = Name::from_static("lateness");
 
-/// Begins the tree of an iteration that was meant to begin at `intended`: its root begins then. Returns when
-/// it really began, too.
+/// Begins the tree of an iteration with its root at `intended`. Also returns the time at which it really began.
 pub(super) fn begin(clock: &SharedClock, host: HostId, intended: MonoTime) -> (Recorder, MonoTime) {
     let now = clock.stamp();
     let at = now - (now.mono - intended);
     (Recorder::begin_at(SharedClock::clone(clock), host, at), now.mono)
 }
 
-/// Closes the tree of an iteration that ended at `ended`: adds what is computed over the whole, for which even a tree
-/// that a sensor or a model filled has room. `transport` is the time of both ways together, where it is known.
+/// Closes the tree of an iteration that ended at `ended`: adds the values that are computed over the whole. Trees
+/// have room for them even if a sensor or a model has filled them. `transport` is the sum of both directions, if it
+/// is known.
 pub(super) fn close(
     log: Recorder,
     pending: &PendingIteration,
@@ -30,11 +32,12 @@ pub(super) fn close(
     transport: Option<Span>,
 ) -> Tree {
     let total = ended - pending.start.intended;
+    // A transport longer than the whole iteration is impossible, and is not used.
     let stages = stages_total(log.tree(), transport.filter(|transport| *transport <= total));
     finish(log, pending, ended, closed_loop, stages)
 }
 
-/// As [`close`] for an iteration of a closed loop that had stages of which too little is known.
+/// Closes a tree as [`close`] does, for an iteration of a closed loop of whose stages too little is known for a sum.
 pub(super) fn close_without_stages(log: Recorder, pending: &PendingIteration, ended: MonoTime) -> Tree {
     finish(log, pending, ended, true, None)
 }
@@ -65,10 +68,10 @@ fn finish(
     tree
 }
 
-/// The sum of the stages; `None` when one of them took place and it is not known how long it took.
+/// Returns the sum of the stages; `None` if a stage took place whose duration is unknown.
 ///
-/// Where the two clocks were not related, or one of them was stepped, the way up and the way down have no value each;
-/// both together are still known: what the edge waited less what the cloud took.
+/// If the two clocks were not related, or one of them was stepped, upload and download have no values. Their sum is
+/// still known, because the offset of the clocks cancels in it: the edge's waiting time minus the time on the cloud.
 fn stages_total(tree: &Tree, transport: Option<Span>) -> Option<Span> {
     let mut sum = Span::ZERO;
     let mut ways = Some(Span::ZERO);
@@ -99,8 +102,8 @@ mod tests {
 
     const STEP: Span = Span::from_millis(1);
 
-    /// An iteration that began 3 ms late, sensed for 1 ms, went up, down and was acted upon for 1 ms each, with
-    /// 2 ms on a cloud whose wall clock is `ahead`; 1 ms passed outside of all stages.
+    /// Returns the tree of an iteration that began 3 ms late, sensed for 1 ms, took 1 ms each for upload, download
+    /// and actuation and 2 ms on a cloud whose wall clock is `ahead`; 1 ms passed outside of all stages.
     fn iteration(ahead: Span, judge: fn(Span) -> OneWayDelay, transport: Option<Span>) -> Tree {
         let clock =
             Arc::new(ManualClock::new(WallTime::from_unix_nanos(0), ClockIdentity::new("boot", "system")));
@@ -141,7 +144,7 @@ mod tests {
     }
 
     #[test]
-    fn stages_and_what_lies_beside_them_add_up_to_the_total() {
+    fn stages_and_unattributed_time_add_up_to_total() {
         let tree = iteration(Span::ZERO, OneWayDelay::same_clock, None);
         assert_eq!(millis(&tree, "total"), Some(10.0));
         assert_eq!(millis(&tree, "stages-total"), Some(6.0));
@@ -151,7 +154,7 @@ mod tests {
     }
 
     #[test]
-    fn a_tree_without_room_for_more_still_gets_its_totals() {
+    fn full_tree_still_gets_its_totals() {
         let clock: SharedClock =
             Arc::new(ManualClock::new(WallTime::from_unix_nanos(0), ClockIdentity::new("boot", "system")));
         let intended = clock.mono();
@@ -167,7 +170,7 @@ mod tests {
     }
 
     #[test]
-    fn the_sum_does_not_depend_on_what_the_peers_clock_shows() {
+    fn sum_is_independent_of_peers_clock() {
         for ahead in [Span::from_seconds(3600), Span::from_seconds(-5)] {
             let tree = iteration(ahead, OneWayDelay::unsynchronised, Some(STEP + STEP));
             assert_eq!(millis(&tree, "upload"), None, "not known");
@@ -176,8 +179,8 @@ mod tests {
     }
 
     #[test]
-    fn without_the_time_of_both_ways_there_is_no_sum() {
-        // An hour on the way is more than the iteration took.
+    fn sum_is_unknown_without_both_directions() {
+        // A transport of an hour is longer than the iteration, and so is not used.
         for transport in [None, Some(Span::from_seconds(3600))] {
             let tree = iteration(Span::from_seconds(-1), OneWayDelay::same_clock, transport);
             assert_eq!((millis(&tree, "total"), millis(&tree, "stages-total")), (Some(10.0), None));

@@ -1,4 +1,4 @@
-//! When iterations are meant to begin. No I/O: time comes in as an argument.
+//! The schedule of a pipeline's starts. No I/O: the time is an argument.
 
 use std::collections::VecDeque;
 
@@ -7,20 +7,20 @@ use peernet_statistics::SplitMix64;
 
 use crate::config::LoadConfig;
 
-/// The plan of a pipeline's starts.
+/// Schedule of a pipeline's starts.
 ///
-/// With a rate the plan does not wait for the pipeline: starts come due while earlier iterations are still
-/// under way, and an iteration that begins late is measured from the moment it was meant to begin. A stall
-/// therefore shows in the latencies of all who waited through it (what is known as avoiding coordinated
-/// omission). So many may wait; the oldest beyond that are skipped, and the next start says how many.
+/// With a rate the schedule does not wait for the pipeline: starts come due while earlier iterations are in flight,
+/// and the latency of an iteration that begins late counts from its intended start. A stall therefore shows in the
+/// latencies of all iterations that waited through it (this avoids coordinated omission). A bounded number of starts
+/// wait; the oldest beyond it are skipped, and the next start carries their number.
 #[derive(Debug)]
 pub(crate) struct Schedule {
     plan: Plan,
     /// Starts that came due and were not taken yet, oldest first.
     due: VecDeque<MonoTime>,
-    /// How many may wait.
+    /// Largest number of starts that wait.
     patience: usize,
-    /// Skipped since the last start that was taken.
+    /// Number of skipped starts since the last one that was taken.
     skipped: u64,
 }
 
@@ -31,17 +31,17 @@ enum Plan {
     Poisson { at: MonoTime, mean: f64, random: SplitMix64 },
 }
 
-/// One start of the plan.
+/// One start of the schedule.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Start {
-    /// When the iteration was meant to begin.
+    /// Time at which the iteration was meant to begin.
     pub(crate) intended: MonoTime,
-    /// Starts before it that were skipped.
+    /// Number of starts before it that were skipped.
     pub(crate) skipped: u64,
 }
 
 impl Schedule {
-    /// A plan that begins `now`; at most `patience` starts wait.
+    /// Creates a schedule that begins at `now`; at most `patience` starts wait.
     pub(crate) fn new(load: &LoadConfig, patience: usize, now: MonoTime) -> Self {
         let plan = match *load {
             LoadConfig::Closed {} => Plan::Closed,
@@ -55,12 +55,12 @@ impl Schedule {
         Self { plan, due: VecDeque::new(), patience, skipped: 0 }
     }
 
-    /// Whether the next iteration begins when the last one is done.
+    /// Returns whether the loop is closed: the next iteration begins when the last one is complete.
     pub(crate) const fn is_closed(&self) -> bool {
         matches!(self.plan, Plan::Closed)
     }
 
-    /// The next start, if one is due. Always one with a closed loop: the caller waits for the answer.
+    /// Returns the next start if one is due. In a closed loop one always is: the caller waits for the answer.
     pub(crate) fn take(&mut self, now: MonoTime) -> Option<Start> {
         if self.is_closed() {
             return Some(Start { intended: now, skipped: 0 });
@@ -70,19 +70,20 @@ impl Schedule {
         Some(Start { intended, skipped: std::mem::take(&mut self.skipped) })
     }
 
-    /// Starts that were skipped and that no later start has told of.
+    /// Returns the number of skipped starts that no later start has carried.
     pub(crate) const fn unreported_skips(&self) -> u64 {
         self.skipped
     }
 
-    /// When the next iteration is meant to begin: in the past when it is late, `now` in a closed loop.
+    /// Returns the time at which the next iteration is meant to begin: in the past if it is late, `now` in a closed
+    /// loop.
     pub(crate) fn next_at(&mut self, now: MonoTime) -> MonoTime {
         self.catch_up(now);
         self.due.front().copied().or_else(|| self.plan.next_at()).unwrap_or(now)
     }
 
-    /// Moves the starts that have come due into the waiting ones. Worth a call now and then while nothing is
-    /// taken for long, so that there is not too much to catch up with at once.
+    /// Moves the starts that have come due to the waiting ones. Call it now and then while nothing is taken for long,
+    /// so that each call has little to do.
     pub(crate) fn catch_up(&mut self, now: MonoTime) {
         while let Some(at) = self.plan.next_at().filter(|at| *at <= now) {
             self.plan.advance();
@@ -99,7 +100,7 @@ impl Plan {
     fn next_at(&self) -> Option<MonoTime> {
         match self {
             Self::Closed => None,
-            // From the origin each time: rounding does not add up.
+            // Computed from the origin each time, so that rounding errors do not add up.
             Self::Rate { origin, period, number } => {
                 Some(*origin + Span::from_nanos((*period * *number as f64).round() as i64))
             }
@@ -116,7 +117,7 @@ impl Plan {
     }
 }
 
-/// A random gap; at least a nanosecond, so that the plan always moves on.
+/// Returns a random gap of at least a nanosecond, so that the schedule always advances.
 fn gap(mean: f64, random: &mut SplitMix64) -> Span {
     Span::from_nanos(((mean * random.exponential()).round() as i64).max(1))
 }
@@ -136,7 +137,7 @@ mod tests {
     }
 
     #[test]
-    fn a_closed_loop_starts_whenever_it_is_asked() {
+    fn closed_loop_starts_on_request() {
         let mut schedule = Schedule::new(&LoadConfig::Closed {}, 4, at(0));
         assert_eq!(schedule.next_at(at(6)), at(6));
         assert_eq!(schedule.take(at(7)), Some(Start { intended: at(7), skipped: 0 }));
@@ -144,7 +145,7 @@ mod tests {
     }
 
     #[test]
-    fn a_rate_keeps_its_beat_however_late_it_is_asked() {
+    fn rate_keeps_its_schedule_after_late_request() {
         let mut schedule = ten_hz(4);
         assert_eq!(schedule.take(at(3)), Some(Start { intended: at(0), skipped: 0 }));
         assert_eq!(schedule.take(at(99)), None);
@@ -154,7 +155,7 @@ mod tests {
     }
 
     #[test]
-    fn a_stall_leaves_the_latest_starts_waiting_and_counts_the_others() {
+    fn stall_keeps_latest_starts_and_counts_skipped_ones() {
         let mut schedule = ten_hz(2);
         // Due by then: 0, 100, …, 900, of which two may wait.
         assert_eq!(schedule.take(at(950)), Some(Start { intended: at(800), skipped: 8 }));
@@ -164,7 +165,7 @@ mod tests {
     }
 
     #[test]
-    fn equal_seeds_give_equal_arrivals_and_the_mean_is_the_rate() {
+    fn equal_seeds_give_equal_arrivals_at_mean_rate() {
         let arrivals = |seed| {
             let mut schedule = Schedule::new(&LoadConfig::Poisson { hz: 100.0, seed }, 1, at(0));
             (0..2000)
@@ -181,9 +182,9 @@ mod tests {
     }
 
     proptest! {
-        /// Whatever the moments at which the plan is asked, every start is taken, skipped or still waiting.
+        /// Every start is taken, skipped or still waiting, at whatever moments the schedule is asked.
         #[test]
-        fn no_start_goes_missing(
+        fn every_start_is_returned_or_counted_as_skipped(
             hz in 0.5..500.0f64,
             patience in 1usize..6,
             waits in prop::collection::vec(0i64..2000, 1..40),

@@ -1,7 +1,14 @@
-//! Pipelines: sensor → transforms → placement → actuator, again and again.
+//! Pipelines: sensor → transforms → placement → actuator, repeated.
 //!
-//! `load`, `progress` and `backoff` decide without I/O; `pipeline_loop` is the state of the inner loop and
-//! `drive` its waiting; `runner` is the life around it. `observe` is the loop of a pipeline that only watches a ROS system.
+//! `load`, `progress` and `backoff` decide without I/O. `pipeline_loop` is the state machine of the inner loop, also
+//! without I/O, and `drive` does its waiting. `runner` sets a pipeline up, connects it, and runs it to its end.
+//! `observe` is the loop of a pipeline that only observes a ROS system.
+//!
+//! The order of one iteration: `load` says when it starts, and the root of its tree starts at that intended moment.
+//! `sensing` asks the sensor and applies the transforms. The sample waits for a free place in flight (`send-queue`),
+//! `placement` gets the answer, the actuator runs, and `iteration` closes the tree. `run` hands it to the live
+//! statistics and the event queue. An iteration whose answer is lost or late is recorded as `lost` or `timeout`,
+//! never dropped.
 
 mod accuracy;
 mod actuator_executor;
@@ -9,6 +16,7 @@ mod backoff;
 mod context;
 mod deadline;
 mod drive;
+mod failure_log;
 mod in_flight;
 mod iteration;
 mod load;

@@ -97,15 +97,18 @@ impl<'a> PipelineLoop<'a> {
         pipeline_loop
     }
 
-    /// Continues to wait for a sample that was requested before the connection was lost. A sample that arrived while there was no
-    /// connection is recorded as lost, because it is old by now.
+    /// Continues to wait for a sample that was requested before the connection was lost. A sample that arrived while
+    /// there was no connection is recorded as lost, because it is old by now.
     fn resume_pending_sample(&mut self) {
         let came = self.resources.sensing.as_mut().and_then(|awaited| awaited.sample.try_recv().ok());
         let since =
             self.resources.sensing.as_ref().filter(|_| came.is_none()).map(|awaited| awaited.began_at);
-        self.resources.display.set_senses_since(since);
+        // The live state says since when the pipeline waits for its sensor, also across a reconnect.
+        self.resources.display.set_sensor_busy_since(since);
         let Some(SensorOutput { log, sample }) = came else { return };
         let Some(PendingSample { run, start, began_at, .. }) = self.resources.sensing.take() else { return };
+        // The end of the sensor, its failure, and a sample of an earlier run mean the same with and without a
+        // connection.
         if !matches!(sample, Ok(Some(_))) || run != self.run.id() {
             return self.accept_sample(run, (start, began_at), SensorOutput { log, sample });
         }
@@ -129,6 +132,7 @@ impl<'a> PipelineLoop<'a> {
         }
         let clock = &self.context.host.clock;
         let now = clock.mono();
+        // Checked before a start is taken from the schedule, so that the start belongs to the next run.
         if self.run.is_from_previous_day(clock.wall()) {
             self.ending = Some(LoopEnd::Midnight);
             return true;
@@ -138,7 +142,7 @@ impl<'a> PipelineLoop<'a> {
             self.ending = Some(LoopEnd::Limit);
             return true;
         }
-        // Asked last: a run that is over does not wait.
+        // Checked last: a run that is over does not wait for the pause.
         if self.backoff.paused_until(now).is_some() {
             return false;
         }
@@ -148,7 +152,7 @@ impl<'a> PipelineLoop<'a> {
             SensorResponse::Done(sensed) => self.accept_sample(self.run.id(), (start, began_at), sensed),
             SensorResponse::Pending(sample) => {
                 self.resources.sensing = Some(PendingSample { run: self.run.id(), start, began_at, sample });
-                self.resources.display.set_senses_since(Some(began_at));
+                self.resources.display.set_sensor_busy_since(Some(began_at));
             }
         }
         true
@@ -179,7 +183,7 @@ impl<'a> PipelineLoop<'a> {
     /// Handles the answer of the sensor's thread.
     pub(super) fn sensed(&mut self, sensed: SensorOutput) {
         if let Some(PendingSample { run, start, began_at, .. }) = self.resources.sensing.take() {
-            self.resources.display.set_senses_since(None);
+            self.resources.display.set_sensor_busy_since(None);
             self.accept_sample(run, (start, began_at), sensed);
         }
     }
@@ -187,7 +191,7 @@ impl<'a> PipelineLoop<'a> {
     /// Handles the end of the sensor's thread, which will not answer any more.
     pub(super) fn sensor_died(&mut self) {
         self.resources.sensing = None;
-        self.resources.display.set_senses_since(None);
+        self.resources.display.set_sensor_busy_since(None);
         self.end(LoopEnd::Broken(LoopError::SensorDied));
     }
 
@@ -207,7 +211,7 @@ impl<'a> PipelineLoop<'a> {
     pub(super) fn abandon(&mut self, reason: &str) {
         let waiting = self.waiting.take().map(|waiting| waiting.pending);
         for pending in std::mem::take(&mut self.in_flight).into_iter().chain(waiting) {
-            // The peer or the model has what was measured of it. Only its beginning is known here.
+            // The peer or the model has the recorder with what was measured. Only the beginning is known here.
             let (log, _) =
                 iteration::begin(&self.context.host.clock, self.context.host.id, pending.start.intended);
             let ended = self.context.host.clock.stamp();
@@ -217,6 +221,8 @@ impl<'a> PipelineLoop<'a> {
 
     fn may_begin(&self) -> bool {
         let idle = self.ending.is_none() && self.resources.sensing.is_none() && self.waiting.is_none();
+        // A closed loop starts the next iteration when the last one is complete, an open loop also while others are
+        // in flight.
         idle && (self.in_flight.is_empty() || !self.resources.schedule.is_closed())
     }
 
@@ -235,6 +241,7 @@ impl<'a> PipelineLoop<'a> {
         }
         let mut pending = || PendingIteration { position: self.run.place(start.intended), start, began_at };
         match sample {
+            // No iteration is numbered, because there is no sample.
             Ok(None) => self.end(LoopEnd::NoMoreSamples),
             Ok(Some(sample)) => {
                 let pending = pending();
@@ -246,6 +253,7 @@ impl<'a> PipelineLoop<'a> {
                 let pending = pending();
                 let reason = printable_line(&error.to_string()).into_owned();
                 self.sensor_failures = self.sensor_failures.saturating_add(1);
+                // Exactly at the threshold, so that a row of failures is one incident.
                 if self.sensor_failures == FAILURES_FOR_INCIDENT {
                     self.report_sensor_failures(&reason);
                 }
@@ -279,6 +287,7 @@ impl<'a> PipelineLoop<'a> {
         let outcome = with_printable_reason(outcome);
         let closed_loop = self.resources.schedule.is_closed();
         if closed_loop {
+            // Only a closed loop would repeat failures as fast as it can. An open loop keeps its rate.
             self.backoff.record_outcome(&outcome, ended.mono);
         }
         let tree = iteration::close(log, &pending, ended.mono, closed_loop, transport);

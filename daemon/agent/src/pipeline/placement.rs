@@ -1,4 +1,4 @@
-//! Where a pipeline computes: here or there, behind one question.
+//! The place where a pipeline computes: this host or a peer, behind one interface.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -19,7 +19,7 @@ use crate::config::{ObserveConfig, PipelineConfig, PlacementConfig, RemoteConfig
 use crate::link::{Attached, Crossing};
 use crate::same_clock::ClockSocket;
 
-/// An open placement: a loaded model, a session with a peer that has one, or nothing.
+/// An open placement: a loaded model, a session with a peer, or nothing.
 #[derive(Debug)]
 pub(super) enum Placement {
     Local(Arc<Pool>),
@@ -32,26 +32,26 @@ pub(super) enum Placement {
     None,
 }
 
-/// What became of a sample. The recorder holds everything that was measured on the way.
+/// Result for one sample. The recorder holds everything that was measured on the way.
 pub(super) struct Computed {
     pub(super) log: Recorder,
-    /// The answer, which a sensor alone does not have, or how the iteration ended without one.
+    /// The answer (`None` from a sensor alone), or the outcome of an iteration without one.
     pub(super) result: Result<Option<Sample>, Outcome>,
-    /// The way there and the way back together, by the hosts' monotonic clocks; `None` unless it came back from
-    /// another host.
+    /// Time on the network in both directions together, by both hosts' monotonic clocks; `None` unless a peer
+    /// answered.
     pub(super) transport: Option<Span>,
 }
 
-/// Why a placement could not be opened.
+/// Reason why a placement could not be opened.
 #[derive(Debug)]
 pub(super) enum OpenFailure {
-    /// The host's own model cannot be loaded: a matter of the configuration.
+    /// The model of this host cannot be loaded. Only a change of the configuration helps.
     Model(LoadError),
-    /// The thread that loaded the model died.
+    /// The thread that loaded the model panicked.
     Panicked,
-    /// The peer is not there, or not in time.
+    /// The peer cannot be reached, or did not answer in time.
     Away(OpenError),
-    /// The peer is there and does not want.
+    /// The peer refuses the session.
     Refused(OpenError),
 }
 
@@ -64,18 +64,20 @@ impl Placement {
         match &config.placement {
             PlacementConfig::Local { model } => {
                 let (bank, model) = (Arc::clone(&context.bank), model.clone());
+                // On a thread that may block, because a model may load for minutes.
                 let loading = tokio::task::spawn_blocking(move || bank.load(&model, None));
                 let pool = loading.await.map_err(|_| OpenFailure::Panicked)?;
                 pool.map(Self::Local).map_err(OpenFailure::Model)
             }
             PlacementConfig::Remote(remote) => {
-                // The pipeline bounds what is in flight itself; a tighter bound of the session would hide it.
+                // The pipeline bounds the iterations in flight itself. A tighter bound of the session would make them
+                // wait where no stage records it.
                 let wanted = u32::try_from(config.max_in_flight.get()).unwrap_or(u32::MAX);
                 let max_in_flight = remote.session.max_in_flight.max(wanted);
                 let settings = SessionSettings { max_in_flight, ..remote.session.clone() };
                 Self::open_remote(remote, settings, &config.name, context).await
             }
-            // An observed system is never asked: its runner goes another way.
+            // Samples of an observed system are never computed here: its loop is `observe`.
             PlacementConfig::None {} | PlacementConfig::Observe(_) => Ok(Self::None),
         }
     }
@@ -87,6 +89,7 @@ impl Placement {
         pipeline: &Slug,
         context: &PipelineContext,
     ) -> Result<Self, OpenFailure> {
+        // Opened before the hello that names it: a cloud on this machine connects before it accepts the session.
         let clock_socket = ClockSocket::listen(&*context.host.clock);
         let hello = SessionHello {
             versions: SESSION_VERSIONS,
@@ -101,7 +104,7 @@ impl Placement {
         let clock = Arc::clone(&context.host.clock);
         let session = Session::open(&remote.peer, hello, settings, clock).await?;
         let link = context.links.attach(&session, &remote.peer, pipeline, clock_socket);
-        // Or the delays of the first iterations would be measured without an exchange to measure them by.
+        // Without this proof the delays of the first iterations would be judged before any exchange.
         link.first_proof().await;
         Ok(Self::Remote { session, link, config: Box::new(remote.clone()) })
     }
@@ -114,12 +117,13 @@ impl Placement {
         }
     }
 
-    /// Asks for an answer and waits no longer than `timeout`.
+    /// Requests an answer and waits for `timeout` at most.
     pub(super) async fn compute(&self, log: Recorder, sample: &Sample, timeout: Duration) -> Computed {
         match self {
             Self::Local(pool) => compute_here(pool, log, sample, timeout).await,
             Self::Remote { session, link, .. } => {
                 let mut exchange = session.request(log, sample, timeout).await;
+                // Corrected now and not when the run is read, because live statistics show the delays.
                 let transport = link.correct(&mut exchange);
                 Computed { log: exchange.log, result: exchange.result.map(Some).map_err(outcome), transport }
             }
@@ -127,7 +131,7 @@ impl Placement {
         }
     }
 
-    /// Waits until it cannot be used any more, and tells why. A local one always can.
+    /// Waits until the placement is lost and returns the reason. A local one never is.
     pub(super) async fn closed(&self) -> CloseReason {
         match self {
             Self::Local(_) | Self::None => std::future::pending().await,
@@ -135,7 +139,8 @@ impl Placement {
         }
     }
 
-    /// Takes leave of the peer; after the end of a run that was to have `planned_iterations` iterations, with this word.
+    /// Ends the session with a goodbye; after the end of a run the goodbye says that the run was to have
+    /// `planned_iterations` iterations.
     pub(super) async fn close(&self, planned_iterations: Option<u64>) {
         match (self, planned_iterations) {
             (Self::Remote { session, .. }, Some(planned_iterations)) => {
@@ -146,7 +151,7 @@ impl Placement {
         }
     }
 
-    /// The peer and its name.
+    /// Returns the peer's id and name.
     pub(super) fn peer(&self) -> Option<(HostId, &Slug)> {
         match self {
             Self::Local(_) | Self::None => None,
@@ -154,7 +159,7 @@ impl Placement {
         }
     }
 
-    /// What makes the connection to the peer worse than it could be, in words.
+    /// Returns what makes the connection to the peer worse than it could be, in words.
     pub(super) fn caveat(&self) -> Option<&str> {
         match self {
             Self::Local(_) | Self::None => None,
@@ -162,7 +167,7 @@ impl Placement {
         }
     }
 
-    /// What else makes the connection worse, as it is noticed.
+    /// Returns the channel of further remarks about the connection, which come while it is open.
     pub(super) fn remarks(&self) -> Option<watch::Receiver<Vec<String>>> {
         match self {
             Self::Local(_) | Self::None => None,
@@ -170,7 +175,7 @@ impl Placement {
         }
     }
 
-    /// What the model is, in words, and whether the peer's clock is made wrong on purpose.
+    /// Returns facts about the model in words, and the clock faults that are injected at the peer.
     pub(super) fn facts(&self) -> Vec<(String, String)> {
         match self {
             Self::Local(pool) => pool.facts(),
@@ -185,8 +190,8 @@ impl Placement {
         }
     }
 
-    /// What is found of this host now, and what the peer told of itself when the session opened. `warm` while a pipeline
-    /// measures: then nothing is waited for.
+    /// Returns the conditions found on this host now, and those that the peer stated when the session opened. With
+    /// `warm`, while a pipeline measures, the host is inspected once only, without waiting.
     pub(super) async fn conditions(&self, context: &PipelineContext, warm: bool) -> Vec<Condition> {
         match self {
             Self::Remote { session, .. } => {
@@ -196,7 +201,7 @@ impl Placement {
         }
     }
 
-    /// What the peer told of its host when the session opened.
+    /// Returns the conditions that the peer stated when the session opened.
     pub(super) fn peer_conditions(&self) -> &[Condition] {
         match self {
             Self::Remote { session, .. } => &session.accepted().conditions,
@@ -204,7 +209,7 @@ impl Placement {
         }
     }
 
-    /// For the store and the pages.
+    /// Returns the description for the store and the pages.
     pub(super) fn describe(&self) -> Description {
         match self {
             Self::Local(pool) => Description {
@@ -226,7 +231,7 @@ impl Placement {
     }
 }
 
-/// What is found of this host now, with its network where a peer told of itself, and what the peer told.
+/// Returns the conditions found on this host now, including its network if there is a peer, and those of the peer.
 pub(super) async fn conditions(
     peer: Option<&[Condition]>,
     context: &PipelineContext,
@@ -243,7 +248,7 @@ pub(super) async fn conditions(
     found
 }
 
-/// For the store and the pages, as far as the configuration tells.
+/// Returns the description for the store and the pages, as far as the configuration determines it.
 pub(crate) fn intended(config: &PlacementConfig) -> Description {
     match config {
         PlacementConfig::Local { model } => Description {
@@ -260,7 +265,8 @@ pub(crate) fn intended(config: &PlacementConfig) -> Description {
     }
 }
 
-/// An observed system; `peer` is the name of the host whose agent observes it, too, once it is known.
+/// Returns the description of an observed system; `peer` is the name of the host whose agent observes it as well,
+/// once it is known.
 pub(super) fn observed(config: &ObserveConfig, peer: Option<Slug>) -> Description {
     let Some(address) = &config.peer else { return Description::observed() };
     Description {
@@ -285,12 +291,12 @@ fn remote(config: &RemoteConfig) -> Description {
 
 async fn compute_here(pool: &Pool, log: Recorder, sample: &Sample, timeout: Duration) -> Computed {
     let (reply, done) = oneshot::channel();
-    // The model takes the recorder along; when it does not come back this copy tells what was known before.
-    // A few nodes: a fraction of a microsecond.
+    // The model takes the recorder along and may not give it back. This copy of a few nodes, which takes a fraction
+    // of a microsecond, then has what was recorded before.
     let spare = log.clone();
     let received = log.clock().mono();
     let reply = Box::new(move |done: Done| {
-        // Nobody waits any more after a timeout.
+        // The receiver is gone after a timeout.
         let _ = reply.send(done);
     });
     if let Err(refused) = pool.submit(Job { sample: sample.clone(), log, received, reply }) {
@@ -310,7 +316,7 @@ async fn compute_here(pool: &Pool, log: Recorder, sample: &Sample, timeout: Dura
     }
 }
 
-/// How an iteration ended for want of an answer. A model or queue that is too full failed this sample.
+/// Returns the outcome of an iteration without an answer. If a model or queue was full, this iteration failed.
 fn outcome(error: RequestError) -> Outcome {
     match error {
         RequestError::Lost(reason) => Outcome::Lost(reason),

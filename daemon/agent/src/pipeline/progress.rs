@@ -6,26 +6,26 @@ use peernet_clock::{MonoTime, Span};
 
 use crate::config::{Limit, PipelineConfig, WarmUp};
 
-/// Where an iteration stands in its run.
+/// Position of an iteration in its run.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Position {
-    /// Contiguous from 1.
+    /// Number of the iteration; contiguous from 1.
     pub(crate) number: u64,
-    /// From 0.
+    /// Number of the episode, from 0.
     pub(crate) episode: u32,
-    /// Within the episode, from 0.
+    /// Step within the episode, from 0.
     pub(crate) step: u32,
-    /// Left out of statistics.
+    /// `true` if the iteration is left out of statistics.
     pub(crate) warm_up: bool,
 }
 
-/// How far a run has come.
+/// Progress of a run.
 #[derive(Debug)]
 pub(crate) struct Progress {
     warm_up: WarmUp,
     episode_steps: Option<NonZeroU32>,
     limit: Limit,
-    /// The run directly continues another: nothing is cold any more.
+    /// `true` if the run directly continues another: caches and connections are warm.
     warm: bool,
     given: u64,
     measured: u64,
@@ -34,7 +34,7 @@ pub(crate) struct Progress {
 }
 
 impl Progress {
-    /// A run of this pipeline; `warm` when it directly continues an earlier one.
+    /// Creates the progress of a new run; `warm` is `true` if it directly continues another.
     pub(crate) fn new(config: &PipelineConfig, warm: bool) -> Self {
         Self {
             warm_up: config.warm_up,
@@ -47,7 +47,7 @@ impl Progress {
         }
     }
 
-    /// Whether an iteration that is meant to begin at `intended` is beyond the run's limit.
+    /// Returns whether an iteration with the intended start `intended` would be beyond the limit.
     pub(crate) fn is_over(&self, intended: MonoTime) -> bool {
         let enough = self.limit.iterations.is_some_and(|limit| self.measured >= limit.get());
         let all = self.limit.total.is_some_and(|limit| self.given >= limit.get());
@@ -58,23 +58,24 @@ impl Progress {
         enough || all || late
     }
 
-    /// Iterations so far.
+    /// Returns the number of iterations so far.
     pub(crate) const fn given(&self) -> u64 {
         self.given
     }
 
-    /// How many there are if nothing but a number of iterations ends the run; those so far where none is set.
+    /// Returns the number of iterations that the run was to have by its limits on iterations; the number so far if it
+    /// has no such limit.
     pub(crate) fn planned_iterations(&self) -> u64 {
         let left = self.limit.iterations.map(|limit| limit.get().saturating_sub(self.measured));
         let counted = left.map(|left| left.saturating_add(self.given));
         counted.into_iter().chain(self.limit.total.map(NonZeroU64::get)).min().unwrap_or(self.given)
     }
 
-    /// Gives the next iteration its place.
+    /// Assigns number, episode and step to the next iteration.
     pub(crate) fn place(&mut self, intended: MonoTime) -> Position {
         let index = self.given;
         let (episode, step) = match self.episode_steps {
-            // Beyond four billion the numbers stay at their largest; the iteration's own number goes on.
+            // Episode and step stop at their largest value; the number of the iteration is a u64 and continues.
             Some(steps) => {
                 (saturate(index / u64::from(steps.get())), (index % u64::from(steps.get())) as u32)
             }
@@ -114,7 +115,7 @@ mod tests {
     }
 
     #[test]
-    fn the_limit_counts_what_is_not_warm_up() {
+    fn limit_excludes_warm_up() {
         let mut progress = progress("warm_up = { iterations = 2 }\nlimit = { iterations = 3 }", false);
         let mut warm_up = Vec::new();
         while !progress.is_over(at(0)) {
@@ -124,7 +125,7 @@ mod tests {
     }
 
     #[test]
-    fn the_total_counts_the_warm_up_too() {
+    fn total_includes_warm_up() {
         let mut progress =
             progress("warm_up = { iterations = 2 }\nlimit = { total = 3, iterations = 9 }", false);
         let mut warm_up = Vec::new();
@@ -135,7 +136,7 @@ mod tests {
     }
 
     #[test]
-    fn what_was_ordered_is_known_before_it_is_done() {
+    fn planned_iterations_are_known_beforehand() {
         let planned_iterations = |keys: &str| {
             let mut progress = progress(keys, false);
             for _ in 0..7 {
@@ -152,7 +153,7 @@ mod tests {
     }
 
     #[test]
-    fn the_duration_counts_from_the_first_measured_iteration() {
+    fn duration_begins_at_first_measured_iteration() {
         let mut progress = progress("warm_up = { iterations = 1 }\nlimit = { duration_s = 2.5 }", false);
         progress.place(at(10));
         assert!(!progress.is_over(at(1000)), "still warming up");
@@ -184,7 +185,7 @@ mod tests {
     }
 
     #[test]
-    fn a_run_that_continues_another_is_warm() {
+    fn continuing_run_has_no_warm_up() {
         assert!(!progress("", true).place(at(0)).warm_up);
         assert!(progress("", false).place(at(0)).warm_up);
     }

@@ -17,7 +17,7 @@ use super::start_timer::StartTimer;
 use crate::config::PipelineConfig;
 use crate::live::Display;
 
-/// The reason why a pipeline cannot be assembled.
+/// Reason why a pipeline cannot be assembled.
 #[derive(Debug, thiserror::Error)]
 pub(super) enum AssembleError {
     /// The sensor or a transform cannot be set up.
@@ -26,10 +26,10 @@ pub(super) enum AssembleError {
     /// The actuator cannot be set up.
     #[error(transparent)]
     Actuator(#[from] ActuatorError),
-    /// There is no thread for the sensor.
+    /// The system gives no thread for the sensor.
     #[error("cannot start a thread for the sensor: {0}")]
     Thread(#[source] io::Error),
-    /// There is no timer for the starts.
+    /// The system gives no timer for the starts.
     #[error("cannot have a timer: {0}")]
     Timer(#[source] io::Error),
     /// The configuration names no sensor.
@@ -40,7 +40,7 @@ pub(super) enum AssembleError {
     Panicked(#[from] JoinError),
 }
 
-/// The parts of a pipeline without the place where it computes.
+/// The parts of a pipeline without its placement.
 pub(super) struct PipelineResources {
     pub(super) config: Arc<PipelineConfig>,
     pub(super) display: Arc<Display>,
@@ -56,10 +56,10 @@ pub(super) struct PipelineResources {
 }
 
 impl PipelineResources {
-    /// Opens the sensor, the transforms and the actuator. Blocks: a folder of pictures may be on a slow disk.
+    /// Opens the sensor, the transforms and the actuator. Blocks, because a folder of pictures may be on a slow disk.
     ///
     /// # Errors
-    /// When a part of it cannot be set up.
+    /// When one of them cannot be set up.
     pub(super) fn assemble(
         config: Arc<PipelineConfig>,
         display: Arc<Display>,
@@ -72,7 +72,7 @@ impl PipelineResources {
         let mut facts = sensor.facts();
         facts.extend(sensor_config.arguments(fingerprints));
         if !transforms.is_empty() {
-            facts.push(("Transforms".to_owned(), in_words(&transforms)));
+            facts.push(("Transforms".to_owned(), transforms_text(&transforms)));
         }
         facts.push(("Load".to_owned(), config.load.describe()));
         if config.load.hz().is_some() {
@@ -94,7 +94,7 @@ impl PipelineResources {
         })
     }
 
-    /// Starts the schedule with a run. Starts that came due before it belong to no run and count in no latency.
+    /// Restarts the schedule for a run. Starts that came due before the run belong to no run and count in no latency.
     pub(super) fn restart_schedule(&mut self, now: MonoTime) {
         self.schedule = Schedule::new(&self.config.load, self.config.max_in_flight.get(), now);
     }
@@ -104,12 +104,12 @@ impl PipelineResources {
         self.facts.iter().cloned().chain(model).collect()
     }
 
-    /// Returns how many iterations may be in flight at once: one in a closed loop.
+    /// Returns the largest number of iterations in flight: one in a closed loop.
     pub(super) fn max_in_flight(&self) -> usize {
         if self.schedule.is_closed() { 1 } else { self.config.max_in_flight.get() }
     }
 }
 
-fn in_words(transforms: &[Box<dyn Transform>]) -> String {
+fn transforms_text(transforms: &[Box<dyn Transform>]) -> String {
     transforms.iter().map(|transform| transform.describe()).collect::<Vec<_>>().join(", ")
 }

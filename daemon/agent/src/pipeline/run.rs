@@ -1,4 +1,4 @@
-//! One run: its description, its numbers, its events.
+//! One run: its description, its progress, its events.
 
 use peernet_clock::{MonoTime, Span, Stamp, WallTime};
 use peernet_logger::{RunId, Slug, Tree};
@@ -8,6 +8,7 @@ use peernet_stream::{
 
 use super::context::PipelineContext;
 use super::deadline;
+use super::failure_log::FailureLog;
 use super::pipeline_loop::LoopEnd;
 use super::progress::{Position, Progress};
 use crate::config::PipelineConfig;
@@ -15,20 +16,21 @@ use crate::live::Display;
 
 const SECONDS_PER_DAY: i64 = 86_400;
 
-/// A run under way.
+/// A run in progress.
 #[derive(Debug)]
 pub(super) struct Run {
     id: RunId,
     pipeline: Slug,
-    /// Days since the Unix epoch at its start; `None` when midnight does not concern it.
+    /// Days since the Unix epoch at its start; `None` if the run does not end at midnight.
     day: Option<i64>,
     placement: Description,
     deadline: Option<Span>,
     progress: Progress,
+    failures: FailureLog,
 }
 
 impl Run {
-    /// Begins a run and reports it. `warm` when it directly continues another.
+    /// Begins a run and reports its start. `warm` is `true` if it directly continues another run.
     pub(super) fn begin(
         config: &PipelineConfig,
         placement: Description,
@@ -57,10 +59,12 @@ impl Run {
         Self {
             id,
             pipeline: config.name.clone(),
+            // A run with a limit ends at its limit only, so that a measurement over midnight is one run.
             day: config.limit.is_none().then(|| day(started)),
             placement,
             deadline: config.deadline().map(Span::from),
             progress: Progress::new(config, warm),
+            failures: FailureLog::default(),
         }
     }
 
@@ -68,38 +72,40 @@ impl Run {
         self.id
     }
 
-    /// Whether the run describes a pipeline that computes there.
+    /// Returns whether the run describes a pipeline at this placement.
     pub(super) fn is_at(&self, placement: &Description) -> bool {
         self.placement == *placement
     }
 
-    /// Whether an iteration that is meant to begin at `intended` is beyond the limit.
+    /// Returns whether an iteration with the intended start `intended` would be beyond the limit.
     pub(super) fn is_over(&self, intended: MonoTime) -> bool {
         self.progress.is_over(intended)
     }
 
-    /// Whether midnight (UTC) has passed since the start and the run is one of those that end there.
+    /// Returns whether midnight (UTC) has passed since the start, for a run that ends there.
     pub(super) fn is_from_previous_day(&self, now: WallTime) -> bool {
         self.day.is_some_and(|started| day(now) > started)
     }
 
-    /// Gives the next iteration its place.
+    /// Assigns number, episode and step to the next iteration.
     pub(super) fn place(&mut self, intended: MonoTime) -> Position {
         self.progress.place(intended)
     }
 
-    /// How many iterations it was to have, once that is settled: one that was stopped or lost its peer may go on.
+    /// Returns the planned number of iterations when the run has ended; `None` if it was stopped or lost its peer,
+    /// because it may continue then.
     pub(super) fn planned_iterations(&self, ended: &LoopEnd) -> Option<u64> {
         match ended {
+            // No further iteration begins, so that the number so far is the planned one.
             LoopEnd::Limit | LoopEnd::Midnight => Some(self.progress.given()),
             LoopEnd::NoMoreSamples | LoopEnd::Broken(_) => Some(self.progress.planned_iterations()),
             LoopEnd::Stopped | LoopEnd::Disconnected(_) => None,
         }
     }
 
-    /// Hands a finished iteration to the live statistics and to the outbox.
+    /// Passes a completed iteration to the live statistics and to the event queue.
     pub(super) fn record(
-        &self,
+        &mut self,
         position: Position,
         outcome: Outcome,
         mut tree: Tree,
@@ -110,21 +116,28 @@ impl Run {
         if let Some(deadline) = self.deadline {
             deadline::judge(&mut tree, &outcome, deadline);
         }
+        // Warm-up iterations are stored, but left out of all statistics.
         if !position.warm_up {
             display.record(ended.wall.unix_seconds(), &outcome, &tree);
         }
         let Position { number, episode, step, warm_up } = position;
+        for line in self.failures.record(number, &outcome, ended.mono) {
+            tracing::warn!(pipeline = %self.pipeline, "{line}");
+        }
         let iteration = Iteration { run: self.id, number, episode, step, warm_up, outcome, tree };
         context.events.event_queue.iteration(&self.pipeline, iteration);
     }
 
-    /// Reports the end.
-    pub(super) fn end(&self, reason: EndReason, context: &PipelineContext) {
+    /// Reports the end of the run.
+    pub(super) fn end(&mut self, reason: EndReason, context: &PipelineContext) {
+        for line in self.failures.finish(context.host.clock.mono()) {
+            tracing::warn!(pipeline = %self.pipeline, "{line}");
+        }
         end(&self.pipeline, self.id, reason, context);
     }
 }
 
-/// Reports the end of a run that nobody holds any more, if the pipeline has one.
+/// Reports the end of the pipeline's run in progress, if there is one, after its [`Run`] was lost by a panic.
 pub(super) fn end_orphan(pipeline: &Slug, reason: EndReason, context: &PipelineContext) {
     if let Some(run) = context.events.runs.current(pipeline) {
         end(pipeline, run, reason, context);
@@ -133,6 +146,7 @@ pub(super) fn end_orphan(pipeline: &Slug, reason: EndReason, context: &PipelineC
 
 fn end(pipeline: &Slug, run: RunId, reason: EndReason, context: &PipelineContext) {
     let ended = RunEnded { run, ended: context.host.clock.wall(), reason };
+    // Before the event is queued, so that the outbox does not repeat the start of the run after its end.
     context.events.runs.ended(pipeline, run);
     context.events.event_queue.event(Some(pipeline), Event::RunEnded(ended));
 }
@@ -141,7 +155,7 @@ fn day(at: WallTime) -> i64 {
     at.unix_seconds().div_euclid(SECONDS_PER_DAY)
 }
 
-/// The pipeline's table, as it could stand in a configuration file, without what may be secret.
+/// Returns the pipeline's table as in a configuration file, without values that may be secret.
 fn configuration(config: &PipelineConfig) -> String {
     toml::to_string(&config.publishable())
         .unwrap_or_else(|error| format!("# cannot be written down: {error}\n"))

@@ -1,4 +1,6 @@
-//! The life of a pipeline: assembled, waiting for its place, running, finished.
+//! The life of a pipeline: set up, connect, run, end.
+//!
+//! After a reconnect the same run continues if peer, model and device are the same.
 
 use std::any::Any;
 use std::panic::AssertUnwindSafe;
@@ -24,8 +26,7 @@ use crate::incidents::{IncidentContext, remark};
 use crate::live::Display;
 use crate::reconnect_backoff::ReconnectBackoff;
 
-/// Runs one pipeline until it finishes, fails, or the agent stops; its failure is its own affair and ends
-/// nothing else.
+/// Runs one pipeline until it finishes, fails, or the agent stops. A failure or panic ends this pipeline only.
 pub(crate) async fn run(
     config: Arc<PipelineConfig>,
     display: Arc<Display>,
@@ -45,12 +46,12 @@ pub(crate) async fn run(
     }
 }
 
-/// The reason why a pipeline could not start or had to stop.
+/// Reason why a pipeline could not start or had to stop.
 #[derive(Debug, thiserror::Error)]
 pub(super) enum PipelineError {
     #[error(transparent)]
     Assemble(#[from] AssembleError),
-    /// The host's own model cannot be loaded.
+    /// The model of this host cannot be loaded.
     #[error(transparent)]
     Model(#[from] LoadError),
     #[error("loading the model panicked")]
@@ -64,24 +65,24 @@ pub(super) enum PipelineError {
     Panicked { message: String },
 }
 
-/// A pipeline and what it reports to.
+/// A pipeline and the parts of the agent that it reports to.
 pub(super) struct Runner {
     pub(super) config: Arc<PipelineConfig>,
     pub(super) display: Arc<Display>,
     pub(super) context: PipelineContext,
     pub(super) stop: CancellationToken,
-    /// How long iterations under way may take when the agent stops.
+    /// Time that iterations in flight may take when the agent stops.
     pub(super) patience: Duration,
 }
 
-/// Why a pipeline waits for its peer.
+/// Reason why a pipeline waits for its peer.
 #[derive(Debug, PartialEq, Eq)]
-enum Trouble {
+enum ConnectTrouble {
     Away,
     Refused(String),
 }
 
-impl Trouble {
+impl ConnectTrouble {
     const fn kind(&self) -> IncidentKind {
         match self {
             Self::Away => IncidentKind::Disconnected,
@@ -89,7 +90,7 @@ impl Trouble {
         }
     }
 
-    /// How it will go on.
+    /// Returns the text about further attempts.
     fn outlook(&self) -> String {
         let (shortest, longest) =
             (ReconnectBackoff::SHORTEST.as_secs_f64(), ReconnectBackoff::LONGEST.as_secs());
@@ -113,19 +114,20 @@ impl Runner {
         let mut run: Option<Run> = None;
         loop {
             let Some(placement) = self.connect(&mut resources, run.as_ref().map(Run::id)).await? else {
-                self.end(run.as_ref(), EndReason::Stopped);
+                self.end(run.as_mut(), EndReason::Stopped);
                 return Ok(());
             };
-            // A peer that came back as something else, on another device say, is another configuration.
-            if let Some(other) = run.take_if(|run| !run.is_at(&placement.describe())) {
-                self.end(Some(&other), EndReason::Failed("the peer changed".to_owned()));
+            // A peer that came back with another model or device is another configuration, whose statistics must not
+            // be mixed with those before.
+            if let Some(mut other) = run.take_if(|run| !run.is_at(&placement.describe())) {
+                self.end(Some(&mut other), EndReason::Failed("the peer changed".to_owned()));
             }
             let current = match &mut run {
                 Some(run) => run,
                 None => {
-                    let began_at = self.begin(resources.facts(placement.facts()), &placement, false).await;
+                    let new_run = self.begin(resources.facts(placement.facts()), &placement, false).await;
                     resources.restart_schedule(self.context.host.clock.mono());
-                    run.insert(began_at)
+                    run.insert(new_run)
                 }
             };
             let ended = self.measure(&mut resources, current, &placement).await;
@@ -139,7 +141,9 @@ impl Runner {
                 LoopEnd::Stopped => (EndReason::Stopped, Ok(())),
                 LoopEnd::Broken(error) => (EndReason::Failed(error.to_string()), Err(error.into())),
             };
-            self.end(run.as_ref(), reason);
+            self.end(run.as_mut(), reason);
+            // The next iteration reports the skipped starts before it. There is none after the last ones, so that the
+            // log reports them.
             if resources.schedule.unreported_skips() > 0 {
                 let (pipeline, starts) = (&self.config.name, resources.schedule.unreported_skips());
                 tracing::warn!(%pipeline, starts, "the last starts before the end were skipped");
@@ -153,14 +157,14 @@ impl Runner {
     async fn assemble(&self) -> Result<PipelineResources, AssembleError> {
         let (config, display) = (Arc::clone(&self.config), Arc::clone(&self.display));
         let (clock, fingerprints) = (Arc::clone(&self.context.host.clock), self.context.fingerprints.clone());
-        self.display.set_senses_since(Some(clock.mono()));
+        self.display.set_sensor_busy_since(Some(clock.mono()));
         let assembling = move || PipelineResources::assemble(config, display, clock, &fingerprints);
         let assembled = tokio::task::spawn_blocking(assembling).await;
-        self.display.set_senses_since(None);
+        self.display.set_sensor_busy_since(None);
         assembled.unwrap_or_else(|panic| Err(panic.into()))
     }
 
-    /// Measures at one placement; midnight begins a new run on the way.
+    /// Measures at one placement until it is lost or the pipeline ends; at midnight a new run begins.
     async fn measure(
         &self,
         resources: &mut PipelineResources,
@@ -178,7 +182,7 @@ impl Runner {
         }
     }
 
-    /// The pipeline's own task panicked: its run ends, and the others go on.
+    /// Ends the run after a panic of the pipeline's own task. Other pipelines are not affected.
     fn panicked(&self, panic: &(dyn Any + Send)) -> PipelineError {
         let message = panic.downcast_ref::<String>().map(String::as_str);
         let message =
@@ -193,7 +197,7 @@ impl Runner {
         self.begin_run(facts, placement.describe(), conditions, warm)
     }
 
-    /// Begins a run and reports it; `warm` when it directly continues another.
+    /// Begins a run and reports its start; `warm` is `true` if it directly continues another.
     pub(super) fn begin_run(
         &self,
         mut facts: Vec<(String, String)>,
@@ -207,43 +211,47 @@ impl Runner {
         Run::begin(&self.config, placement, (facts, conditions), warm, &self.context, &self.display)
     }
 
-    fn end(&self, run: Option<&Run>, reason: EndReason) {
+    fn end(&self, run: Option<&mut Run>, reason: EndReason) {
         if let Some(run) = run {
             run.end(reason, &self.context);
         }
     }
 
-    /// Opens the placement, however long that takes. `None` when the agent stops.
+    /// Opens the placement, with as many attempts as it takes. Returns `None` if the agent stops.
     async fn connect(
         &self,
         resources: &mut PipelineResources,
         run: Option<RunId>,
     ) -> Result<Option<Placement>, PipelineError> {
         let mut reconnect_backoff = ReconnectBackoff::new(self.context.host.id);
-        // What was said last: each trouble is reported once, not at each try. That a peer went away in mid-run
-        // has been said.
-        let mut said = run.map(|_| Trouble::Away);
+        // Each trouble is reported once and not at every attempt. In mid-run the loss of the peer has been reported
+        // already.
+        let mut reported = run.map(|_| ConnectTrouble::Away);
         loop {
             let opening = self.stop.run_until_cancelled(Placement::open(&self.config, &self.context));
             let Some(opened) = opening.await else { return Ok(None) };
-            // In mid-run the plan goes on meanwhile: what comes due now is skipped and counted.
+            // The schedule continues meanwhile: starts that come due while there is no connection are skipped and
+            // counted.
             resources.schedule.catch_up(self.context.host.clock.mono());
             let (trouble, error, pause) = match opened {
                 Ok(placement) => {
                     self.connected(&placement, run);
                     return Ok(Some(placement));
                 }
+                // Another attempt cannot help while the configuration is the same.
                 Err(OpenFailure::Model(error)) => return Err(error.into()),
                 Err(OpenFailure::Panicked) => return Err(PipelineError::ModelPanicked),
-                Err(OpenFailure::Away(error)) => (Trouble::Away, error.to_string(), reconnect_backoff.grow()),
+                Err(OpenFailure::Away(error)) => {
+                    (ConnectTrouble::Away, error.to_string(), reconnect_backoff.grow())
+                }
                 Err(OpenFailure::Refused(error)) => {
                     let error = error.to_string();
-                    (Trouble::Refused(error.clone()), error, reconnect_backoff.refused())
+                    (ConnectTrouble::Refused(error.clone()), error, reconnect_backoff.refused())
                 }
             };
-            if said.as_ref() != Some(&trouble) {
+            if reported.as_ref() != Some(&trouble) {
                 self.report(trouble.kind(), run, format!("{error} ({})", trouble.outlook()));
-                said = Some(trouble);
+                reported = Some(trouble);
             }
             self.display.set_state(PipelineState::Waiting(error));
             if self.stop.run_until_cancelled(tokio::time::sleep(pause)).await.is_none() {
@@ -269,19 +277,19 @@ impl Runner {
         self.display.set_placement(description);
     }
 
-    /// Reports what the transport remarks on the connection, as long as it is there.
+    /// Reports remarks of the transport about the connection while it is open.
     fn follow_remarks(&self, placement: &Placement, peer: HostId) {
         let Some(mut remarks) = placement.remarks() else { return };
         let (incidents, pipeline) = (self.context.events.incidents.clone(), self.config.name.clone());
         tokio::spawn(async move {
-            let mut told = 0;
+            let mut reported_remarks = 0;
             while remarks.changed().await.is_ok() {
                 let all = remarks.borrow_and_update().clone();
-                for text in all.get(told..).unwrap_or_default() {
+                for text in all.get(reported_remarks..).unwrap_or_default() {
                     let what = IncidentContext { pipeline: Some(&pipeline), run: None, peer: Some(peer) };
                     incidents.remark(IncidentKind::Connected, what, format!("pipeline {pipeline}: {text}"));
                 }
-                told = all.len();
+                reported_remarks = all.len();
             }
         });
     }

@@ -25,7 +25,7 @@ pub(super) struct SensorChain {
 pub(super) enum SensorExecutor {
     /// In the pipeline's own task, for a sensor that neither blocks nor computes: a thread would add two wake-ups.
     Inline(SensorChain),
-    /// On a thread of its own, named after the pipeline.
+    /// On a separate thread, named after the pipeline.
     Thread(SyncSender<SampleRequest>),
 }
 
@@ -43,7 +43,7 @@ pub(super) struct SampleRequest {
 }
 
 impl SensorChain {
-    /// Takes a sample and transforms it; records `sensing` with `capture` and `transform`.
+    /// Takes a sample and transforms it. Records `sensing` with its children `capture` and `transform`.
     fn run(&mut self, mut log: Recorder) -> SensorOutput {
         let sample = self.sample(&mut log);
         SensorOutput { log, sample }

@@ -37,13 +37,14 @@ impl StartTimer {
         Ok(Self { timer, clock, set: None })
     }
 
-    /// Waits until `at`; returns at once when that has passed. Cancelling and waiting again for the same
-    /// moment costs nothing.
+    /// Waits until `at`; returns at once if that has passed. Cancelling the wait and repeating it for the same moment
+    /// needs no system call.
     ///
     /// # Errors
     /// When the kernel refuses to set the timer.
     pub(crate) async fn until(&mut self, at: MonoTime) -> io::Result<()> {
-        // The clock may be a rehearsed one: only the difference is the kernel's business.
+        // `at` may be a time of a clock with injected faults, which the kernel does not know. Only the difference is
+        // used.
         let left = at - self.clock.mono();
         if left.nanos() <= 0 {
             return Ok(());
@@ -78,7 +79,7 @@ mod tests {
     use super::*;
 
     #[tokio::test]
-    async fn an_alarm_never_rings_early_and_can_be_set_anew() {
+    async fn timer_never_fires_early_and_can_be_reset() {
         let clock: SharedClock = Arc::new(SystemClock::new(ClockIdentity::new("boot", "system")));
         let mut start_timer = StartTimer::new(Arc::clone(&clock)).expect("a timer");
         for millis in [3, 1, 0, -5, 2] {
@@ -89,7 +90,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn a_wait_that_was_given_up_does_not_disturb_the_next() {
+    async fn cancelled_wait_does_not_disturb_next_one() {
         let clock: SharedClock = Arc::new(SystemClock::new(ClockIdentity::new("boot", "system")));
         let mut start_timer = StartTimer::new(Arc::clone(&clock)).expect("a timer");
         let far = clock.mono() + Span::from_seconds(3600);

@@ -1,4 +1,4 @@
-//! The cloud's end: connects to the socket that an edge names, and answers its questions.
+//! The cloud's end: connects to the socket of an edge and answers its questions.
 
 use std::io;
 use std::os::unix::net::UnixStream as StdStream;
@@ -11,7 +11,7 @@ use tokio::net::UnixStream;
 
 use super::messages::{Answer, Question};
 
-/// A connection to the edge of a session, which asks over it what the clocks of this process show.
+/// A connection to the edge of a session, over which it asks for the readings of this process's clocks.
 #[derive(Debug)]
 pub(crate) struct ClockWitness {
     stream: StdStream,
@@ -21,8 +21,9 @@ pub(crate) struct ClockWitness {
 }
 
 impl ClockWitness {
-    /// Connects to the socket that an edge names; `None` where it names none, where the two clocks cannot be one, and where nobody listens:
-    /// the edge is on another machine or in another network namespace. Never waits.
+    /// Connects to the socket that an edge names. Returns `None` if it names none, if the two clocks cannot be one,
+    /// or if the socket cannot be reached, because the edge is on another machine or in another network namespace.
+    /// Never waits.
     pub(crate) fn connect(hello: &SessionHello, session: SessionId, clock: &SharedClock) -> Option<Self> {
         let name = hello.clock_socket?;
         if !hello.clock.may_be_one_with(clock.identity()) || !clock.shows_kernel_time() {
@@ -40,10 +41,10 @@ impl ClockWitness {
         }
     }
 
-    /// Answers until the edge closes the connection or asks for something else.
+    /// Answers until the edge closes the connection or sends something that is not a question.
     pub(crate) async fn answer(self) {
         if let Err(error) = self.answer_all().await {
-            // The edge measures the delays from now on, and says so.
+            // The edge measures the delays from now on, and reports it.
             tracing::debug!(session = %self.session, %error, "answers no more questions about the clock");
         }
     }
@@ -68,8 +69,8 @@ impl ClockWitness {
     }
 }
 
-/// Connects to an abstract socket of this network namespace, at once or not at all: where the edge accepts nobody any more, waiting for it
-/// would keep all other sessions waiting.
+/// Connects to an abstract socket of this network namespace, at once or not at all: waiting for an edge that no
+/// longer accepts would delay all other sessions.
 fn connect(name: &str) -> io::Result<StdStream> {
     let socket = Socket::new(Domain::UNIX, Type::STREAM, None)?;
     socket.set_nonblocking(true)?;

@@ -1,4 +1,4 @@
-//! The edge's end: the socket that a session names, and the questions that are asked over it.
+//! The edge's end: the socket that a session names, and the questions over its connections.
 
 use std::convert::Infallible;
 use std::io;
@@ -18,11 +18,12 @@ use uuid::Uuid;
 use super::messages::Answer;
 use super::proof::{NotProven, Outcome, OwnClock, Proof};
 
-/// Processes that may have connected while a session was opened. One is usual; others are not of PEERNet.
-const MOST_PEERS: usize = 16;
-/// A process that has not answered the first question in such a time does not serve the session, or is stopped. As long is
-/// waited for the answer to a question that is late because this process was paused.
-const FIRST_ANSWER: Duration = Duration::from_millis(500);
+/// Largest number of processes that may connect while a session is opened. Usually it is one; others do not belong to
+/// PEERNet.
+const MAX_PEERS: usize = 16;
+/// Time after which a process that has not answered the first question is ignored: it does not serve the session, or
+/// is stopped. A question that is late because this process was paused has as much time.
+const FIRST_ANSWER_TIMEOUT: Duration = Duration::from_millis(500);
 
 /// The socket that a session names while it is opened.
 #[derive(Debug)]
@@ -32,7 +33,7 @@ pub(crate) struct ClockSocket {
 }
 
 impl ClockSocket {
-    /// Listens at a name of its own; `None` where this process cannot prove anything of its clock.
+    /// Listens at a random name. Returns `None` if this process cannot prove anything about its clock.
     pub(crate) fn listen(clock: &dyn Clock) -> Option<Self> {
         if !clock.shows_kernel_time() {
             return None;
@@ -55,11 +56,11 @@ impl ClockSocket {
         self.name
     }
 
-    /// Closes the socket and returns those that have connected: a cloud does before it accepts the session.
+    /// Closes the socket and returns the connections. A cloud connects before it accepts the session.
     pub(crate) fn connected(self, session: SessionId) -> ClockPeers {
         let mut streams = Vec::new();
-        // It never blocks: no connection is an error as any other.
-        while let Some((stream, _)) = self.listener.accept().ok().filter(|_| streams.len() < MOST_PEERS) {
+        // Non-blocking: if no connection waits, `accept` returns an error.
+        while let Some((stream, _)) = self.listener.accept().ok().filter(|_| streams.len() < MAX_PEERS) {
             streams.push(stream);
         }
         ClockPeers { session: Some(session), streams: Arc::new(Mutex::new(streams)) }
@@ -72,15 +73,15 @@ fn bind(name: ClockSocketName) -> io::Result<UnixListener> {
     Ok(listener)
 }
 
-/// The processes that connected to the socket of a session; clones are the same.
+/// Connections of the processes that connected to a session's socket; clones share them.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct ClockPeers {
-    /// `None` where there can be none.
+    /// Id of the session; `None` if there can be no connection.
     session: Option<SessionId>,
     streams: Arc<Mutex<Vec<StdStream>>>,
 }
 
-/// Asks the processes that connected for proofs, as long as it is polled, and tells each change.
+/// Asks the connected processes for proofs as long as the future is polled, and passes each change to `tell`.
 pub(crate) async fn prove(
     peers: &ClockPeers,
     clock: &SharedClock,
@@ -111,11 +112,11 @@ struct Proving<'a, F> {
 }
 
 impl<F: Fn(Result<(), NotProven>)> Proving<'_, F> {
-    /// Asks again and again until the other end closes, or turns out to be another process.
+    /// Asks repeatedly until the other end closes, or turns out to be a foreign process.
     async fn run(mut self, stream: StdStream) -> Result<Infallible, NotProven> {
         stream.set_nonblocking(true)?;
         let mut stream = UnixStream::from_std(stream)?;
-        let first = tokio::time::timeout(FIRST_ANSWER, self.ask(&mut stream)).await;
+        let first = tokio::time::timeout(FIRST_ANSWER_TIMEOUT, self.ask(&mut stream)).await;
         first.map_err(|_| NotProven::Foreign)??;
         loop {
             let pause = self.proof.pause();
@@ -128,8 +129,9 @@ impl<F: Fn(Result<(), NotProven>)> Proving<'_, F> {
         }
     }
 
-    /// Asks one question and takes its answer, however long that takes.
+    /// Asks one question and handles its answer, however long it takes.
     async fn ask(&mut self, stream: &mut UnixStream) -> Result<(), NotProven> {
+        // A new nonce for each question, so that an old answer is not taken for a new one.
         let nonce = Uuid::new_v4().into_bytes();
         let question = self.proof.ask(nonce, self.clock.raw()).to_bytes();
         let answer = self.meanwhile(async {
@@ -151,12 +153,13 @@ impl<F: Fn(Result<(), NotProven>)> Proving<'_, F> {
         Ok(())
     }
 
-    /// Waits for something, and tells when the validity of the proof ends before that.
+    /// Waits for a future. If the proof expires before it is ready, passes that to `tell`.
     async fn meanwhile<T>(&mut self, waiting: impl Future<Output = io::Result<T>>) -> io::Result<T> {
         let mut waiting = pin!(waiting);
-        // The proof was not renewed in time because this process was paused, which says nothing of the other one.
+        // The proof was not renewed in time because this process was paused, which says nothing about the other
+        // process.
         let was_paused = self.proof.holds_for(self.clock.mono()) == Some(Span::ZERO);
-        if was_paused && let Ok(done) = tokio::time::timeout(FIRST_ANSWER, &mut waiting).await {
+        if was_paused && let Ok(done) = tokio::time::timeout(FIRST_ANSWER_TIMEOUT, &mut waiting).await {
             return done;
         }
         loop {

@@ -1,14 +1,14 @@
-//! What goes over a clock socket: a question and its answer, each of one length. Numbers are big-endian.
+//! Messages of a clock socket: a question and its answer, each of fixed length. Numbers are big-endian.
 
 use peernet_clock::RawTime;
 
-/// What makes an answer the one to a question.
+/// Random value that ties an answer to its question.
 pub(super) type Nonce = [u8; 16];
 
 const ASKS: [u8; 8] = *b"PEERNET?";
 const ANSWERS: [u8; 8] = *b"PEERNET!";
 
-/// The edge's question: what does the clock show now?
+/// Question of the edge for the cloud's clock reading.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Question {
     pub(super) nonce: Nonce,
@@ -25,7 +25,7 @@ impl Question {
         bytes
     }
 
-    /// `None` for bytes that are no question.
+    /// Parses a question; `None` for other bytes.
     pub(super) fn from_bytes(bytes: &[u8; Self::BYTES]) -> Option<Self> {
         let (kind, nonce) = bytes.split_first_chunk()?;
         (*kind == ASKS).then_some(Self { nonce: nonce.try_into().ok()? })
@@ -35,15 +35,15 @@ impl Question {
 /// The cloud's answer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Answer {
-    /// That of the question.
+    /// Nonce of the question.
     pub(super) nonce: Nonce,
-    /// The session for which the socket was named.
+    /// Id of the session whose hello named the socket.
     pub(super) session: [u8; 16],
     /// Inode of the time namespace of the cloud's process.
     pub(super) time_namespace: u64,
-    /// Whether the cloud's process is shown the kernel's time.
+    /// `true` if the cloud's process reads the kernel's time.
     pub(super) shows_kernel_time: bool,
-    /// What its free-running clock showed after the question came.
+    /// Reading of the cloud's free-running clock after the question arrived.
     pub(super) raw: RawTime,
 }
 
@@ -66,7 +66,7 @@ impl Answer {
         bytes
     }
 
-    /// `None` for bytes that are no answer.
+    /// Parses an answer; `None` for other bytes.
     pub(super) fn from_bytes(bytes: &[u8; Self::BYTES]) -> Option<Self> {
         let (kind, rest) = bytes.split_first_chunk()?;
         let (nonce, rest) = rest.split_first_chunk()?;

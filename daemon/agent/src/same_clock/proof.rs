@@ -1,4 +1,4 @@
-//! What the answers of a cloud prove, and for how long. No I/O: times come in as arguments.
+//! Judges the answers of a cloud: what they prove, and for how long. No I/O: times are arguments.
 
 use std::io;
 use std::time::Duration;
@@ -7,19 +7,19 @@ use peernet_clock::{MonoTime, RawTime, Span};
 
 use super::messages::{Answer, Nonce, Question};
 
-/// Pause between two answers that prove it.
-const PAUSE: Duration = Duration::from_secs(2);
-/// A proof holds so long after the answer that gave it.
+/// Pause between two questions while answers prove it.
+const QUESTION_INTERVAL: Duration = Duration::from_secs(2);
+/// Time that a proof holds after its answer.
 const VALIDITY: Span = Span::from_seconds(5);
-/// An answer proves nothing if it took longer: another clock could be as far away.
-const MOST_TAKEN: Span = Span::from_millis(5);
-/// So many answers that took longer are followed by the next question at once.
+/// Longest round trip of an answer that proves something. Within it another clock could differ by as much.
+const MAX_ROUND_TRIP: Span = Span::from_millis(5);
+/// Number of slow answers in a row after each of which the next question follows at once.
 const QUICK_RETRIES: u32 = 8;
 
-/// The reason why it is not proven that both processes read one clock.
+/// Reason why it is not proven that both processes read one clock.
 #[derive(Debug, thiserror::Error)]
 pub(crate) enum NotProven {
-    /// The clocks of the two cannot be one, or the cloud cannot reach the socket.
+    /// The two clocks cannot be one, or the cloud cannot reach the socket.
     #[error("the cloud has not connected to a clock socket of this process")]
     NotConnected,
     /// The connection ended.
@@ -28,95 +28,103 @@ pub(crate) enum NotProven {
     /// The process at the other end of the connection does not serve the session.
     #[error("the process that connected is not the one that serves the session")]
     Foreign,
-    /// The validity of the last proof is over.
+    /// The last proof has expired.
     #[error("the cloud's process has not answered in time")]
     Expired,
-    /// The processes are in two time namespaces.
+    /// The processes are in different time namespaces.
     #[error("the two processes are in different time namespaces")]
     TimeNamespace,
-    /// This process is shown other times than the kernel's.
+    /// This process does not read the kernel's time.
     #[error("a preloaded library shows this process other times than the kernel's")]
     OwnTime,
-    /// The cloud's process is shown other times than the kernel's.
+    /// The cloud's process does not read the kernel's time.
     #[error("a preloaded library shows the cloud's process other times than the kernel's")]
     PeerTime,
-    /// What the cloud read was not between two reads of this process.
+    /// The cloud's reading was not between two readings of this process.
     #[error("the cloud's free-running clock is {0} off what this process reads")]
     OtherClock(Span),
 }
 
-/// What this process knows of its own clocks when an answer is there.
+/// State of this process's own clocks when an answer has arrived.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct OwnClock {
-    /// What the free-running clock showed after the answer.
+    /// Reading of the free-running clock after the answer.
     pub(super) raw: RawTime,
     pub(super) mono: MonoTime,
     pub(super) shows_kernel_time: bool,
 }
 
-/// What an answer says.
+/// Result of an answer.
 #[derive(Debug)]
 pub(super) enum Outcome {
     /// Both processes read one clock.
     Proven,
-    /// It took too long to prove anything.
+    /// The answer took too long to prove anything.
     Slow,
-    /// They do not.
+    /// The processes do not read one clock.
     Refuted(NotProven),
-    /// Whoever answered does not serve the session.
+    /// The process that answered does not serve the session.
     Foreign,
 }
 
-/// The proof of one session.
+/// State of the proof for one session.
 #[derive(Debug)]
 pub(super) struct Proof {
     session: [u8; 16],
     time_namespace: u64,
-    /// The question under way: its nonce, and what the free-running clock showed before it was sent.
-    asked: Option<(Nonce, RawTime)>,
-    /// Answers in a row that took too long.
+    /// Nonce of the open question, and the reading of the free-running clock before it was sent.
+    open_question: Option<(Nonce, RawTime)>,
+    /// Number of answers in a row that took too long.
     slow: u32,
-    /// When the last answer proved it.
+    /// Time of the last answer that proved it.
     proven: Option<MonoTime>,
 }
 
 impl Proof {
     pub(super) const fn new(session: [u8; 16], time_namespace: u64) -> Self {
-        Self { session, time_namespace, asked: None, slow: 0, proven: None }
+        Self { session, time_namespace, open_question: None, slow: 0, proven: None }
     }
 
-    /// Makes the next question, with a nonce that was never used before; the free-running clock showed `before`.
+    /// Creates the next question, with a nonce that was never used before; `before` is the reading of the
+    /// free-running clock.
     pub(super) fn ask(&mut self, nonce: Nonce, before: RawTime) -> Question {
-        self.asked = Some((nonce, before));
+        self.open_question = Some((nonce, before));
         Question { nonce }
     }
 
-    /// Takes an answer, or `None` for bytes that are none.
+    /// Handles an answer; `None` if the received bytes are not an answer.
     ///
-    /// The session's id is random and goes over the session alone: who knows it is the process at its other end. The name of the socket
-    /// is no secret to the processes of this machine (`/proc/net/unix`). The nonce keeps an old answer from being taken for a new one.
+    /// The session's id is random and sent over the session only, so that whoever knows it is the process at its
+    /// other end. The name of the socket is not a secret among the processes of this machine (`/proc/net/unix`). The
+    /// nonce prevents the replay of an old answer.
     pub(super) fn answered(&mut self, answer: Option<Answer>, own: OwnClock) -> Outcome {
-        let asked = self.asked.take();
-        let (Some(answer), Some((nonce, before))) = (answer, asked) else { return self.foreign() };
+        // A question counts for one answer only: a second answer with the same nonce proves nothing.
+        let open_question = self.open_question.take();
+        let (Some(answer), Some((nonce, before))) = (answer, open_question) else { return self.foreign() };
         if answer.session != self.session || answer.nonce != nonce {
             return self.foreign();
         }
         if answer.time_namespace != self.time_namespace {
             return self.refuted(NotProven::TimeNamespace);
         }
+        // A preloaded library may show a process other times than the kernel's. Then readings that agree do not mean
+        // one clock.
         if !own.shows_kernel_time {
             return self.refuted(NotProven::OwnTime);
         }
         if !answer.shows_kernel_time {
             return self.refuted(NotProven::PeerTime);
         }
+        // The cloud read its clock after the question was sent and before the answer arrived. A reading outside that
+        // interval is one of another clock.
         if answer.raw < before {
             return self.refuted(NotProven::OtherClock(answer.raw - before));
         }
         if answer.raw > own.raw {
             return self.refuted(NotProven::OtherClock(answer.raw - own.raw));
         }
-        if own.raw - before > MOST_TAKEN {
+        // A slow answer contradicts nothing, so that an earlier proof holds until it expires.
+        if own.raw - before > MAX_ROUND_TRIP {
             self.slow = self.slow.saturating_add(1);
             return Outcome::Slow;
         }
@@ -124,17 +132,19 @@ impl Proof {
         Outcome::Proven
     }
 
-    /// How long to wait before the next question.
+    /// Returns the time to wait before the next question.
     pub(super) const fn pause(&self) -> Duration {
-        if self.slow == 0 || self.slow > QUICK_RETRIES { PAUSE } else { Duration::ZERO }
+        // After a slow answer the next one is probably fast. After many the machine is busy, and more questions would
+        // add to its load.
+        if self.slow == 0 || self.slow > QUICK_RETRIES { QUESTION_INTERVAL } else { Duration::ZERO }
     }
 
-    /// How long the proof holds from now on without another answer; `None` while there is none.
+    /// Returns how long the proof holds without another answer; `None` without a proof.
     pub(super) fn holds_for(&self, now: MonoTime) -> Option<Span> {
         Some((self.proven? + VALIDITY - now).max(Span::ZERO))
     }
 
-    /// Ends the proof if its validity is over. Returns whether it did.
+    /// Ends the proof if it has expired. Returns whether it has.
     pub(super) fn expire(&mut self, now: MonoTime) -> bool {
         let is_over = self.holds_for(now) == Some(Span::ZERO);
         if is_over {
@@ -175,13 +185,13 @@ mod tests {
         OwnClock { raw: raw(micros), mono: mono(seconds), shows_kernel_time: true }
     }
 
-    /// The answer that proves it, read 20 µs after the question was asked at 100 µs.
+    /// Returns an answer that proves it, read 20 µs after the question at 100 µs.
     fn good(nonce: Nonce) -> Answer {
         Answer { nonce, session: SESSION, time_namespace: NAMESPACE, shows_kernel_time: true, raw: raw(120) }
     }
 
-    /// A proof with a question at 100 µs.
-    fn asked() -> Proof {
+    /// Returns a proof with a question at 100 µs.
+    fn proof_with_open_question() -> Proof {
         let mut proof = Proof::new(SESSION, NAMESPACE);
         proof.ask([1; 16], raw(100));
         proof
@@ -189,7 +199,7 @@ mod tests {
 
     #[test]
     fn proof_holds_for_five_seconds() {
-        let mut proof = asked();
+        let mut proof = proof_with_open_question();
         assert_eq!(proof.holds_for(mono(0)), None);
         assert!(matches!(proof.answered(Some(good([1; 16])), own(140, 10)), Outcome::Proven));
         assert_eq!(proof.holds_for(mono(12)), Some(Span::from_seconds(3)));
@@ -208,7 +218,7 @@ mod tests {
             (Answer { raw: raw(141), ..good([2; 16]) }, own(140, 12), "off what"),
         ];
         for (answer, own_clock, words) in answers {
-            let mut proof = asked();
+            let mut proof = proof_with_open_question();
             assert!(matches!(proof.answered(Some(good([1; 16])), own(140, 10)), Outcome::Proven));
             proof.ask([2; 16], raw(100));
             let Outcome::Refuted(why) = proof.answered(Some(answer), own_clock) else { panic!("{words}") };
@@ -219,7 +229,7 @@ mod tests {
 
     #[test]
     fn slow_answer_keeps_proof_until_it_expires_and_is_asked_again() {
-        let mut proof = asked();
+        let mut proof = proof_with_open_question();
         assert!(matches!(proof.answered(Some(good([1; 16])), own(140, 10)), Outcome::Proven));
         for retry in 1..=QUICK_RETRIES + 1 {
             proof.ask([2; 16], raw(100));
@@ -232,16 +242,16 @@ mod tests {
 
     #[test]
     fn answer_without_question_or_twice_is_foreign() {
-        let mut proof = asked();
+        let mut proof = proof_with_open_question();
         assert!(matches!(proof.answered(Some(good([1; 16])), own(140, 10)), Outcome::Proven));
         assert!(matches!(proof.answered(Some(good([1; 16])), own(140, 10)), Outcome::Foreign), "a replay");
-        let mut proof = asked();
+        let mut proof = proof_with_open_question();
         assert!(matches!(proof.answered(None, own(140, 10)), Outcome::Foreign));
     }
 
     proptest! {
         #[test]
-        fn only_the_sessions_cloud_with_the_same_clock_proves_it(
+        fn only_sessions_cloud_with_same_clock_proves_it(
             nonce in prop_oneof![Just([1; 16]), any::<Nonce>()],
             session in prop_oneof![Just(SESSION), any::<[u8; 16]>()],
             time_namespace in prop_oneof![Just(NAMESPACE), any::<u64>()],
@@ -249,7 +259,7 @@ mod tests {
             offset_us in prop_oneof![Just(0i64), -100_000i64..100_000],
             (there_us, back_us) in (0i64..4_000, 0i64..4_000),
         ) {
-            let mut proof = asked();
+            let mut proof = proof_with_open_question();
             let answer = Answer {
                 nonce, session, time_namespace,
                 shows_kernel_time: kernel.0,
@@ -263,14 +273,14 @@ mod tests {
             prop_assert_eq!(is_cloud, !matches!(outcome, Outcome::Foreign));
             if is_proven {
                 prop_assert!(is_cloud && time_namespace == NAMESPACE && kernel == (true, true));
-                prop_assert!(offset_us.abs() <= MOST_TAKEN.nanos() / 1_000);
+                prop_assert!(offset_us.abs() <= MAX_ROUND_TRIP.nanos() / 1_000);
             } else if is_cloud && time_namespace == NAMESPACE && kernel == (true, true) && offset_us == 0 {
                 prop_assert!(there_us + back_us > 5_000, "the truth was refused: {outcome:?}");
             }
         }
 
         #[test]
-        fn bytes_lead_back_to_question_and_answer(
+        fn messages_read_back_as_written(
             nonce: Nonce, session: [u8; 16], time_namespace: u64, shows_kernel_time: bool, nanos: i64,
         ) {
             let question = Question { nonce };
@@ -281,7 +291,7 @@ mod tests {
         }
 
         #[test]
-        fn other_bytes_are_neither(bytes: [u8; 32], more: [u8; 25]) {
+        fn other_bytes_are_refused(bytes: [u8; 32], more: [u8; 25]) {
             let mut answer = [0; Answer::BYTES];
             answer[..32].copy_from_slice(&bytes);
             answer[32..].copy_from_slice(&more);

@@ -1,3 +1,5 @@
+//! Tests of the proof with real sockets.
+
 use std::io::{ErrorKind, Read, Write};
 use std::os::linux::net::SocketAddrExt;
 use std::os::unix::net::{SocketAddr, UnixListener, UnixStream};
@@ -5,7 +7,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use peernet_clock::{
-    ClockIdentity, RehearsalDescription, RehearsedClock, SharedClock, Span, SystemClock, time_namespace,
+    ClockFaults, ClockIdentity, FaultyClock, SharedClock, Span, SystemClock, time_namespace,
 };
 use peernet_logger::HostId;
 use peernet_networks::{ClockSocketName, SESSION_VERSIONS, SessionHello, SessionId};
@@ -23,12 +25,12 @@ fn system() -> SharedClock {
     Arc::new(SystemClock::new(identity))
 }
 
-/// The system's clock, rehearsed without any error.
+/// Returns the system's clock with clock fault injection, but no faults.
 fn rehearsed() -> SharedClock {
     let clock = system();
     let (identity, since) = (clock.identity().clone(), clock.wall());
-    let wrong = RehearsalDescription { offset: Span::ZERO, drift_ppm: 0.0, steps: Vec::new(), since };
-    Arc::new(RehearsedClock::new(clock, identity, wrong))
+    let wrong = ClockFaults { offset: Span::ZERO, drift_ppm: 0.0, steps: Vec::new(), since };
+    Arc::new(FaultyClock::new(clock, identity, wrong))
 }
 
 fn session(last: u8) -> SessionId {
@@ -48,21 +50,21 @@ fn hello(clock: &SharedClock, clock_socket: Option<ClockSocketName>) -> SessionH
     }
 }
 
-/// Runs the edge's end; what it tells comes out.
+/// Starts the edge's end; returns the receiver of its results.
 fn proving(
     peers: ClockPeers,
     clock: SharedClock,
 ) -> (mpsc::Receiver<Result<(), NotProven>>, AbortOnDropHandle<()>) {
-    let (tell, told) = mpsc::channel(64);
+    let (report_proof, proofs) = mpsc::channel(64);
     let task = tokio::spawn(async move {
-        let tell = |proof| tell.try_send(proof).expect("the test takes what it is told");
-        match prove(&peers, &clock, tell).await {}
+        let report_proof = |proof| report_proof.try_send(proof).expect("the test takes what it is told");
+        match prove(&peers, &clock, report_proof).await {}
     });
-    (told, AbortOnDropHandle::new(task))
+    (proofs, AbortOnDropHandle::new(task))
 }
 
-async fn next(told: &mut mpsc::Receiver<Result<(), NotProven>>) -> Result<(), NotProven> {
-    tokio::time::timeout(PATIENCE, told.recv()).await.expect("in time").expect("the task lives")
+async fn next(proofs: &mut mpsc::Receiver<Result<(), NotProven>>) -> Result<(), NotProven> {
+    tokio::time::timeout(PATIENCE, proofs.recv()).await.expect("in time").expect("the task lives")
 }
 
 fn witness(hello: &SessionHello, number: u8, clock: &SharedClock) -> Option<AbortOnDropHandle<()>> {
@@ -84,8 +86,8 @@ async fn cloud_of_the_session_proves_one_clock() {
     let socket = listen(&clock);
     let _witness = witness(&hello(&clock, Some(socket.name())), 1, &clock).expect("connects");
     let name = socket.name();
-    let (mut told, _task) = proving(socket.connected(session(1)), clock);
-    assert!(next(&mut told).await.is_ok());
+    let (mut proofs, _task) = proving(socket.connected(session(1)), clock);
+    assert!(next(&mut proofs).await.is_ok());
     assert_eq!(connect(name).expect_err("the socket is closed").kind(), ErrorKind::ConnectionRefused);
 }
 
@@ -94,8 +96,8 @@ async fn cloud_of_another_session_proves_nothing() {
     let clock = system();
     let socket = listen(&clock);
     let _witness = witness(&hello(&clock, Some(socket.name())), 2, &clock).expect("connects");
-    let (mut told, _task) = proving(socket.connected(session(1)), clock);
-    assert!(matches!(next(&mut told).await, Err(NotProven::Foreign)));
+    let (mut proofs, _task) = proving(socket.connected(session(1)), clock);
+    assert!(matches!(next(&mut proofs).await, Err(NotProven::Foreign)));
 }
 
 #[tokio::test]
@@ -104,8 +106,8 @@ async fn rehearsed_process_neither_listens_nor_connects() {
     assert!(ClockSocket::listen(&*wrong).is_none());
     let socket = listen(&right);
     assert!(witness(&hello(&right, Some(socket.name())), 1, &wrong).is_none());
-    let (mut told, _task) = proving(socket.connected(session(1)), right);
-    assert!(matches!(next(&mut told).await, Err(NotProven::NotConnected)));
+    let (mut proofs, _task) = proving(socket.connected(session(1)), right);
+    assert!(matches!(next(&mut proofs).await, Err(NotProven::NotConnected)));
 }
 
 #[tokio::test]
@@ -118,11 +120,11 @@ async fn cloud_connects_to_no_edge_of_another_boot() {
 }
 
 #[tokio::test]
-async fn cloud_that_finds_nobody_or_a_full_queue_goes_on() {
+async fn cloud_continues_without_listener_or_room_in_queue() {
     let clock = system();
     let name = ClockSocketName::new([3; ClockSocketName::BYTES]);
     assert!(witness(&hello(&clock, Some(name)), 1, &clock).is_none());
-    // Somebody listens and accepts nobody: connecting blocks once the queue is full, and must not here.
+    // The listener accepts nobody, so that connecting would block once its queue is full. It must not block here.
     let address = SocketAddr::from_abstract_name(name.to_string()).expect("a short name");
     let _listener = UnixListener::bind_addr(&address).expect("the name is free");
     let mut waiting = Vec::new();
@@ -133,7 +135,7 @@ async fn cloud_that_finds_nobody_or_a_full_queue_goes_on() {
 }
 
 #[tokio::test]
-async fn garbage_and_silence_are_passed_over_for_the_cloud() {
+async fn garbage_and_silence_do_not_hide_the_cloud() {
     let clock = system();
     let socket = listen(&clock);
     let mut garbage = connect(socket.name()).expect("it listens");
@@ -141,13 +143,13 @@ async fn garbage_and_silence_are_passed_over_for_the_cloud() {
     let mut silent = connect(socket.name()).expect("it listens");
     let _gone = connect(socket.name()).map(drop);
     let _witness = witness(&hello(&clock, Some(socket.name())), 1, &clock).expect("connects");
-    let (mut told, _task) = proving(socket.connected(session(1)), clock);
-    assert!(next(&mut told).await.is_ok());
+    let (mut proofs, _task) = proving(socket.connected(session(1)), clock);
+    assert!(next(&mut proofs).await.is_ok());
     for stream in [&mut garbage, &mut silent] {
         stream.set_read_timeout(Some(PATIENCE)).expect("a timeout");
         let mut question = [0; Question::BYTES];
         stream.read_exact(&mut question).expect("it was asked");
-        // Closed, with unread bytes as a reset.
+        // Closed; with unread bytes it is a reset.
         match stream.read(&mut question) {
             Ok(bytes) => assert_eq!(bytes, 0),
             Err(error) => assert_eq!(error.kind(), ErrorKind::ConnectionReset),
@@ -169,24 +171,24 @@ async fn cloud_closes_connection_that_asks_garbage() {
     assert_eq!(stream.read_to_end(&mut rest).expect("it is closed"), 0);
 }
 
-/// It takes as long as a proof is valid.
+/// Takes as long as a proof is valid.
 #[tokio::test]
 async fn proof_expires_when_answers_stop_and_returns_with_them() {
     let clock = system();
     let socket = listen(&clock);
     let cloud = connect(socket.name()).expect("it listens");
-    let (mut told, _task) = proving(socket.connected(session(1)), SharedClock::clone(&clock));
+    let (mut proofs, _task) = proving(socket.connected(session(1)), SharedClock::clone(&clock));
     cloud.set_nonblocking(true).expect("a socket");
     let mut cloud = tokio::net::UnixStream::from_std(cloud).expect("a socket");
     answer(&mut cloud, &clock).await;
-    assert!(next(&mut told).await.is_ok());
-    assert!(matches!(next(&mut told).await, Err(NotProven::Expired)));
+    assert!(next(&mut proofs).await.is_ok());
+    assert!(matches!(next(&mut proofs).await, Err(NotProven::Expired)));
     // The question that waited takes too long to prove anything; the next one is asked at once.
     answer(&mut cloud, &clock).await;
     answer(&mut cloud, &clock).await;
-    assert!(next(&mut told).await.is_ok());
+    assert!(next(&mut proofs).await.is_ok());
     drop(cloud);
-    assert!(matches!(next(&mut told).await, Err(NotProven::Ended(_))));
+    assert!(matches!(next(&mut proofs).await, Err(NotProven::Ended(_))));
 }
 
 /// Answers one question as the cloud of the first session does.

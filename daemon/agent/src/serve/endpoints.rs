@@ -1,4 +1,4 @@
-//! What a serving host has open to its peers, before anyone comes in.
+//! The open ports of a serving host.
 
 use peernet_inference::ModelConfig;
 use peernet_logger::Slug;
@@ -12,28 +12,29 @@ use crate::error::StartError;
 use crate::host::Host;
 use crate::link::ProbeSettings;
 
-/// The name of the built-in model that `peernet calibrate` asks for.
+/// Name of the built-in model that `peernet calibrate` uses.
 const CALIBRATION: &str = "calibration";
 
-/// The ports for sessions, and those for probes unless that is switched off.
+/// Open ports for sessions, and those for probes unless they are switched off.
 #[derive(Debug)]
 pub(crate) struct ServeEndpoints {
-    /// Tells this process from others behind the same address, and from those before it.
+    /// Random number of this process, which distinguishes it from others behind the same address and from earlier
+    /// ones.
     pub(super) instance: u64,
-    /// What peers are given with their session to authenticate probes, unless a key of this host's own is configured.
+    /// Key that peers are sent with their session to authenticate probes, unless this host has a configured key.
     pub(super) probe_key: Option<ProbeKey>,
-    /// The name of the built-in model, if it is offered.
+    /// Name of the built-in model, if it is offered.
     pub(super) built_in: Option<Slug>,
-    /// One for each address of `[serve] listen`, in that order.
+    /// Listeners for sessions, one for each address of `[serve] listen`, in that order.
     pub(super) listeners: Vec<Listener>,
-    /// One for each of these machine's addresses that peers know.
+    /// Reflectors of probes, one for each of this machine's addresses that peers know.
     pub(super) reflectors: Vec<Reflector>,
-    /// The port at which the probes of a listener's peers are answered, for each listener.
+    /// Ports for the probes of a listener's peers, one for each listener.
     pub(super) probes: Vec<Option<u16>>,
 }
 
 impl ServeEndpoints {
-    /// Takes the ports, if the host is to serve.
+    /// Opens the ports; returns `None` if the host does not serve.
     pub(crate) async fn open(
         config: &AgentConfig,
         probes: &ProbeSettings,
@@ -46,8 +47,8 @@ impl ServeEndpoints {
         let offers_key = config.probes.reflect && probes.key.is_none();
         let probe_key = offers_key.then(|| ProbeKey::new(Key::random_bytes()));
         let (reflectors, probes) = if config.probes.reflect {
-            let asked = reflector::Answering { settings: probes, instance, session_key: probe_key };
-            reflector::bind_all(listen, &config.probes, asked, &host.clock).await?
+            let answering = reflector::Answering { settings: probes, instance, session_key: probe_key };
+            reflector::bind_all(listen, &config.probes, answering, &host.clock).await?
         } else {
             (Vec::new(), vec![None; listeners.len()])
         };
@@ -55,13 +56,13 @@ impl ServeEndpoints {
         Ok(Some(Self { instance, probe_key, built_in, listeners, reflectors, probes }))
     }
 
-    /// Where peers may ask for models, with the real ports.
+    /// Returns the addresses at which peers may ask for models, with the real ports.
     pub(crate) fn addresses(&self) -> Vec<Address> {
         self.listeners.iter().map(|listener| listener.address().clone()).collect()
     }
 }
 
-/// The built-in model that answers with what it was given, unless it is not wanted or the name is taken.
+/// Returns the built-in model that answers with its input; `None` if it is switched off or its name is taken.
 pub(crate) fn calibration(config: &AgentConfig) -> Option<ModelConfig> {
     let wanted = config.serve.as_ref().is_some_and(|serve| serve.calibration);
     let name: Slug = CALIBRATION.parse().ok()?;

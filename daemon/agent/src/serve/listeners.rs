@@ -1,14 +1,14 @@
-//! All ports for sessions as one source of what arrives.
+//! All ports for sessions as one source of incoming messages.
 
 use futures::FutureExt;
 use futures::future::{join_all, select_all};
 use peernet_networks::{Address, Incoming, Listener};
 
-/// The listeners of a host, each known by its place.
+/// The listeners of a host, each identified by its index.
 #[derive(Debug)]
 pub(super) struct Listeners {
     listeners: Vec<Listener>,
-    /// Who is asked first the next time.
+    /// Index of the listener that is polled first the next time.
     turn: usize,
 }
 
@@ -17,7 +17,8 @@ impl Listeners {
         Self { listeners, turn: 0 }
     }
 
-    /// What arrives next, and at which listener; `None` from one whose port was lost. Dropping the future loses nothing.
+    /// Waits for the next incoming message. Returns it with the index of its listener; `None` from a listener whose
+    /// port was lost. Dropping the future loses nothing.
     pub(super) async fn next(&mut self) -> (usize, Option<Incoming>) {
         let Self { listeners, turn } = self;
         if let [alone] = listeners.as_mut_slice() {
@@ -25,7 +26,7 @@ impl Listeners {
         }
         let count = listeners.len();
         let (behind, ahead) = listeners.split_at_mut(*turn);
-        // They take turns, so that a busy one cannot keep the others waiting.
+        // The listeners take turns, so that a busy one cannot block the others.
         let in_turn = ahead.iter_mut().chain(behind).map(|listener| listener.next().boxed());
         let (incoming, place, _) = select_all(in_turn).await;
         let place = (*turn + place) % count;
@@ -33,12 +34,12 @@ impl Listeners {
         (place, incoming)
     }
 
-    /// Where a listener listens.
+    /// Returns the address of a listener.
     pub(super) fn address(&self, place: usize) -> &Address {
         self.listeners[place].address()
     }
 
-    /// Closes all ports at once: each waits for its own answers under way.
+    /// Closes all ports at the same time; each waits for its own unsent answers.
     pub(super) async fn close(self) {
         join_all(self.listeners.into_iter().map(Listener::close)).await;
     }

@@ -1,9 +1,13 @@
-//! The serving side: sessions of peers that want this host's models.
+//! Serving: sessions of peers that use this host's models.
+//!
+//! A request goes to the pool of its session's model, whose worker records `queue`, `preprocessing`, `inference` and
+//! `postprocessing`. The answer carries only the nodes that were added to the tree. Sessions that ask for
+//! `observed-stamps` get the stamps of observed messages instead of a model.
 
-mod asked;
 mod endpoints;
 mod listeners;
 mod reflector;
+mod request_counts;
 mod served;
 mod service;
 
@@ -30,8 +34,8 @@ use tokio::time::MissedTickBehavior;
 use tokio_util::sync::CancellationToken;
 use tokio_util::task::AbortOnDropHandle;
 
-use self::asked::Asked;
 use self::listeners::Listeners;
+use self::request_counts::RequestCounts;
 use self::service::{Refusal, Service};
 use crate::conditions::InspectionSettings;
 use crate::host::Host;
@@ -40,22 +44,22 @@ use crate::observed::ObservedPipelines;
 use crate::same_clock::ClockWitness;
 use crate::telemetry;
 
-/// What serving needs of the rest of the agent.
+/// The parts of the agent that serving uses.
 #[derive(Clone, Debug)]
 pub(crate) struct ServeContext {
     pub(crate) host: Host,
     pub(crate) incidents: Incidents,
-    /// The models that are served.
+    /// Models that are served.
     pub(crate) bank: Arc<Bank>,
-    /// What peers can ask about this host's pipelines that observe.
+    /// Stamps of the messages that this host's pipelines observe, which peers may ask for.
     pub(crate) observed: ObservedPipelines,
-    /// What is known of this host's own clock.
+    /// State of this host's own clocks.
     pub(crate) own: watch::Receiver<PeerClock>,
     /// Paths in /proc and /sys that show what can disturb a run.
     pub(crate) inspection: Arc<InspectionSettings>,
 }
 
-/// Why serving ended before it was told to.
+/// Reason why serving ended before it was asked to.
 #[derive(Debug, thiserror::Error)]
 pub(crate) enum ServeError {
     /// The port for sessions was lost.
@@ -66,14 +70,14 @@ pub(crate) enum ServeError {
     Reflector(#[from] ReceiveError),
 }
 
-/// Serves at all ports until it is told to stop, and counts the answers. The error is why a port was lost.
+/// Serves on all ports until `stop` is cancelled, and counts the answers.
 pub(crate) async fn run(
     endpoints: ServeEndpoints,
     context: ServeContext,
     served: watch::Sender<Served>,
     stop: CancellationToken,
 ) -> Result<(), ServeError> {
-    let named = Named {
+    let serve_identity = ServeIdentity {
         probes: endpoints.probes,
         instance: endpoints.instance,
         probe_key: endpoints.probe_key,
@@ -89,12 +93,12 @@ pub(crate) async fn run(
     let caveats = endpoints.listeners.iter().map(|listener| listener.caveat().map(str::to_owned)).collect();
     let server = Server {
         context,
-        named,
+        serve_identity,
         hardware,
         served,
         peers: HashMap::new(),
         probing: endpoints.reflectors.iter().map(Reflector::peers).collect(),
-        asked: Asked::default(),
+        request_counts: RequestCounts::default(),
         caveats,
     };
     let announcers = endpoints.listeners.iter().map(Listener::announcer).collect();
@@ -112,10 +116,10 @@ pub(crate) async fn run(
     Ok(())
 }
 
-/// Time between two reports of what was counted on a connection at this end.
+/// Interval at which the statistics of this end of each connection are sent.
 const REPORT_INTERVAL: Duration = Duration::from_secs(1);
 
-/// Tells all peers at once what becomes known of this host's clock, and again and again what was counted on their connections.
+/// Sends changes of this host's clocks to all peers at once, and the statistics of each connection periodically.
 async fn announce(mut own: watch::Receiver<PeerClock>, announcers: Vec<Announcer>, stop: CancellationToken) {
     let announcing = async {
         while own.changed().await.is_ok() {
@@ -131,7 +135,7 @@ async fn announce(mut own: watch::Receiver<PeerClock>, announcers: Vec<Announcer
         loop {
             due.tick().await;
             let announcers = announcers.clone();
-            // The system is asked about each connection, for which sessions are not to wait.
+            // On a blocking thread, because the system is queried for each connection, which must not delay sessions.
             let report = move || announcers.iter().for_each(Announcer::report_statistics);
             if let Err(error) = tokio::task::spawn_blocking(report).await {
                 tracing::error!(%error, "reporting what was counted on connections panicked");
@@ -142,13 +146,13 @@ async fn announce(mut own: watch::Receiver<PeerClock>, announcers: Vec<Announcer
     stop.run_until_cancelled(async { tokio::join!(announcing, reporting) }).await;
 }
 
-/// Serves sessions until it is told to stop.
+/// Serves sessions until `stop` is cancelled.
 async fn sessions(
     mut listeners: Listeners,
     mut server: Server,
     stop: CancellationToken,
 ) -> Result<(), ServeError> {
-    // Models that are being loaded for a peer; each listener bounds how many peers it has.
+    // Models that are being loaded for a peer. Each listener bounds the number of its peers.
     let mut loading: JoinSet<Loaded> = JoinSet::new();
     let mut stopping = std::pin::pin!(stop.cancelled());
     loop {
@@ -157,13 +161,14 @@ async fn sessions(
             () = &mut stopping => break,
             Some(loaded) = loading.join_next() => match loaded {
                 Ok(loaded) => server.answer(loaded),
-                // The wish was dropped with the panic, and so refused.
+                // The panic dropped the request, which refuses it.
                 Err(error) => tracing::error!(%error, "loading a model for a peer panicked"),
             },
             (listener, incoming) = listeners.next() => match incoming {
                 Some(Incoming::Request(request)) => server.compute(request),
                 Some(Incoming::Open(wish)) => {
                     let context = server.context.clone();
+                    // On a blocking thread: a model may load for minutes, and other peers are served meanwhile.
                     loading.spawn_blocking(move || prepare(wish, listener, &context));
                 }
                 Some(Incoming::Closed { session, said_goodbye, ordered }) => {
@@ -182,38 +187,38 @@ async fn sessions(
     Ok(())
 }
 
-/// Gets ready what a peer asks for. Blocks while a model loads.
+/// Prepares what a peer asks for. Blocks while a model loads.
 fn prepare(wish: OpenRequest, listener: usize, context: &ServeContext) -> Loaded {
-    // First, because a model that loads is a competing load itself.
+    // Inspected first, because loading a model is a competing load itself.
     let conditions = conditions(context);
     let service = Service::prepare(&wish.hello, context);
     Loaded { wish, listener, service, conditions }
 }
 
-/// What a peer is told of this host before a session.
+/// Returns the conditions of this host that a peer is sent with its session.
 fn conditions(context: &ServeContext) -> Vec<Condition> {
     let mut found = crate::conditions::inspect_host(&context.inspection, context.host.name.as_str());
     found.truncate(MAX_CONDITIONS);
     found
 }
 
-/// How a peer finds the one whose clock it must know.
+/// Data by which a peer reaches the process whose clock it must relate to.
 #[derive(Clone, Debug)]
-struct Named {
-    /// The port at which the probes of a listener's peers are answered, for each listener.
+struct ServeIdentity {
+    /// Ports for probes, one for each listener.
     probes: Vec<Option<u16>>,
-    /// Who answers them.
+    /// Random number of this process, which answers the probes.
     instance: u64,
-    /// What authenticates them, where no configured key does.
+    /// Key that authenticates probes if none is configured.
     probe_key: Option<ProbeKey>,
-    /// The model whose answers do not count.
+    /// Model whose answers do not count.
     built_in: Option<Slug>,
 }
 
-/// A wish for a session whose model has been loaded, or could not be.
+/// A request for a session after its model was loaded, or could not be.
 struct Loaded {
     wish: OpenRequest,
-    /// The place of the listener that it came to.
+    /// Index of the listener at which it arrived.
     listener: usize,
     service: Result<Service, Refusal>,
     conditions: Vec<Condition>,
@@ -224,31 +229,32 @@ struct Peer {
     host: HostId,
     name: Slug,
     pipeline: Slug,
-    /// Where its connection, and so its probes, come from.
+    /// Address of its connection, and so of its probes.
     address: Option<IpAddr>,
     service: Service,
-    /// Where its requests and their answers are counted, if they are.
+    /// Counters of its requests and their answers; `None` if they are not counted.
     counted: Option<(Arc<AtomicU64>, Arc<watch::Sender<Served>>)>,
-    /// Proves to it that both processes read one clock, where they do; goes with the session. If it ends before, the peer notices.
+    /// Task that proves to the peer that both processes read one clock, if they do. It ends with the session; if it
+    /// ends before, the peer notices.
     _witness: Option<AbortOnDropHandle<()>>,
 }
 
 struct Server {
     context: ServeContext,
-    named: Named,
-    /// What this host is made of.
+    serve_identity: ServeIdentity,
+    /// Hardware of this host.
     hardware: Hardware,
     served: Arc<watch::Sender<Served>>,
     peers: HashMap<SessionId, Peer>,
-    /// Tells each reflector the addresses of the peers with a session.
+    /// Channels that give each reflector the addresses of the peers with a session.
     probing: Vec<watch::Sender<Vec<IpAddr>>>,
-    asked: Asked,
-    /// What makes the connections of each listener worse than they could be.
+    request_counts: RequestCounts,
+    /// Caveat about the connections of each listener, if there is one.
     caveats: Vec<Option<String>>,
 }
 
 impl Server {
-    /// Accepts or refuses.
+    /// Accepts or refuses a session.
     fn answer(&mut self, Loaded { wish, listener, service, conditions }: Loaded) {
         let hello = &wish.hello;
         let (host, name, pipeline) = (hello.host, hello.name.clone(), hello.pipeline.clone());
@@ -262,17 +268,18 @@ impl Server {
                 );
                 let (session, accepted) = (wish.session, self.accepted(listener, &service, conditions));
                 let address = wish.address.map(|address| address.ip());
-                // Before the edge knows that it has the session: it closes its socket then.
+                // Connected before the edge knows that it has the session, because it closes its socket then.
                 let witness = ClockWitness::connect(hello, session, &self.context.host.clock);
                 let witness = witness.map(|it| AbortOnDropHandle::new(tokio::spawn(it.answer())));
-                // Before the peer knows where to send its probes.
+                // Announced before the peer knows where to send its probes.
                 self.tell_reflectors(address);
                 if wish.accept(accepted) {
                     let counts = match &service {
-                        Service::Model(pool) => self.named.built_in.as_ref() != Some(pool.name()),
+                        Service::Model(pool) => self.serve_identity.built_in.as_ref() != Some(pool.name()),
                         Service::Stamps(..) => false,
                     };
-                    let counted = counts.then(|| (self.asked.by(host, &pipeline), Arc::clone(&self.served)));
+                    let counted =
+                        counts.then(|| (self.request_counts.by(host, &pipeline), Arc::clone(&self.served)));
                     let peer = Peer { host, name, pipeline, address, service, counted, _witness: witness };
                     self.peers.insert(session, peer);
                     self.served.send_modify(|served| served.sessions = self.peers.len());
@@ -289,7 +296,7 @@ impl Server {
         }
     }
 
-    /// Tells the reflectors which addresses have a session, with one that is being opened.
+    /// Gives the reflectors the addresses that have a session, and that of a session being opened.
     fn tell_reflectors(&self, opening: Option<IpAddr>) {
         for probing in &self.probing {
             let open = self.peers.values().filter_map(|peer| peer.address);
@@ -307,23 +314,23 @@ impl Server {
             device: service.device(),
             facts: service.facts(),
             host_clock: self.context.own.borrow().clone(),
-            probes: self.named.probes.get(listener).copied().flatten(),
-            instance: self.named.instance,
-            probe_key: self.named.probe_key,
+            probes: self.serve_identity.probes.get(listener).copied().flatten(),
+            instance: self.serve_identity.instance,
+            probe_key: self.serve_identity.probe_key,
             conditions,
             hardware: self.hardware.clone(),
         }
     }
 
-    /// Hands a request to what answers it; whoever computes it sends the answer.
+    /// Passes a request to its service, which sends the answer.
     fn compute(&self, request: IncomingRequest) {
         let Some(peer) = self.peers.get(&request.session) else {
             let IncomingRequest { log, reply, .. } = request;
             reply.send(log, Err(Failure::Failed("the session is not open".to_owned())));
             return;
         };
-        let served = peer.counted.as_ref().map(|(asked, served)| {
-            asked.fetch_add(1, Ordering::Relaxed);
+        let served = peer.counted.as_ref().map(|(requests, served)| {
+            requests.fetch_add(1, Ordering::Relaxed);
             Arc::clone(served)
         });
         peer.service.answer(request, move |Done { log, result }: &Done| {
@@ -334,13 +341,13 @@ impl Server {
         });
     }
 
-    /// A session is over. That its peer took its leave is no incident: every session ends once.
+    /// Handles the end of a session. A goodbye is not an incident, because every session ends.
     fn closed(&mut self, session: SessionId, said_goodbye: bool, ordered: Option<u64>) {
-        // A session that was never accepted has nothing to take leave of.
+        // A session that was never accepted is not in the map.
         let Some(Peer { host, name, pipeline, counted, .. }) = self.peers.remove(&session) else { return };
         self.tell_reflectors(None);
-        let is_farewell = said_goodbye && counted.is_some();
-        let missed = if is_farewell { self.asked.missed(host, &pipeline, ordered) } else { 0 };
+        let is_goodbye = said_goodbye && counted.is_some();
+        let missed = if is_goodbye { self.request_counts.missed(host, &pipeline, ordered) } else { 0 };
         self.served.send_modify(|served| {
             served.sessions = self.peers.len();
             served.missed = served.missed.saturating_add(missed);
@@ -354,7 +361,7 @@ impl Server {
         }
     }
 
-    /// Reports what makes a connection worse than it could be, with the peer that has a session on it.
+    /// Reports a caveat of a connection, with the peer that has a session on it.
     fn remark(&self, session: Option<SessionId>, text: &str) {
         let peer = session.and_then(|session| self.peers.get(&session));
         let of =
@@ -370,7 +377,7 @@ impl Server {
     }
 }
 
-/// What a peer is told: whether another try may help, or this sample is at fault.
+/// Returns the failure for the peer: whether another try may help, or this sample is at fault.
 fn failure(error: &InferenceError) -> Failure {
     match error {
         InferenceError::QueueFull { .. } | InferenceError::Stopped { .. } => {

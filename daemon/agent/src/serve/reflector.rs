@@ -12,16 +12,16 @@ use crate::config::ProbesConfig;
 use crate::error::ReflectorError;
 use crate::link::ProbeSettings;
 
-/// Who answers, and whom.
+/// Settings of the reflectors.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Answering<'a> {
     pub(super) settings: &'a ProbeSettings,
     pub(super) instance: u64,
-    /// What peers with a session are given.
+    /// Key that peers with a session are sent.
     pub(super) session_key: Option<ProbeKey>,
 }
 
-/// Binds to the addresses at which peers are awaited. Returns one reflector for each IP address, and for each of `listen`
+/// Binds to the addresses at which peers connect. Returns one reflector for each IP address, and for each of `listen`
 /// the port of its reflector.
 pub(super) async fn bind_all(
     listen: &[Address],
@@ -38,7 +38,7 @@ pub(super) async fn bind_all(
         wanted.push(at);
     }
     let mut by_reach = wanted.clone();
-    // Those of all interfaces first: they answer for each single address, too.
+    // Addresses of all interfaces come first, because their reflectors answer for each single address as well.
     by_reach.sort_by_key(|at| !at.ip().is_unspecified());
     let mut reflectors: Vec<Reflector> = Vec::new();
     for at in by_reach {
@@ -50,15 +50,15 @@ pub(super) async fn bind_all(
     Ok((reflectors, ports))
 }
 
-/// The port of the reflector that answers at an IP address.
+/// Returns the port of the reflector that answers at an IP address.
 fn find(reflectors: &[Reflector], ip: IpAddr) -> Option<u16> {
     let answers =
         |at: &SocketAddr| at.ip() == ip || (at.ip().is_unspecified() && at.ip().is_ipv4() == ip.is_ipv4());
     reflectors.iter().map(Reflector::address).find(answers).map(|at| at.port())
 }
 
-/// Binds to one address. The standard port may be another program's, as long as nobody insists on it: peers are told which
-/// one it is.
+/// Binds to one address. If the default port is taken and no port is configured, any free port is used, because peers
+/// are sent the real one.
 fn bind(
     at: SocketAddr,
     config: &ProbesConfig,
@@ -73,6 +73,8 @@ fn bind(
             instance,
             max_per_source_hz: config.max_per_source_hz,
             stamps: settings.stamps,
+            // Numbers its replies, so that the sender knows in which direction a probe was lost (RFC 8762, section
+            // 4).
             stateful: true,
         };
         Reflector::bind(config, Arc::clone(clock))
@@ -90,7 +92,7 @@ fn bind(
 
 async fn resolve(listen: &Address, port: u16) -> io::Result<SocketAddr> {
     if listen.listener_name().is_some() {
-        // Host and port are those of a program that knows the name; peers come on any interface.
+        // The host and port of such an address are those of a name service; peers connect on any interface.
         return Ok(SocketAddr::new(Ipv4Addr::UNSPECIFIED.into(), port));
     }
     let host = listen.host();

@@ -1,26 +1,25 @@
-//! What peers were sent.
+//! Counts of the answers that peers were sent.
 
 use peernet_logger::{Tree, stage};
 use peernet_statistics::Summary;
 
-/// Who is served, and what peers were sent since the agent started. Answers of the built-in model `calibration` do not
-/// count.
+/// Sessions, and answers since the agent started. Answers of the built-in model `calibration` do not count.
 #[derive(Clone, Debug, Default)]
 pub struct Served {
-    /// Sessions that are open.
+    /// Number of open sessions.
     pub sessions: usize,
-    /// Answers, failures among them.
+    /// Number of answers, including failures.
     pub answers: u64,
-    /// Failures.
+    /// Number of failures.
     pub errors: u64,
-    /// Iterations that runs were to have which are over, and that never came here: their edge said so.
+    /// Number of planned iterations that never arrived, of runs that are over, as their edge reported.
     pub missed: u64,
-    /// How long the stage `inference` took of those that have it, seconds.
+    /// Duration of the stage `inference`, of the answers that have it, in seconds.
     pub inference: Summary,
 }
 
 impl Served {
-    /// One more, a failure or not, whose `inference` took so long.
+    /// Adds an answer with the duration of its `inference` in seconds.
     pub(super) fn add(&mut self, is_error: bool, inference: Option<f64>) {
         self.answers += 1;
         self.errors += u64::from(is_error);
@@ -30,7 +29,7 @@ impl Served {
     }
 }
 
-/// How long the stage `inference` took, seconds.
+/// Returns the duration of the stage `inference` in seconds.
 pub(super) fn inference(tree: &Tree) -> Option<f64> {
     tree.find(&[stage::INFERENCE.as_str()])?.1.measure.value()
 }
@@ -41,7 +40,8 @@ mod tests {
 
     #[test]
     fn quantile_of_inference_is_never_outside_the_values() {
-        // The buckets of a sketch are 1 % wide: some of these lie above the middle of theirs, some below.
+        // The buckets of a sketch are 1 % wide. Some of these values are above the middle of their bucket, some
+        // below.
         for value in (1..=50).map(|n| f64::from(n) * 1.03e-3) {
             let mut served = Served::default();
             served.add(false, Some(value));

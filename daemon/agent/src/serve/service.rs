@@ -1,4 +1,4 @@
-//! What a session of a peer is for.
+//! The service that a session of a peer uses.
 
 use std::sync::Arc;
 
@@ -10,27 +10,27 @@ use super::{ServeContext, failure};
 use crate::host::Host;
 use crate::observed::{MODEL, ObservedPipelines};
 
-/// What answers the requests of a session.
+/// A service that answers the requests of a session.
 pub(super) enum Service {
-    /// A model.
+    /// Inference by a model.
     Model(Arc<Pool>),
-    /// What is known of the messages that this host's pipelines observe.
+    /// Stamps of the messages that this host's pipelines observe.
     Stamps(ObservedPipelines, Host),
 }
 
-/// Why a peer gets no session.
+/// Reason why a peer gets no session.
 pub(super) struct Refusal {
-    /// For this host's log and incidents.
+    /// Text for this host's log and incidents.
     pub(super) reason: String,
-    /// What the peer is told.
+    /// Text for the peer.
     pub(super) to_peer: String,
 }
 
 impl Service {
-    /// Gets ready what a peer asks for. Blocks while a model loads.
+    /// Prepares the service that a peer asks for. Blocks while a model loads.
     ///
     /// # Errors
-    /// There is no such model or it cannot be loaded, or no topics are observed here.
+    /// When there is no such model, it cannot be loaded, or no topics are observed here.
     pub(super) fn prepare(hello: &SessionHello, context: &ServeContext) -> Result<Self, Refusal> {
         if hello.model.as_ref().is_some_and(|model| is_stamps(model, &context.bank)) {
             return match context.observed.refusal(&context.host.name) {
@@ -41,8 +41,9 @@ impl Service {
         let model = hello.model.clone().map_or_else(|| context.bank.only(), Ok);
         let pool = model.and_then(|model| context.bank.load(&model, hello.device.as_deref()));
         pool.map(Self::Model).map_err(|error: LoadError| {
-            let asked = hello.model.as_ref().map_or_else(|| "that is offered".to_owned(), Slug::to_string);
-            Refusal { reason: error.to_string(), to_peer: error.to_peer(&asked) }
+            let requested =
+                hello.model.as_ref().map_or_else(|| "that is offered".to_owned(), Slug::to_string);
+            Refusal { reason: error.to_string(), to_peer: error.to_peer(&requested) }
         })
     }
 
@@ -67,7 +68,8 @@ impl Service {
         }
     }
 
-    /// Answers a request, now or when the model has computed; `answered` is told of its end first.
+    /// Answers a request, now or when the model has finished. `answered` is called with the result before the answer
+    /// is sent.
     pub(super) fn answer(&self, request: IncomingRequest, answered: impl FnOnce(&Done) + Send + 'static) {
         let IncomingRequest { sample, log, received, reply, .. } = request;
         match self {
@@ -92,7 +94,7 @@ impl Service {
     }
 }
 
-/// Whether the name is that of the stamps: a configured model of the name goes first.
+/// Returns whether the name is that of the stamps. A configured model of the same name takes precedence.
 fn is_stamps(model: &Slug, bank: &Bank) -> bool {
     model.as_str() == MODEL && !bank.names().contains(model)
 }

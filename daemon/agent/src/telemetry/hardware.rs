@@ -1,4 +1,4 @@
-//! What the host is made of.
+//! Hardware of the host.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use peernet_stream::Hardware;
 use sysinfo::{CpuRefreshKind, MemoryRefreshKind, System};
 
-/// Describes this machine; what cannot be read stays empty.
+/// Returns the description of this machine; fields that cannot be read stay empty.
 pub(crate) fn hardware() -> Hardware {
     let mut description = Hardware {
         system: system(),
@@ -24,14 +24,14 @@ pub(crate) fn hardware() -> Hardware {
     description
 }
 
-/// The distribution and the kernel, whose network stack and scheduler are part of every latency.
+/// Returns the distribution and the kernel, whose network stack and scheduler are part of every latency.
 fn system() -> String {
     let kernel = System::kernel_version().map(|release| format!("kernel {release}"));
     System::long_os_version().into_iter().chain(kernel).collect::<Vec<_>>().join(", ")
 }
 
-/// NVIDIA's accelerators by the name that their driver gives them, in the order of the bus; a Jetson, whose accelerator
-/// is part of the board, by that of the board.
+/// Returns the names of NVIDIA's accelerators by their driver, in the order of the bus. On a Jetson, whose
+/// accelerator is part of the board, it is the name of the board.
 fn gpus(proc: &Path) -> Vec<String> {
     let listed = fs::read_dir(proc.join("driver/nvidia/gpus")).into_iter().flatten();
     let mut cards: Vec<PathBuf> = listed.filter_map(|entry| Some(entry.ok()?.path())).collect();
@@ -48,7 +48,7 @@ fn gpus(proc: &Path) -> Vec<String> {
         return cards;
     }
     let board = fs::read_to_string(proc.join("device-tree/model")).unwrap_or_default();
-    // The device tree ends its texts with a zero byte.
+    // Texts in a device tree end with a zero byte.
     let board = board.trim_end_matches('\0').trim();
     if board.contains("Jetson") { vec![board.to_owned()] } else { Vec::new() }
 }
@@ -58,7 +58,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn accelerators_are_named_by_their_driver_or_their_board() {
+    fn accelerators_are_named_by_driver_or_board() {
         let folder = tempfile::tempdir().expect("a folder");
         let write = |path: &str, text: &str| {
             let path = folder.path().join(path);
@@ -70,7 +70,7 @@ mod tests {
         assert!(gpus(folder.path()).is_empty());
         write("device-tree/model", "NVIDIA Jetson AGX Orin Developer Kit\0");
         assert_eq!(gpus(folder.path()), ["NVIDIA Jetson AGX Orin Developer Kit"]);
-        // As driver 535 writes it.
+        // As written by driver 535.
         let card = |name: &str| format!("Model: \t\t {name}\nIRQ:   \t\t 177\nGPU UUID: \t GPU-0\n");
         write("driver/nvidia/gpus/0000:65:00.0/information", &card("NVIDIA A100-PCIE-40GB"));
         write("driver/nvidia/gpus/0000:17:00.0/information", &card("NVIDIA GeForce RTX 3090"));

@@ -1,7 +1,7 @@
-//! How the host fares, once a second.
+//! Metrics of the host, read once a second.
 
 mod hardware;
-mod own;
+mod process_usage;
 mod sampler;
 
 pub(crate) use hardware::hardware;
@@ -18,13 +18,13 @@ use sampler::Sampler;
 
 const INTERVAL: Duration = Duration::from_secs(1);
 
-/// Measures until it is told to stop.
+/// Reads the metrics until `stop` is cancelled.
 pub(crate) async fn run(clock: SharedClock, figures: watch::Sender<HostMetrics>, stop: CancellationToken) {
     let mut sampler = Sampler::new(clock);
     let mut ticks = tokio::time::interval(INTERVAL);
     ticks.set_missed_tick_behavior(MissedTickBehavior::Delay);
     while stop.run_until_cancelled(ticks.tick()).await.is_some() {
-        // Some boards' temperature sensors take milliseconds to answer: not on an I/O thread.
+        // On a blocking thread, because the temperature sensors of some boards take milliseconds to answer.
         let sampled = tokio::task::spawn_blocking(move || {
             let metrics = sampler.sample();
             (sampler, metrics)

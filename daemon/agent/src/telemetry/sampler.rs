@@ -1,20 +1,20 @@
-//! Reads the host's figures.
+//! Reads the host's metrics.
 
 use peernet_clock::SharedClock;
 use peernet_stream::HostMetrics;
 use sysinfo::{Components, CpuRefreshKind, MemoryRefreshKind, System};
 
-use super::own::Own;
+use super::process_usage::ProcessUsage;
 
-/// What is kept between two readings: shares of time need the previous one.
+/// State between two readings; shares of time need the previous one.
 ///
-/// Accelerators and power get their own readers here, each `None` where the host has no such thing.
+/// Readers of accelerators and power belong here as well, each `None` if the host has no such device.
 #[derive(Debug)]
 pub(super) struct Sampler {
     system: Option<System>,
     temperatures: Option<Components>,
-    own: Own,
-    /// The first share of CPU time has nothing to compare with.
+    process_usage: ProcessUsage,
+    /// `true` after the first reading. The first share of CPU time has nothing to compare with.
     seen: bool,
 }
 
@@ -26,14 +26,15 @@ impl Sampler {
         Self {
             system: System::new().map_err(|error| quiet("processor and memory load", error)).ok(),
             temperatures: Components::new().map_err(|error| quiet("temperatures", error)).ok(),
-            own: Own::new(clock),
+            process_usage: ProcessUsage::new(clock),
             seen: false,
         }
     }
 
     pub(super) fn sample(&mut self) -> HostMetrics {
-        let mut metrics = HostMetrics { agent_memory_bytes: Own::memory_bytes(), ..HostMetrics::default() };
-        metrics.agent_cpu = self.own.cpu_share();
+        let mut metrics =
+            HostMetrics { agent_memory_bytes: ProcessUsage::memory_bytes(), ..HostMetrics::default() };
+        metrics.agent_cpu = self.process_usage.cpu_share();
         if let Some(system) = &mut self.system {
             system.refresh_cpu_specifics(CpuRefreshKind::nothing().with_usage());
             system.refresh_memory_specifics(MemoryRefreshKind::nothing().with_ram());
@@ -63,7 +64,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn figures_are_within_what_is_possible() {
+    fn metrics_are_within_possible_ranges() {
         let clock = Arc::new(SystemClock::new(ClockIdentity::new("boot", "system")));
         let mut sampler = Sampler::new(clock);
         let first = sampler.sample();

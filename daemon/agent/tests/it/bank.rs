@@ -1,4 +1,4 @@
-//! Models that peers ask for by name, or leave to the host.
+//! Tests of models that peers request by name, or leave to the host.
 
 use std::path::{Path, PathBuf};
 
@@ -13,7 +13,7 @@ fn demo() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("../../models/quality-control")
 }
 
-/// A folder with the demo model under two names.
+/// Returns a folder with the demo model under two names.
 fn folder() -> tempfile::TempDir {
     let folder = tempfile::tempdir().expect("a folder");
     for name in ["plates", "plates_2"] {
@@ -26,7 +26,7 @@ fn folder() -> tempfile::TempDir {
     folder
 }
 
-/// A pipeline that sends three pictures to the cloud, with more keys for its placement.
+/// Returns a pipeline that sends three pictures to the cloud, with further keys for its placement.
 fn line(cloud: &TestAgent, placement: &str) -> String {
     format!(
         "[[pipeline]]\nname = 'line'\nsensor = {{ kind = 'images', path = {:?} }}\n\
@@ -45,7 +45,7 @@ async fn reason(edge: &TestAgent) -> String {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn who_names_no_model_gets_the_only_one_and_is_told_which() {
+async fn edge_without_model_name_gets_the_only_model() {
     let aggregator = Aggregator::start().await;
     let cloud = TestAgent::start("cloud", None, &format!("{SERVE}{ECHO}")).await;
     let edge = TestAgent::start("edge", Some(&aggregator.address), &line(&cloud, "")).await;
@@ -58,7 +58,7 @@ async fn who_names_no_model_gets_the_only_one_and_is_told_which() {
     assert!(hosts.contains(&"edge") && hosts.contains(&"cloud"), "both were looked at: {hosts:?}");
     edge.stop().await.expect("stops well");
 
-    // Measuring the link is not serving.
+    // Answers of the calibration model are not counted.
     let calibrating = line(&cloud, ", model = 'calibration'");
     let edge = TestAgent::start("edge", Some(&aggregator.address), &calibrating).await;
     aggregator.until(|seen| seen.ended().len() == 2).await;
@@ -68,7 +68,7 @@ async fn who_names_no_model_gets_the_only_one_and_is_told_which() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn who_names_no_model_where_there_are_several_is_told_their_names() {
+async fn edge_without_model_name_is_refused_with_names() {
     let nap = "[[model]]\nname = 'nap'\nkind = 'sleep'\n";
     let cloud = TestAgent::start("cloud", None, &format!("{SERVE}{ECHO}{nap}")).await;
     let edge = TestAgent::start("edge", None, &line(&cloud, "")).await;
@@ -79,7 +79,7 @@ async fn who_names_no_model_where_there_are_several_is_told_their_names() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn a_peer_gets_a_model_of_the_bank_by_its_name_on_a_device_that_is_allowed() {
+async fn peer_gets_named_model_on_allowed_device() {
     let aggregator = Aggregator::start().await;
     let folder = folder();
     let bank = format!("{SERVE}[bank]\nfolders = [{:?}]\nmost_loaded = 1\n", folder.path());
@@ -93,13 +93,13 @@ async fn a_peer_gets_a_model_of_the_bank_by_its_name_on_a_device_that_is_allowed
     assert_eq!(outcomes, [&Outcome::Ok; 3]);
     edge.stop().await.expect("stops well");
 
-    for (placement, told) in [
+    for (placement, expected) in [
         (", model = 'plates', device = 'cuda:0'", "only on cpu"),
         (", model = 'quality-control'", "this host offers plates, plates_2"),
     ] {
         let edge = TestAgent::start("edge", None, &line(&cloud, placement)).await;
         let reason = reason(&edge).await;
-        assert!(reason.contains(told), "{reason}");
+        assert!(reason.contains(expected), "{reason}");
         edge.stop().await.expect("stops well");
     }
     let outside = toml::from_str::<peernet_agent::AgentConfig>(&line(&cloud, ", model = '..'"));
@@ -109,7 +109,7 @@ async fn a_peer_gets_a_model_of_the_bank_by_its_name_on_a_device_that_is_allowed
 }
 
 #[test]
-fn a_pipeline_of_the_host_itself_may_use_the_bank() {
+fn local_pipeline_may_use_model_bank() {
     let folder = folder();
     let tables = format!(
         "[bank]\nfolders = [{:?}]\n[[pipeline]]\nname = 'line'\nsensor = {{ kind = 'synthetic', size_bytes = 1 }}\n\

@@ -1,4 +1,4 @@
-//! The built-in model that `peernet calibrate` measures with.
+//! Tests of the built-in model for `peernet calibrate`.
 
 use peernet_stream::{Outcome, PipelineState};
 
@@ -16,7 +16,7 @@ fn line(cloud: &TestAgent) -> String {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn a_serving_host_answers_calibration_with_what_it_was_given() {
+async fn serving_host_echoes_calibration_payload() {
     let aggregator = Aggregator::start().await;
     let cloud = TestAgent::start("cloud", None, CLOUD).await;
     let edge = TestAgent::start("edge", Some(&aggregator.address), &line(&cloud)).await;
@@ -31,7 +31,7 @@ async fn a_serving_host_answers_calibration_with_what_it_was_given() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn a_host_that_does_not_want_to_is_not_asked_in_vain() {
+async fn disabled_calibration_is_refused_with_reason() {
     let cloud = TestAgent::start("cloud", None, &format!("{CLOUD}calibration = false\n")).await;
     let edge = TestAgent::start("edge", None, &line(&cloud)).await;
     let state = edge.until_state(|state| matches!(state, PipelineState::Waiting(_))).await;
@@ -42,7 +42,7 @@ async fn a_host_that_does_not_want_to_is_not_asked_in_vain() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn a_model_of_that_name_comes_first() {
+async fn configured_model_named_calibration_takes_precedence() {
     let aggregator = Aggregator::start().await;
     let own = "[[model]]\nname = 'calibration'\nkind = 'echo'\nanswer_bytes = 7\n";
     let cloud = TestAgent::start("cloud", None, &format!("{CLOUD}{own}")).await;

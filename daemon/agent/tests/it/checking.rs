@@ -1,4 +1,4 @@
-//! Configurations and what is wrong with them.
+//! Tests of checking configurations.
 
 use peernet_agent::{Agent, AgentConfig};
 
@@ -9,7 +9,7 @@ fn problems(config: &AgentConfig) -> Vec<String> {
 }
 
 #[test]
-fn a_sound_configuration_has_no_problems_and_reads_back_as_it_was() {
+fn valid_configuration_has_no_problems_and_reads_back() {
     let state = tempfile::tempdir().expect("a folder");
     let mut sound = config(
         "[serve]\nlisten = 'tcp://127.0.0.1:0'\n[[model]]\nname = 'echo'\nkind = 'echo'\n\
@@ -27,7 +27,7 @@ fn a_sound_configuration_has_no_problems_and_reads_back_as_it_was() {
 }
 
 #[test]
-fn every_problem_is_found_at_once_with_its_key_and_a_remedy() {
+fn all_problems_are_listed_with_key_and_remedy() {
     let state = tempfile::tempdir().expect("a folder");
     std::fs::write(state.path().join("host-id"), "junk").expect("written");
     let mut broken = config(
@@ -59,7 +59,7 @@ fn every_problem_is_found_at_once_with_its_key_and_a_remedy() {
 }
 
 #[test]
-fn numbers_that_no_machine_could_serve_are_refused_with_the_limit() {
+fn excessive_numbers_are_refused_with_limit() {
     let state = tempfile::tempdir().expect("a folder");
     let mut greedy = config(
         "[agent]\nio_threads = 65\nqueue_events = 1000000000000\nqueue_bytes = 1000000000000000\nbatch_nodes = 1000000000\n\
@@ -115,7 +115,7 @@ fn deadline_after_timeout_is_refused() {
 }
 
 #[test]
-fn more_pipelines_than_the_pages_show_are_refused() {
+fn more_pipelines_than_pages_show_are_refused() {
     let state = tempfile::tempdir().expect("a folder");
     let of = |count: u32| {
         let pipeline = |number| {
@@ -133,7 +133,7 @@ fn more_pipelines_than_the_pages_show_are_refused() {
 }
 
 #[test]
-fn a_spool_that_could_not_work_is_named_with_a_remedy() {
+fn unusable_spool_is_named_with_remedy() {
     let state = tempfile::tempdir().expect("a folder");
     let of = |keys: &str| {
         let mut config = config(&format!("[agent]\nbatch_bytes = 1000000\n[spool]\n{keys}"));
@@ -183,7 +183,7 @@ fn unknown_keys_are_refused_by_name() {
 }
 
 #[test]
-fn a_sensor_alone_has_nothing_to_act_upon_and_a_limit_of_warm_up_alone_is_remarked() {
+fn actuator_of_sensor_alone_is_refused() {
     let state = tempfile::tempdir().expect("a folder");
     let mut alone = config(
         "[[pipeline]]\nname = 'line'\nsensor = { kind = 'text', length = 10 }\nplacement = { kind = 'none' }\n\

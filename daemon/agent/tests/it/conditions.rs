@@ -1,11 +1,11 @@
-//! What is found of the hosts stands in the run's description.
+//! Tests that a run's description contains the conditions of both hosts.
 
 use peernet_stream::Condition;
 
 use crate::harness::{Aggregator, TestAgent};
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn a_run_knows_what_was_found_of_both_hosts() {
+async fn run_has_conditions_of_both_hosts() {
     let aggregator = Aggregator::start().await;
     let cloud = "[serve]\nlisten = 'tcp://127.0.0.1:0'\n[[model]]\nname = 'echo'\nkind = 'echo'\n";
     let cloud = TestAgent::start("cloud", None, cloud).await;

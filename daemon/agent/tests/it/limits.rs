@@ -1,4 +1,4 @@
-//! Closed loops on one host: numbers, warm-up, limits, episodes, the tree.
+//! Tests of closed loops on one host: numbers, warm-up, limits, episodes, the tree.
 
 use peernet_stream::{EndReason, Outcome, PipelineState, PlacementKind};
 
@@ -13,7 +13,7 @@ fn line(keys: &str) -> String {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn warm_up_and_limit_are_exact_and_every_tree_adds_up() {
+async fn warm_up_and_limit_are_exact() {
     let aggregator = Aggregator::start().await;
     let keys = "warm_up = { iterations = 3 }\nlimit = { iterations = 20 }";
     let agent = TestAgent::start("edge", Some(&aggregator.address), &line(keys)).await;
@@ -41,7 +41,7 @@ async fn warm_up_and_limit_are_exact_and_every_tree_adds_up() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn the_variables_of_a_program_work_and_are_told_by_their_names_alone() {
+async fn variables_of_program_are_set_and_recorded_by_name() {
     let aggregator = Aggregator::start().await;
     let tables = "[[pipeline]]\nname = 'line'\nplacement = { kind = 'none' }\nlimit = { total = 2 }\n\
         sensor = { kind = 'exec', env = { API_KEY = 'hunter2' }, \
@@ -50,14 +50,14 @@ async fn the_variables_of_a_program_work_and_are_told_by_their_names_alone() {
     let agent = TestAgent::start("edge", Some(&aggregator.address), tables).await;
     let seen = aggregator.until(|seen| !seen.ended().is_empty()).await;
     assert!(seen.iterations().iter().all(|iteration| iteration.outcome == Outcome::Ok));
-    let told = seen.runs()[0].configuration.clone();
-    assert_eq!(told.matches("API_KEY = \"(not told)\"").count(), 2, "{told}");
-    assert!(!told.replace("= hunter2 ]", "").contains("hunter"), "{told}");
+    let first_configuration = seen.runs()[0].configuration.clone();
+    assert_eq!(first_configuration.matches("API_KEY = \"(not told)\"").count(), 2, "{first_configuration}");
+    assert!(!first_configuration.replace("= hunter2 ]", "").contains("hunter"), "{first_configuration}");
     agent.stop().await.expect("stops well");
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn live_figures_are_bounded_and_leave_the_warm_up_out() {
+async fn live_statistics_are_bounded_and_exclude_warm_up() {
     let aggregator = Aggregator::start().await;
     let keys = "warm_up = { iterations = 7 }\nlimit = { iterations = 500 }";
     let agent = TestAgent::start("edge", Some(&aggregator.address), &line(keys)).await;
@@ -105,7 +105,7 @@ async fn episodes_are_numbered_and_a_duration_ends_the_run() {
             iteration.tree.find(&["send-queue"]).is_some() && iteration.tree.find(&["lateness"]).is_some()
         );
     }
-    // Every intended start lies within the duration, counted from the first that is not warm-up.
+    // Every intended start is within the duration, counted from the first that is not warm-up.
     let start = |number: usize| iterations[number].tree.anchors()[0].wall;
     let first = (0..iterations.len()).filter(|n| !iterations[*n].warm_up).map(start).min().expect("measured");
     let last = (0..iterations.len()).map(start).max().expect("measured");
@@ -114,7 +114,7 @@ async fn episodes_are_numbered_and_a_duration_ends_the_run() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn a_sensor_that_ends_finishes_the_pipeline() {
+async fn ended_sensor_finishes_pipeline() {
     let aggregator = Aggregator::start().await;
     let folder = tempfile::tempdir().expect("a folder");
     for name in ["a.png", "b.png", "c.png"] {
@@ -139,7 +139,7 @@ async fn a_sensor_that_ends_finishes_the_pipeline() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn a_sensor_alone_is_measured_for_a_total_of_iterations() {
+async fn sensor_alone_is_measured_until_total() {
     let aggregator = Aggregator::start().await;
     let tables = "[[pipeline]]\nname = 'line'\nsensor = { kind = 'text', length = 100 }\n\
                   placement = { kind = 'none' }\nwarm_up = { iterations = 3 }\nlimit = { total = 20 }";

@@ -1,4 +1,4 @@
-//! One agent that listens at several addresses.
+//! Tests of an agent that listens at several addresses.
 
 use std::net::TcpListener;
 use std::sync::Arc;
@@ -19,7 +19,7 @@ fn pipeline(name: &str, peer: &Address) -> String {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn two_addresses_are_served_at_once_each_within_its_limits() {
+async fn two_addresses_are_served_within_own_limits() {
     let tables = format!(
         "[serve]\nlisten = ['tcp://127.0.0.1:0', 'tcp://127.0.0.2:0']\nsession = {{ max_sessions = 1 }}\n{MODEL}"
     );
@@ -29,7 +29,7 @@ async fn two_addresses_are_served_at_once_each_within_its_limits() {
     assert_eq!(cloud.running.description().serves, Some(format!("{first}, {second}")));
 
     let both = pipeline("first", first) + &pipeline("second", second);
-    // A clock of its own, so that probes go out as between two hosts.
+    // Another clock name, so that probes are sent as between two hosts.
     let edge = TestAgent::start_with("edge", None, config(&both), "edge").await;
     edge.until(|live| {
         let answered = |second: &peernet_stream::Second| second.counts.ok > 0;
@@ -44,7 +44,7 @@ async fn two_addresses_are_served_at_once_each_within_its_limits() {
     assert_eq!((link.pipelines.len(), link.network().as_str()), (2, "zmq-tcp"));
     assert!(matches!(&link.probing, Probing::On { .. }), "{:?}", link.probing);
 
-    // Each listener has one session, which is all that it may have.
+    // Each listener has one session, which is its limit.
     for address in [first, second] {
         let late = TestAgent::start("late", None, &pipeline("late", address)).await;
         let refused =
@@ -72,7 +72,7 @@ async fn probes_are_answered_at_every_address() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn an_address_that_is_taken_ends_the_start_and_frees_the_others() {
+async fn occupied_address_fails_start_and_frees_others() {
     let taken = TcpListener::bind("127.0.0.1:0").expect("a port");
     let free = TcpListener::bind("127.0.0.1:0").expect("a port");
     let [taken_at, free_at] = [&taken, &free].map(|port| port.local_addr().expect("it is bound"));
@@ -90,11 +90,11 @@ async fn an_address_that_is_taken_ends_the_start_and_frees_the_others() {
 }
 
 #[test]
-fn networks_that_disagree_with_their_addresses_are_refused() {
+fn networks_not_matching_addresses_are_refused() {
     let state = tempfile::tempdir().expect("a folder");
     for named in NetworkKind::ALL {
         for scheme in NetworkKind::ALL.iter().flat_map(|kind| kind.schemes()) {
-            // A domain of ROS 2 has no host.
+            // An address of ROS 2 has a domain instead of a host.
             let rest = if *scheme == "ros2" { "0/peernet" } else { "127.0.0.1:0" };
             let address: Address = format!("{scheme}://{rest}").parse().expect("an address");
             let mut config = config(&format!(
@@ -104,7 +104,7 @@ fn networks_that_disagree_with_their_addresses_are_refused() {
             ));
             config.agent.state_dir = state.path().to_owned();
             let found = peernet_agent::Agent::check(&config, &clock("system"));
-            // Of ROS 2 a build without it says so, too.
+            // A build without ROS 2 reports that as a problem, too.
             let not_built = peernet_ros::ros2::Ros2Error::NotBuilt.to_string();
             let found: Vec<String> = found
                 .iter()

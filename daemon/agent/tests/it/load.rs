@@ -1,4 +1,4 @@
-//! Rates that cannot be kept: nothing is hidden.
+//! Tests of rates that cannot be kept: every skipped start is counted.
 
 use peernet_stream::{Iteration, Outcome};
 
@@ -14,9 +14,9 @@ fn sleeper(inference_ms: u32, model: &str, pipeline: &str) -> String {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn a_rate_that_cannot_be_kept_counts_what_it_skips_and_latency_from_the_intended_start() {
+async fn overload_counts_skips_and_latency_from_intended_start() {
     let aggregator = Aggregator::start().await;
-    // 100 starts a second, 2 answers per 40 ms: half of the starts cannot be.
+    // 100 starts per second, 2 answers per 40 ms: half of the starts have to be skipped.
     let pipeline = "load = { mode = 'rate', hz = 100.0 }\nmax_in_flight = 2\nlimit = { iterations = 40 }";
     let tables = sleeper(40, "workers = 2", pipeline);
     let agent = TestAgent::start("edge", Some(&aggregator.address), &tables).await;
@@ -27,8 +27,8 @@ async fn a_rate_that_cannot_be_kept_counts_what_it_skips_and_latency_from_the_in
     assert_contiguous(&iterations);
     iterations.sort_by_key(|iteration| iteration.number);
     iterations.iter().for_each(|iteration| assert_adds_up(iteration));
-    // The intended starts, read back from the trees, are multiples of the period after the first; what is
-    // missing between them is what was counted as skipped.
+    // The intended starts, as stored in the trees, are multiples of the period after the first one. Those missing in
+    // between must have been counted as skipped.
     let start = |it: &Iteration| it.tree.anchors()[0].wall;
     let mut skipped_in_all = 0.0;
     for pair in iterations.windows(2) {
@@ -38,7 +38,7 @@ async fn a_rate_that_cannot_be_kept_counts_what_it_skips_and_latency_from_the_in
         skipped_in_all += skipped;
     }
     assert!(skipped_in_all >= 20.0, "{skipped_in_all}");
-    // Latency counts from the intended start: whoever began late has its lateness on top of the model's 40 ms.
+    // Latency counts from the intended start: the lateness of an iteration is added to the model's 40 ms.
     for iteration in &iterations {
         let (total, lateness) = (value(&iteration.tree, "total"), value(&iteration.tree, "lateness"));
         assert!(total >= lateness.map(|late| late + 0.04), "waiting counts: {total:?}, {lateness:?}");
@@ -48,7 +48,7 @@ async fn a_rate_that_cannot_be_kept_counts_what_it_skips_and_latency_from_the_in
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn a_full_queue_fails_samples_and_says_so() {
+async fn full_queue_fails_samples_with_reason() {
     let aggregator = Aggregator::start().await;
     let pipeline = "load = { mode = 'rate', hz = 200.0 }\nmax_in_flight = 8\nlimit = { iterations = 30 }";
     let tables = sleeper(50, "workers = 1\nqueue = 1", pipeline);
@@ -65,7 +65,7 @@ async fn a_full_queue_fails_samples_and_says_so() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn a_late_answer_is_a_timeout_and_the_run_goes_on() {
+async fn late_answer_is_timeout_and_run_continues() {
     let aggregator = Aggregator::start().await;
     let pipeline = "timeout_ms = 20\nlimit = { iterations = 3 }";
     let agent = TestAgent::start("edge", Some(&aggregator.address), &sleeper(200, "", pipeline)).await;
@@ -95,7 +95,8 @@ async fn poisson_starts_follow_from_the_seed() {
         gaps.push(starts.windows(2).map(micros).collect::<Vec<_>>());
         agent.stop().await.expect("stops well");
     }
-    // Starts that come due while a pipeline is set up are skipped: the later run may begin further on in the plan.
+    // Starts that come due while a pipeline is set up are skipped, so that the later run may begin further on in the
+    // schedule.
     let alike = |a: &[f64], b: &[f64]| a.iter().zip(b).all(|(a, b)| (a - b).abs() <= 5.0);
     let follows = |a: &[f64], b: &[f64]| (0..=a.len() - 12).any(|skipped| alike(&a[skipped..], b));
     assert!(follows(&gaps[0], &gaps[1]) || follows(&gaps[1], &gaps[0]), "{gaps:?}");

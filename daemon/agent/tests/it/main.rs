@@ -1,4 +1,4 @@
-//! The agent as a whole: real sockets, real files, several agents in one process.
+//! Tests of the agent as a whole: real sockets, real files, several agents in one process.
 
 mod harness;
 

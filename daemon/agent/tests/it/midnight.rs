@@ -1,4 +1,4 @@
-//! Runs that last for ever end at midnight (UTC), and the next one begins.
+//! Tests of runs without a limit, which end at midnight (UTC), when the next one begins.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicI64, Ordering};
@@ -7,7 +7,7 @@ use peernet_clock::{Clock, ClockIdentity, MonoTime, RawTime, SharedClock, Span, 
 
 use crate::harness::{Aggregator, TestAgent, clock, config};
 
-/// This machine's clock, some days ahead.
+/// This machine's clock, shifted by a number of days.
 #[derive(Debug)]
 struct Calendar {
     real: SharedClock,
@@ -33,7 +33,7 @@ impl Clock for Calendar {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn a_new_day_is_a_new_run_without_a_new_warm_up() {
+async fn midnight_begins_run_without_warm_up() {
     let aggregator = Aggregator::start().await;
     let tables = "[[model]]\nname = 'echo'\nkind = 'echo'\n\
         [[pipeline]]\nname = 'line'\nsensor = { kind = 'synthetic', size_bytes = 1 }\n\

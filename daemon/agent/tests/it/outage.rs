@@ -1,11 +1,11 @@
-//! Clouds that are not there, go away and come back.
+//! Tests of clouds that are absent, go away and come back.
 
 use peernet_stream::{EndReason, IncidentKind, Outcome, PipelineState};
 use peernet_test_ports::free_port;
 use tokio::net::{TcpListener, TcpStream};
 use tokio::task::{JoinHandle, JoinSet};
 
-use crate::harness::{Aggregator, Seen, TestAgent, assert_contiguous, value};
+use crate::harness::{Aggregator, ReceivedEvents, TestAgent, assert_contiguous, value};
 
 fn cloud(port: u16) -> String {
     format!(
@@ -22,7 +22,8 @@ fn edge(port: u16, model: &str) -> String {
     )
 }
 
-/// A port whose connections reach another one until the task is aborted: then they end without a goodbye.
+/// Returns a port whose connections are forwarded to another one until the task is aborted; then they end without a
+/// goodbye.
 async fn cable_to(port: u16) -> (u16, JoinHandle<()>) {
     let listener = TcpListener::bind("127.0.0.1:0").await.expect("a port");
     let here = listener.local_addr().expect("bound").port();
@@ -43,21 +44,22 @@ fn is_waiting(state: &PipelineState) -> bool {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn a_cloud_that_is_not_up_yet_is_waited_for() {
+async fn edge_waits_for_cloud_that_is_not_up() {
     let (aggregator, port) = (Aggregator::start().await, free_port());
     let edge = TestAgent::start("edge", Some(&aggregator.address), &edge(port, "slow")).await;
     let PipelineState::Waiting(reason) = edge.until_state(is_waiting).await else { unreachable!() };
     assert!(reason.contains(&port.to_string()), "{reason}");
     let seen = aggregator.until(|seen| !seen.incidents(IncidentKind::Disconnected).is_empty()).await;
-    let said = seen.incidents(IncidentKind::Disconnected)[0].text.clone();
-    assert!(said.contains("the pipeline goes on by itself"), "{said}");
+    let reported = seen.incidents(IncidentKind::Disconnected)[0].text.clone();
+    assert!(reported.contains("the pipeline goes on by itself"), "{reported}");
     assert!(seen.runs().is_empty(), "nothing to run yet");
 
     let cloud = TestAgent::start("cloud", None, &cloud(port)).await;
     let seen = aggregator.until(|seen| seen.iterations().len() >= 5).await;
     assert_eq!(seen.runs().len(), 1);
     assert_eq!(seen.incidents(IncidentKind::Disconnected).len(), 1, "said once");
-    // What came due while there was nobody yet is neither late nor skipped: the beat begins with the run.
+    // Starts that came due before the first connection are neither late nor skipped: the schedule begins with the
+    // run.
     let (iterations, started) = (seen.iterations(), seen.runs()[0].started);
     let first = iterations.iter().find(|it| it.number == 1).expect("the first");
     assert_eq!(value(&first.tree, "skipped-starts"), None);
@@ -67,7 +69,7 @@ async fn a_cloud_that_is_not_up_yet_is_waited_for() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn a_cloud_that_dies_loses_what_is_in_flight_and_the_run_goes_on_when_it_is_back() {
+async fn dead_cloud_loses_iterations_in_flight_and_run_continues() {
     let (aggregator, port) = (Aggregator::start().await, free_port());
     let first = TestAgent::start("cloud", None, &cloud(port)).await;
     let edge = TestAgent::start("edge", Some(&aggregator.address), &edge(port, "slow")).await;
@@ -98,7 +100,7 @@ async fn a_cloud_that_dies_loses_what_is_in_flight_and_the_run_goes_on_when_it_i
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn a_cloud_that_goes_while_the_sensor_waits_costs_no_sample_when_it_is_back_in_time() {
+async fn short_outage_while_sensor_waits_loses_no_sample() {
     let (aggregator, port) = (Aggregator::start().await, free_port());
     let folder = tempfile::tempdir().expect("a folder");
     let gate = folder.path().join("gate");
@@ -132,21 +134,24 @@ async fn a_cloud_that_goes_while_the_sensor_waits_costs_no_sample_when_it_is_bac
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn an_unknown_model_is_refused_with_the_list_of_those_there_are() {
+async fn unknown_model_is_refused_with_list_of_models() {
     let (aggregator, port) = (Aggregator::start().await, free_port());
     let cloud = TestAgent::start("cloud", Some(&aggregator.address), &cloud(port)).await;
     let edge = TestAgent::start("edge", None, &edge(port, "fast")).await;
     let PipelineState::Waiting(reason) = edge.until_state(is_waiting).await else { unreachable!() };
     assert!(reason.contains("no model named fast") && reason.contains("slow"), "{reason}");
     let seen = aggregator.until(|seen| !seen.incidents(IncidentKind::Refused).is_empty()).await;
-    let said = &seen.incidents(IncidentKind::Refused)[0].text;
-    assert!(said.contains("edge") && said.contains("line") && said.contains("fast"), "{said}");
+    let reported = &seen.incidents(IncidentKind::Refused)[0].text;
+    assert!(
+        reported.contains("edge") && reported.contains("line") && reported.contains("fast"),
+        "{reported}"
+    );
     edge.stop().await.expect("stops well");
     cloud.stop().await.expect("stops well");
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn a_device_that_the_model_does_not_run_on_is_refused_with_the_one_it_does() {
+async fn wrong_device_is_refused_with_models_device() {
     let port = free_port();
     let cloud = TestAgent::start("cloud", None, &cloud(port)).await;
     let tables = edge(port, "slow").replace("model = 'slow'", "model = 'slow', device = 'cuda:0'");
@@ -158,7 +163,7 @@ async fn a_device_that_the_model_does_not_run_on_is_refused_with_the_one_it_does
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn an_edge_that_takes_its_leave_is_no_incident_and_one_that_is_lost_is() {
+async fn only_lost_edge_is_incident() {
     let (aggregator, port) = (Aggregator::start().await, free_port());
     let cloud = TestAgent::start("cloud", Some(&aggregator.address), &cloud(port)).await;
     let mut served = cloud.running.served();
@@ -181,7 +186,7 @@ async fn an_edge_that_takes_its_leave_is_no_incident_and_one_that_is_lost_is() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn connections_that_end_without_an_aggregator_are_counted() {
+async fn connections_ended_without_aggregator_are_counted() {
     let port = free_port();
     let cloud = TestAgent::start("cloud", None, &cloud(port)).await;
     let absent = Aggregator::start().await.down().await;
@@ -190,21 +195,21 @@ async fn connections_that_end_without_an_aggregator_are_counted() {
     edge.until_state(|state| *state == PipelineState::Finished).await;
     edge.until(|live| live.links.is_empty()).await;
 
-    let welcomes = |seen: &Seen| {
+    let welcomes = |seen: &ReceivedEvents| {
         let texts = seen.incidents(IncidentKind::Connected).into_iter().map(|incident| incident.text.clone());
         texts.filter(|text| text.starts_with("connected to the aggregator")).collect::<Vec<_>>()
     };
     let aggregator = Aggregator::up(absent).await;
     let seen = aggregator.until(|seen| welcomes(seen).len() == 1).await;
-    let said = &welcomes(&seen)[0];
-    assert!(said.contains("1 connection to a cloud ended meanwhile"), "{said}");
+    let reported = &welcomes(&seen)[0];
+    assert!(reported.contains("1 connection to a cloud ended meanwhile"), "{reported}");
     aggregator.until(|seen| !seen.lives.is_empty()).await;
 
-    // What was told is not told again.
+    // A number that was reported is not reported again.
     let aggregator = Aggregator::up(aggregator.down().await).await;
     let seen = aggregator.until(|seen| welcomes(seen).len() == 2).await;
-    let said = &welcomes(&seen)[1];
-    assert!(!said.contains("ended meanwhile"), "{said}");
+    let reported = &welcomes(&seen)[1];
+    assert!(!reported.contains("ended meanwhile"), "{reported}");
     edge.stop().await.expect("stops well");
     cloud.stop().await.expect("stops well");
 }

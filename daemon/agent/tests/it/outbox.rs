@@ -1,10 +1,10 @@
-//! The way to the aggregator: nothing lost uncounted, nothing twice.
+//! Tests of the outbox: no event is lost uncounted, none is stored twice.
 
 use std::sync::Arc;
 
 use peernet_stream::IncidentKind;
 
-use crate::harness::{Aggregator, Manners, TestAgent, assert_contiguous};
+use crate::harness::{Aggregator, AggregatorBehaviour, TestAgent, assert_contiguous};
 
 fn line(keys: &str) -> String {
     format!(
@@ -16,10 +16,10 @@ fn line(keys: &str) -> String {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn every_event_arrives_exactly_once_over_reconnects() {
-    // It goes down after storing the third batch and before saying so: the agent must send it again, and it
-    // must not count twice.
-    let manners = Manners { die_before_ack: Some(3), ..Manners::default() };
-    let aggregator = Aggregator::start_at("tcp://127.0.0.1:0", Arc::default(), manners).await;
+    // The aggregator ends after storing the third batch and before acknowledging it: the agent must send it again,
+    // and it must not count twice.
+    let behaviour = AggregatorBehaviour { die_before_ack: Some(3), ..AggregatorBehaviour::default() };
+    let aggregator = Aggregator::start_at("tcp://127.0.0.1:0", Arc::default(), behaviour).await;
     let keys = "load = { mode = 'rate', hz = 200.0 }\nmax_in_flight = 64\nlimit = { iterations = 300 }";
     let agent = TestAgent::start("edge", Some(&aggregator.address), &line(keys)).await;
     aggregator.until(|seen| !seen.iterations().is_empty()).await;
@@ -38,9 +38,12 @@ async fn every_event_arrives_exactly_once_over_reconnects() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn an_aggregator_that_refuses_is_asked_again_and_heard_once() {
-    let manners = Manners { refuse: Some("another host is named edge".into()), ..Manners::default() };
-    let aggregator = Aggregator::start_at("tcp://127.0.0.1:0", Arc::default(), manners).await;
+async fn refusal_of_aggregator_is_retried_and_reported_once() {
+    let behaviour = AggregatorBehaviour {
+        refuse: Some("another host is named edge".into()),
+        ..AggregatorBehaviour::default()
+    };
+    let aggregator = Aggregator::start_at("tcp://127.0.0.1:0", Arc::default(), behaviour).await;
     let agent =
         TestAgent::start("edge", Some(&aggregator.address), &line("limit = { iterations = 5 }")).await;
     aggregator.until(|seen| seen.hellos >= 2).await;
@@ -54,7 +57,7 @@ async fn an_aggregator_that_refuses_is_asked_again_and_heard_once() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn an_aggregator_that_forgot_everything_is_told_of_the_runs_again() {
+async fn run_starts_are_repeated_to_emptied_aggregator() {
     let aggregator = Aggregator::start().await;
     let keys = "load = { mode = 'rate', hz = 100.0 }";
     let agent = TestAgent::start("edge", Some(&aggregator.address), &line(keys)).await;
@@ -68,17 +71,17 @@ async fn an_aggregator_that_forgot_everything_is_told_of_the_runs_again() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn what_answers_but_is_no_aggregator_is_named_once_and_tried_again() {
-    let manners = Manners { mute: true, ..Manners::default() };
-    let mute = Aggregator::start_at("tcp://127.0.0.1:0", Arc::default(), manners).await;
+async fn silent_listener_is_reported_once_and_retried() {
+    let behaviour = AggregatorBehaviour { mute: true, ..AggregatorBehaviour::default() };
+    let mute = Aggregator::start_at("tcp://127.0.0.1:0", Arc::default(), behaviour).await;
     let agent = TestAgent::start("edge", Some(&mute.address), &line("limit = { iterations = 5 }")).await;
-    // The model, the run's two ends and ten iterations; what comes then is the report.
+    // The model, the run's two ends and ten iterations; a further event is the report.
     agent.until(|live| live.accounting.waiting > 13).await;
     let aggregator = Aggregator::up(mute.down().await).await;
     let seen = aggregator.until(|seen| !seen.incidents(IncidentKind::Connected).is_empty()).await;
-    let said = seen.incidents(IncidentKind::Disconnected);
-    assert_eq!(said.len(), 1, "{said:?}");
-    assert!(said[0].text.contains("no aggregator answers there"), "{}", said[0].text);
+    let reported = seen.incidents(IncidentKind::Disconnected);
+    assert_eq!(reported.len(), 1, "{reported:?}");
+    assert!(reported[0].text.contains("no aggregator answers there"), "{}", reported[0].text);
     assert_eq!(seen.iterations().len(), 10);
     agent.stop().await.expect("stops well");
 }

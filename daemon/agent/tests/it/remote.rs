@@ -1,4 +1,4 @@
-//! One pipeline, two hosts.
+//! Tests of a pipeline between two hosts.
 
 use peernet_clock::{DelaySource, Verdict};
 use peernet_logger::Measure;
@@ -28,7 +28,7 @@ fn delay(iteration: &Iteration, name: &str) -> peernet_clock::OneWayDelay {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn on_one_clock_every_way_is_exact() {
+async fn same_clock_gives_exact_delays() {
     let aggregator = Aggregator::start().await;
     let cloud = TestAgent::start("cloud", None, CLOUD).await;
     let tables = edge(&cloud, "echo", "limit = { iterations = 50 }");
@@ -56,8 +56,8 @@ async fn on_one_clock_every_way_is_exact() {
         assert_eq!(iteration.tree.anchors().len(), 2, "both hosts are in the tree");
     }
     let run = seen.runs()[0];
-    let served_by = edge.running.served_by(&run.pipeline).expect("it was served");
-    assert_eq!((run.version.as_str(), served_by.version.as_str()), (VERSION, VERSION));
+    let serving_cloud = edge.running.serving_cloud(&run.pipeline).expect("it was served");
+    assert_eq!((run.version.as_str(), serving_cloud.version.as_str()), (VERSION, VERSION));
     assert_eq!(run.placement.kind, PlacementKind::Remote);
     assert_eq!(run.placement.peer.as_ref().map(peernet_logger::Slug::as_str), Some("cloud"));
     assert_eq!(
@@ -70,7 +70,7 @@ async fn on_one_clock_every_way_is_exact() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn several_requests_are_under_way_at_once() {
+async fn several_requests_are_in_flight_at_once() {
     let aggregator = Aggregator::start().await;
     let cloud = CLOUD.replace("kind = 'sleep'", "kind = 'sleep'\nworkers = 4");
     let cloud = TestAgent::start("cloud", None, &cloud).await;
@@ -79,7 +79,7 @@ async fn several_requests_are_under_way_at_once() {
     let seen = aggregator.until(|seen| !seen.ended().is_empty()).await;
     let iterations = seen.iterations();
     assert_contiguous(&iterations);
-    // The model takes 22 ms: one at a time, the iterations' own times could not overlap.
+    // The model takes 22 ms: if requests were sent one at a time, the iterations could not overlap.
     let span = |it: &Iteration| {
         let begin = it.tree.anchors()[0].wall.unix_nanos();
         (begin, begin + (value(&it.tree, "total").unwrap_or(0.0) * 1e9) as i64)
@@ -96,7 +96,7 @@ async fn several_requests_are_under_way_at_once() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn a_cloud_that_is_overloaded_says_so() {
+async fn overloaded_cloud_is_reported() {
     let aggregator = Aggregator::start().await;
     let cloud = CLOUD.replace("kind = 'sleep'", "kind = 'sleep'\nworkers = 1\nqueue = 1");
     let cloud = TestAgent::start("cloud", None, &cloud).await;
@@ -112,7 +112,7 @@ async fn a_cloud_that_is_overloaded_says_so() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn a_remote_answer_that_is_late_is_a_timeout() {
+async fn late_remote_answer_is_timeout() {
     let aggregator = Aggregator::start().await;
     let cloud =
         TestAgent::start("cloud", None, &CLOUD.replace("inference_ms = 20", "inference_ms = 300")).await;

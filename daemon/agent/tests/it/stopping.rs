@@ -1,4 +1,4 @@
-//! Stopping: what has begun is finished and handed over.
+//! Tests of stopping: iterations in flight are completed, and their events are sent.
 
 use peernet_stream::{EndReason, Outcome};
 
@@ -9,7 +9,7 @@ const SLOW: &str = "[[model]]\nname = 'slow'\nkind = 'sleep'\ninference_ms = 100
     placement = { kind = 'local', model = 'slow' }\nload = { mode = 'rate', hz = 40.0 }\n";
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn what_is_under_way_is_finished_and_handed_over() {
+async fn iterations_in_flight_are_finished_before_stop() {
     let aggregator = Aggregator::start().await;
     let agent = TestAgent::start("edge", Some(&aggregator.address), SLOW).await;
     aggregator.until(|seen| seen.iterations().len() >= 4).await;
@@ -26,7 +26,7 @@ async fn what_is_under_way_is_finished_and_handed_over() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn what_takes_too_long_is_recorded_as_lost() {
+async fn slow_iterations_are_recorded_as_lost() {
     let aggregator = Aggregator::start().await;
     let tables = format!(
         "[agent]\nstop_timeout_ms = 1000\n{}",
@@ -43,7 +43,7 @@ async fn what_takes_too_long_is_recorded_as_lost() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn a_model_that_computes_for_long_is_not_waited_for() {
+async fn stop_does_not_wait_for_slow_model() {
     let aggregator = Aggregator::start().await;
     let tables = format!(
         "[agent]\nstop_timeout_ms = 2000\n{}",
@@ -57,7 +57,7 @@ async fn a_model_that_computes_for_long_is_not_waited_for() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn without_an_aggregator_the_agent_measures_and_stops_all_the_same() {
+async fn agent_without_aggregator_measures_and_stops() {
     let agent = TestAgent::start("edge", None, SLOW).await;
     agent.until_state(|state| *state == peernet_stream::PipelineState::Running).await;
     agent.stop().await.expect("stops well");

@@ -1,4 +1,4 @@
-//! A program that runs an agent in the foreground.
+//! Tests of a program that runs an agent in the foreground.
 
 use std::num::NonZeroU64;
 
@@ -30,7 +30,7 @@ async fn unreadable_host_secret_is_refused_before_anything_starts() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn a_program_sees_every_event_without_an_aggregator_and_what_it_missed_is_counted() {
+async fn program_receives_events_and_missed_ones_are_counted() {
     for room in [1000, 10] {
         let state = tempfile::tempdir().expect("a folder");
         let mut config = config(LINE);
@@ -44,7 +44,7 @@ async fn a_program_sees_every_event_without_an_aggregator_and_what_it_missed_is_
         while running.live().pipelines[0].state != PipelineState::Finished {
             tokio::time::sleep(std::time::Duration::from_millis(5)).await;
         }
-        let untapped = running.untapped();
+        let events_missed_by_tap = running.events_missed_by_tap();
         stop.cancel();
         running.join().await.expect("stops well");
         let mut seen = Vec::new();
@@ -54,11 +54,11 @@ async fn a_program_sees_every_event_without_an_aggregator_and_what_it_missed_is_
         let iterations = seen.iter().filter(|event| matches!(event, Event::Iteration(_))).count();
         let ended = seen.iter().filter(|event| matches!(event, Event::RunEnded(_))).count();
         // The model, the run's two ends and a hundred iterations.
-        assert_eq!(seen.len() as u64 + untapped, 103);
+        assert_eq!(seen.len() as u64 + events_missed_by_tap, 103);
         if room > 103 {
-            assert_eq!((iterations, ended, untapped), (100, 1, 0));
+            assert_eq!((iterations, ended, events_missed_by_tap), (100, 1, 0));
         } else {
-            assert_eq!((seen.len(), untapped), (room, 93));
+            assert_eq!((seen.len(), events_missed_by_tap), (room, 93));
         }
     }
 }

@@ -1,11 +1,11 @@
-//! Things that fail beside the network.
+//! Tests of failures that are not those of the network.
 
 use peernet_stream::{IncidentKind, Outcome, PipelineState};
 
 use crate::harness::{Aggregator, PATIENCE, TestAgent, assert_contiguous};
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn a_broken_picture_fails_its_iteration_and_the_run_goes_on() {
+async fn broken_picture_fails_iteration_and_run_continues() {
     let aggregator = Aggregator::start().await;
     let folder = tempfile::tempdir().expect("a folder");
     for name in ["a.png", "b.png", "d.png"] {
@@ -36,7 +36,7 @@ async fn a_broken_picture_fails_its_iteration_and_the_run_goes_on() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn a_traceback_is_a_reason_of_one_line() {
+async fn traceback_becomes_reason_of_one_line() {
     let aggregator = Aggregator::start().await;
     let folder = tempfile::tempdir().expect("a folder");
     let code =
@@ -58,7 +58,7 @@ async fn a_traceback_is_a_reason_of_one_line() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn a_cloud_is_told_of_iterations_that_never_came_once_their_run_is_over() {
+async fn cloud_learns_of_missing_iterations_at_run_end() {
     let folder = tempfile::tempdir().expect("a folder");
     image::RgbImage::new(8, 6).save(folder.path().join("a.png")).expect("written");
     std::fs::write(folder.path().join("b.png"), b"not a picture").expect("written");
@@ -81,7 +81,7 @@ async fn a_cloud_is_told_of_iterations_that_never_came_once_their_run_is_over() 
     assert_eq!((served.answers, served.missed), (10, 10));
     edge.stop().await.expect("stops well");
 
-    // One that is stopped may come back for the rest.
+    // A run that was stopped may continue later, so that its missing iterations are not counted.
     let edge = TestAgent::start("edge", None, &tables("{ total = 1000000 }")).await;
     edge.until(|_| cloud.running.served().borrow().answers > 15).await;
     edge.stop().await.expect("stops well");
@@ -93,7 +93,7 @@ async fn a_cloud_is_told_of_iterations_that_never_came_once_their_run_is_over() 
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn pictures_that_are_all_gone_are_reported_once() {
+async fn missing_pictures_are_reported_once() {
     let aggregator = Aggregator::start().await;
     let folder = tempfile::tempdir().expect("a folder");
     std::fs::write(folder.path().join("a.png"), b"bytes").expect("written");
@@ -107,7 +107,7 @@ async fn pictures_that_are_all_gone_are_reported_once() {
     aggregator.until(|seen| seen.iterations().len() >= 3).await;
     std::fs::remove_file(folder.path().join("a.png")).expect("removed");
     let failed = |outcome: &Outcome| matches!(outcome, Outcome::Failed(_));
-    let many = |seen: &crate::harness::Seen| {
+    let many = |seen: &crate::harness::ReceivedEvents| {
         seen.iterations().iter().filter(|iteration| failed(&iteration.outcome)).count() >= 30
     };
     let seen = aggregator.until(many).await;
@@ -119,7 +119,7 @@ async fn pictures_that_are_all_gone_are_reported_once() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn a_pipeline_that_cannot_start_says_why_and_leaves_the_others_alone() {
+async fn pipeline_failing_to_start_reports_reason_and_spares_others() {
     let aggregator = Aggregator::start().await;
     let tables = "[[model]]\nname = 'echo'\nkind = 'echo'\n\
         [[pipeline]]\nname = 'blind'\nsensor = { kind = 'images', path = '/nowhere/at/all' }\n\

@@ -1,4 +1,5 @@
-//! The bare loop: the same rows in the order of their arrival, many a statement, no roll-ups, nothing else.
+//! The bare loop, which the aggregator is compared with: it inserts the same rows in the order of their arrival with
+//! many rows per statement, and maintains no roll-ups.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -7,25 +8,28 @@ use peernet_clock::{ClockIdentity, SharedClock, SystemClock};
 use sqlx::sqlite::{SqliteArguments, SqliteConnectOptions, SqliteJournalMode, SqliteRow, SqliteSynchronous};
 use sqlx::{Arguments, AssertSqlSafe, ConnectOptions, Connection, Row, SqliteConnection, TypeInfo, ValueRef};
 
-use crate::load::Plan;
-use crate::say;
+use crate::load::LoadPlan;
+use crate::report;
 
-/// Nodes per transaction, as the aggregator's default, and rows per statement.
+/// Nodes per transaction: ten times the aggregator's default, so that the bare loop syncs seldom.
 const COMMIT_NODES: usize = 100_000;
+/// Rows per statement.
 const ROWS: usize = 1_000;
+/// Tables that are copied.
 const TABLES: [&str; 4] = ["iteration", "node", "anchor", "transit"];
 
-/// Inserts what one database holds into an empty one of the same schema, and says how many seconds that took.
-pub(crate) async fn run(from: &Path, to: &Path, plan: &Plan) {
+/// Copies the rows of the database `from` into the new database `to` with the same schema. Prints how many seconds the
+/// inserts took.
+pub(crate) async fn run(from: &Path, to: &Path, plan: &LoadPlan) {
     let mut source = SqliteConnectOptions::new().filename(from).connect().await.expect("opens");
     let mut tables = Vec::new();
     for table in TABLES {
-        // Batch by batch, one of each run after the other.
+        // In the order of arrival: one batch of each run after the other.
         let number = if table == "iteration" { "number" } else { "iteration" };
         let select =
             format!("SELECT * FROM {table} ORDER BY ({number} - 1) / {}, run, {number}", plan.iterations);
         let mut rows = sqlx::query(AssertSqlSafe(select)).fetch_all(&mut source).await.expect("reads");
-        let rows: Vec<_> = rows.drain(..).map(|row| cells(&row)).collect();
+        let rows: Vec<_> = rows.drain(..).map(|row| row_values(&row)).collect();
         let statement = |count: usize| -> Arc<str> {
             let row = format!("({})", vec!["?"; rows[0].len()].join(","));
             format!("INSERT INTO {table} VALUES {}", vec![row.as_str(); count].join(",")).into()
@@ -38,7 +42,7 @@ pub(crate) async fn run(from: &Path, to: &Path, plan: &Plan) {
         .create_if_missing(true)
         .journal_mode(SqliteJournalMode::Wal)
         .synchronous(SqliteSynchronous::Full)
-        // As the aggregator sets them: what is compared is the work, not the settings.
+        // The aggregator's settings, so that the comparison is of the work and not of the settings.
         .pragma("cache_size", "-65536")
         .pragma("wal_autocheckpoint", "16000")
         .foreign_keys(false)
@@ -53,7 +57,7 @@ pub(crate) async fn run(from: &Path, to: &Path, plan: &Plan) {
     for at in 0..transactions {
         sqlx::query("BEGIN").execute(&mut target).await.expect("begins");
         for (full, rest, rows) in &tables {
-            // Whole statements only, so that each is prepared once.
+            // Parts are cut at whole statements so that each of the two statements is prepared once.
             let statements = rows.len().div_ceil(ROWS);
             let share = |at: usize| rows.len().min(statements * at / transactions * ROWS);
             for part in rows[share(at)..share(at + 1)].chunks(ROWS) {
@@ -63,41 +67,44 @@ pub(crate) async fn run(from: &Path, to: &Path, plan: &Plan) {
         }
         sqlx::query("COMMIT").execute(&mut target).await.expect("commits");
     }
-    say((clock.mono() - began).seconds());
+    report((clock.mono() - began).seconds());
     target.close().await.expect("closes");
 }
 
-async fn insert(target: &mut SqliteConnection, sql: &Arc<str>, rows: &[Vec<Cell>]) {
+/// Inserts `rows` with one statement.
+async fn insert(target: &mut SqliteConnection, sql: &Arc<str>, rows: &[Vec<SqlValue>]) {
     let mut arguments = SqliteArguments::default();
     arguments.reserve(rows.len() * rows[0].len(), 0);
     for cell in rows.iter().flatten() {
         match cell {
-            Cell::Null => arguments.add(None::<i64>),
-            Cell::Integer(value) => arguments.add(*value),
-            Cell::Real(value) => arguments.add(*value),
-            Cell::Text(value) => arguments.add(value.as_str()),
+            SqlValue::Null => arguments.add(None::<i64>),
+            SqlValue::Integer(value) => arguments.add(*value),
+            SqlValue::Real(value) => arguments.add(*value),
+            SqlValue::Text(value) => arguments.add(value.as_str()),
         }
         .expect("encodes");
     }
     sqlx::query_with(AssertSqlSafe(Arc::clone(sql)), arguments).execute(target).await.expect("inserts");
 }
 
-enum Cell {
+/// A value of a column.
+enum SqlValue {
     Null,
     Integer(i64),
     Real(f64),
     Text(String),
 }
 
-fn cells(row: &SqliteRow) -> Vec<Cell> {
+/// Returns the values of a row's columns.
+fn row_values(row: &SqliteRow) -> Vec<SqlValue> {
     (0..row.len())
         .map(|at| {
             let raw = row.try_get_raw(at).expect("a column");
             match raw.type_info().name() {
-                _ if raw.is_null() => Cell::Null,
-                "INTEGER" => Cell::Integer(row.get(at)),
-                "REAL" => Cell::Real(row.get(at)),
-                _ => Cell::Text(row.get(at)),
+                _ if raw.is_null() => SqlValue::Null,
+                "INTEGER" => SqlValue::Integer(row.get(at)),
+                "REAL" => SqlValue::Real(row.get(at)),
+                _ => SqlValue::Text(row.get(at)),
             }
         })
         .collect()

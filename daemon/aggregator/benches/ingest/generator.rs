@@ -1,4 +1,4 @@
-//! The agents: all in one process, each with a connection of its own.
+//! The agents: one process with one connection per agent.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -10,15 +10,16 @@ use peernet_stream::{HostSecret, Proof, ToAgent, ToAggregator};
 use tokio::time::{Instant, sleep_until};
 use zeromq::{Message, Options, Socket, SocketType};
 
-use crate::load::{BATCH_BYTES, Load, Plan};
-use crate::{generate, say, server};
+use crate::load::{BATCH_BYTES, Load, LoadPlan};
+use crate::{generate, report, server};
 
-/// What an agent has under way at most, whatever it is allowed, in units of `BATCH_BYTES`.
+/// Longest window that an agent uses, in units of `BATCH_BYTES`, even if the aggregator allows more.
 const WINDOW: u32 = 32;
 
-/// Prepares and connects all, sends everything, and says how many seconds that took. With a `speed` batches go at that
-/// multiple of the rate at which the plan's iterations are made, and else as fast as they are taken.
-pub(crate) async fn run(address: &str, plan: &Plan, speed: Option<f64>) {
+/// Prepares and connects all agents, sends all batches, and prints how many seconds the sending took. With a `speed`,
+/// batches are sent at that multiple of the rate at which the plan's iterations are produced; without, as fast as the
+/// window allows.
+pub(crate) async fn run(address: &str, plan: &LoadPlan, speed: Option<f64>) {
     server::raise_file_limit();
     let clock: SharedClock = Arc::new(SystemClock::new(ClockIdentity::new("bench", "agents")));
     let start = generate::at(0.0);
@@ -27,14 +28,14 @@ pub(crate) async fn run(address: &str, plan: &Plan, speed: Option<f64>) {
         let load = plan.load(agent, start);
         let socket = Socket::new(SocketType::Dealer, Options::default());
         socket.connect(address).await.expect("connects");
-        say_to(&socket, &ToAggregator::Hello(load.hello.clone())).await;
+        send_message(&socket, &ToAggregator::Hello(load.hello.clone())).await;
         let ToAgent::Challenge { aggregator, nonce, .. } = receive(&socket).await else {
             panic!("no challenge")
         };
         let secret = HostSecret::random();
         let code = secret.prove(&nonce, &load.hello, &aggregator);
         let proof = Proof { host: load.hello.host.id, nonce, code, secret: Some(secret) };
-        say_to(&socket, &ToAggregator::Proof(proof)).await;
+        send_message(&socket, &ToAggregator::Proof(proof)).await;
         let ToAgent::Welcome { window, .. } = receive(&socket).await else { panic!("not welcome") };
         agents.push((socket, load, window));
     }
@@ -47,10 +48,11 @@ pub(crate) async fn run(address: &str, plan: &Plan, speed: Option<f64>) {
     for task in tasks {
         task.await.expect("sends everything");
     }
-    say((clock.mono() - began).seconds());
+    report((clock.mono() - began).seconds());
 }
 
-/// Keeps a window under way until all are acknowledged; goes back where it is asked to.
+/// Keeps a window's worth of batches in flight until all are acknowledged. Continues at an earlier batch where the
+/// aggregator requests one.
 async fn send(socket: Socket, load: Load, mut window: u32, every: Duration) {
     let began = Instant::now();
     let (mut next, mut stored) = (0, 0);
@@ -62,11 +64,11 @@ async fn send(socket: Socket, load: Load, mut window: u32, every: Duration) {
             next += 1;
         }
         let due = began + every * next as u32;
-        let heard = tokio::select! {
-            heard = receive(&socket) => heard,
+        let received = tokio::select! {
+            received = receive(&socket) => received,
             () = sleep_until(due), if next < allowed => continue,
         };
-        match heard {
+        match received {
             ToAgent::Ack { stream, through, window: now } if stream == load.stream => {
                 (stored, window) = (through as usize, now);
             }
@@ -76,7 +78,7 @@ async fn send(socket: Socket, load: Load, mut window: u32, every: Duration) {
     }
 }
 
-async fn say_to(socket: &Socket, message: &ToAggregator) {
+async fn send_message(socket: &Socket, message: &ToAggregator) {
     socket.send(Message::single(Bytes::from(encode(message)))).await.expect("sends");
 }
 

@@ -1,5 +1,5 @@
-//! What agents send: batches cut as agents cut them, with the times that their iterations would have at the rate aimed
-//! at.
+//! The agents' messages: batches cut as agents cut them, with the times that their iterations would have at the target
+//! rate.
 
 use std::fmt;
 
@@ -14,25 +14,27 @@ use crate::generate;
 
 /// Nodes of an iteration.
 const NODES: u64 = 21;
-/// When agents cut a batch, as configured by default: nodes, bytes, age.
+/// Nodes at which agents cut a batch by default.
 const BATCH_NODES: u64 = 8_192;
+/// Bytes at which agents cut a batch by default.
 pub(crate) const BATCH_BYTES: u64 = 128 * 1024;
+/// Age at which agents cut a batch by default, seconds.
 const BATCH_AGE_S: f64 = 0.2;
-/// A bit more than an iteration takes on the wire.
+/// Upper bound of an iteration's size on the wire, bytes.
 const ITERATION_BYTES: u64 = 540;
 
-/// Who sends how much.
-pub(crate) struct Plan {
+/// The number of agents and the load that each sends.
+pub(crate) struct LoadPlan {
     pub(crate) agents: u64,
-    /// Batches of each agent.
+    /// Number of batches of each agent.
     pub(crate) batches: u64,
-    /// Iterations of each batch.
+    /// Number of iterations of each batch.
     pub(crate) iterations: u64,
-    /// Seconds between two iterations of an agent.
+    /// Interval between two iterations of an agent, seconds.
     every_s: f64,
 }
 
-/// An agent's messages.
+/// The messages of one agent.
 pub(crate) struct Load {
     pub(crate) hello: Hello,
     pub(crate) stream: StreamId,
@@ -40,7 +42,8 @@ pub(crate) struct Load {
 }
 
 impl Load {
-    /// How many batches from this one on may be under way together where there is `room`.
+    /// Returns how many batches from index `from` on may be in flight together if the window has `room` bytes; at least
+    /// one.
     pub(crate) fn within(&self, from: usize, mut room: u64) -> usize {
         let waiting = self.frames[from..].iter().take(MOST_UNDER_WAY);
         let fits = |frame: &Bytes| {
@@ -52,7 +55,9 @@ impl Load {
     }
 }
 
-impl Plan {
+impl LoadPlan {
+    /// Plans about `nodes` nodes of all agents together. The target rate is 500,000 nodes/s, and 350,000 with 1,000
+    /// agents or more.
     pub(crate) fn new(agents: u64, nodes: u64) -> Self {
         let aim = if agents >= 1_000 { 350_000.0 } else { 500_000.0 };
         let every_s = NODES as f64 * agents as f64 / aim;
@@ -62,16 +67,17 @@ impl Plan {
         Self { agents, batches, iterations, every_s }
     }
 
+    /// Number of nodes of all agents together.
     pub(crate) fn nodes(&self) -> u64 {
         self.agents * self.batches * self.iterations * NODES
     }
 
-    /// Seconds of measuring in one batch.
+    /// Time in which the iterations of one batch are produced, seconds.
     pub(crate) fn batch_s(&self) -> f64 {
         self.iterations as f64 * self.every_s
     }
 
-    /// The messages of one agent.
+    /// Builds the messages of one agent, whose measuring begins at `start`.
     pub(crate) fn load(&self, agent: u64, start: WallTime) -> Load {
         let (host, stream, run) = (HostId::random(), StreamId::random(), RunId::random());
         let cloud = HostId::random();
@@ -116,7 +122,7 @@ impl Plan {
     }
 }
 
-impl fmt::Display for Plan {
+impl fmt::Display for LoadPlan {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Self { agents, batches, iterations, every_s } = self;
         write!(

@@ -1,6 +1,6 @@
-//! Nodes per second that reach the disk: agents over real ZeroMQ into an aggregator, beside a bare loop that inserts
-//! the same rows in the order of their arrival into the same schema. Both sync each transaction
-//! (`synchronous=FULL`). The aggregator, the agents and the bare loop are processes of their own.
+//! Benchmark of ingest: nodes per second that reach the disk. Agents send over ZeroMQ to an aggregator; for comparison
+//! a bare loop inserts the same rows in the order of their arrival into the same schema. Both sync each transaction
+//! (`synchronous=FULL`). The aggregator, the agents and the bare loop run in separate processes.
 //!
 //! `cargo bench -p peernet-aggregator -- [NODES] [ROUNDS] [AGENTS…]`
 
@@ -21,7 +21,7 @@ use std::process::{Child, ChildStdin, ChildStdout, Command, Stdio};
 use sqlx::sqlite::SqliteConnectOptions;
 use sqlx::{ConnectOptions, Row};
 
-use crate::load::Plan;
+use crate::load::LoadPlan;
 
 #[tokio::main]
 async fn main() {
@@ -30,14 +30,14 @@ async fn main() {
     match words.as_slice() {
         ["server", database, commit_nodes] => server::run(Path::new(database), number(commit_nodes)).await,
         ["generator", address, agents, nodes] => {
-            generator::run(address, &Plan::new(number(agents), number(nodes)), None).await;
+            generator::run(address, &LoadPlan::new(number(agents), number(nodes)), None).await;
         }
         ["generator", address, agents, nodes, speed] => {
             let speed: f64 = speed.parse().unwrap_or_else(|_| panic!("{speed:?} is no speed"));
-            generator::run(address, &Plan::new(number(agents), number(nodes)), Some(speed)).await;
+            generator::run(address, &LoadPlan::new(number(agents), number(nodes)), Some(speed)).await;
         }
         ["bare", from, to, agents, nodes] => {
-            let plan = Plan::new(number(agents), number(nodes));
+            let plan = LoadPlan::new(number(agents), number(nodes));
             bare::run(Path::new(from), Path::new(to), &plan).await;
         }
         words => {
@@ -53,10 +53,11 @@ fn number(word: &str) -> u64 {
     word.parse().unwrap_or_else(|_| panic!("{word:?} is not a number"))
 }
 
+/// Runs all rounds and prints the table of results.
 async fn table(nodes: u64, rounds: u64, agents: &[u64]) {
     let commit_nodes = std::env::var("COMMIT_NODES").unwrap_or_else(|_| "0".to_owned());
     for agents in agents {
-        let plan = Plan::new(*agents, nodes);
+        let plan = LoadPlan::new(*agents, nodes);
         println!("{plan}");
         println!(
             "{:>5}  {:>18}  {:>17}  {:>5}  {:>10}  {:>9}  {:>4}",
@@ -94,13 +95,15 @@ fn text(path: &Path) -> &str {
     path.to_str().expect("a path of text")
 }
 
+/// Runs a query and returns its only value.
 async fn one(database: &Path, sql: &'static str) -> i64 {
     let options = SqliteConnectOptions::new().filename(database);
     let mut connection = options.connect().await.expect("opens");
     sqlx::query(sql).fetch_one(&mut connection).await.expect("reads").get(0)
 }
 
-/// This program again, in another role: it says what it found out by lines, and ends when its input does.
+/// This program in another role, as a child process. It reports by lines on its standard output and ends when its
+/// standard input is closed.
 struct Role {
     child: Child,
     input: Option<ChildStdin>,
@@ -120,27 +123,29 @@ impl Role {
         Self { input: child.stdin.take(), child, lines }
     }
 
+    /// Reads the next line that the child prints.
     fn line(&mut self) -> String {
         let mut line = String::new();
         self.lines.read_line(&mut line).expect("reads");
         line.trim().to_owned()
     }
 
-    /// The most memory that it ever held.
+    /// Returns the peak of the child's resident memory, KiB.
     fn peak_kib(&self) -> u64 {
         let status = std::fs::read_to_string(format!("/proc/{}/status", self.child.id())).expect("runs");
         let line = status.lines().find_map(|line| line.strip_prefix("VmHWM:")).expect("a peak");
         number(line.trim().trim_end_matches(" kB"))
     }
 
+    /// Closes the child's input and waits for its end.
     fn end(mut self) {
         drop(self.input.take());
         assert!(self.child.wait().expect("ends").success(), "a part of the benchmark failed");
     }
 }
 
-/// Says something to the process that started this one.
-fn say(line: impl std::fmt::Display) {
+/// Reports a line to the parent process.
+fn report(line: impl std::fmt::Display) {
     println!("{line}");
     std::io::stdout().flush().expect("the one who started this reads");
 }

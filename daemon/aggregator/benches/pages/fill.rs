@@ -1,4 +1,4 @@
-//! One long run of one agent, as its agent would have sent it, and some short ones.
+//! Fills a database: one long run of one agent, sent as an agent sends it, and several short runs.
 
 use std::path::Path;
 
@@ -16,17 +16,18 @@ use crate::{clocks, generate, start};
 
 /// Nodes of an iteration.
 const NODES: u64 = 21;
-/// Iterations of a batch: about 100 kB.
+/// Iterations of a batch, which has about 100 kB then.
 const ITERATIONS: u64 = 240;
-/// Iterations in a second.
+/// Iterations per second.
 const HZ: u64 = 100;
-/// Every so manieth iteration has no answer.
+/// Every 1,000th iteration ends with a timeout.
 const LOST: u64 = 1_000;
-/// Short runs before the long one, for the lists: an experiment of so many configurations, each twice.
+/// Number of short runs before the long one: one experiment of `CONFIGURATIONS` configurations with two repeats each.
+/// The pages' lists show them.
 const RUNS: u32 = 100;
 const CONFIGURATIONS: u32 = RUNS / 2;
 
-/// Ingests about so many nodes into a new database.
+/// Ingests about `nodes` nodes into a new database.
 pub(crate) async fn fill(database: &Path, nodes: u64, clock: &SharedClock) {
     let stop = CancellationToken::new();
     let running = start(database, clock, stop.clone()).await;
@@ -47,18 +48,21 @@ pub(crate) async fn fill(database: &Path, nodes: u64, clock: &SharedClock) {
     running.join().await.expect("ends well");
 }
 
-/// The sending end of a stream.
+/// The sending end of an event stream.
 struct Agent {
+    /// The edge host and the cloud host.
     socket: Socket,
     hosts: (HostId, HostId),
     stream: StreamId,
     chain: Chain,
     number: u64,
+    /// Sequence number of the newest batch sent; [`Self::stored`] is the newest acknowledged.
     events: u64,
     stored: u64,
     window: u32,
+    /// Source of the iterations' values.
     numbers: generate::Numbers,
-    /// Seconds since the begin of everything.
+    /// Time on the edge's clock, seconds since the start.
     second: i64,
 }
 
@@ -107,7 +111,8 @@ impl Agent {
         agent
     }
 
-    /// A run of so many nodes, at its rate on the edge's clock, and what was known of the clocks meanwhile.
+    /// Sends a run of about `nodes` nodes at `HZ` iterations per second of the edge's clock, with a clock sample each
+    /// second.
     async fn run(&mut self, nodes: u64, place: Option<ExperimentPlace>) {
         let run = RunId::random();
         let began = self.second;
@@ -136,6 +141,7 @@ impl Agent {
         self.send(&events).await;
     }
 
+    /// Returns the incident that accompanies a timeout.
     fn incident(&self, run: RunId) -> Incident {
         Incident {
             at: generate::at(self.second as f64),
@@ -147,6 +153,7 @@ impl Agent {
         }
     }
 
+    /// Sends one batch as soon as the window has room.
     async fn send(&mut self, events: &[Event]) {
         if events.is_empty() {
             return;
@@ -168,12 +175,14 @@ impl Agent {
         self.socket.send(Message::single(frame)).await.expect("sends");
     }
 
+    /// Waits until all batches are acknowledged.
     async fn settle(&mut self) {
         while self.stored < self.number {
             self.acknowledged().await;
         }
     }
 
+    /// Processes the next acknowledgement.
     async fn acknowledged(&mut self) {
         match self.receive().await {
             ToAgent::Ack { stream, through, window } if stream == self.stream => {

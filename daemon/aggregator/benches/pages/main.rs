@@ -1,8 +1,8 @@
-//! How long the questions of each page take when the database is large: a run of a million nodes beside one of as many
-//! as wanted, both ingested over real ZeroMQ.
+//! Benchmark of the pages' queries on a large database: a run of a million nodes is compared with a run of the given
+//! number of nodes. Both are ingested over ZeroMQ.
 //!
 //! `cargo bench -p peernet-aggregator --bench pages -- [NODES] [FOLDER]`: 100 million nodes take some minutes and about
-//! 6 GB. A folder that is given keeps the databases, and those found there are used again.
+//! 6 GB. With `FOLDER`, the databases are kept there and used again by later runs.
 
 #![expect(clippy::print_stdout, reason = "a benchmark prints its table")]
 
@@ -22,9 +22,9 @@ use peernet_aggregator::{Aggregator, AggregatorConfig};
 use peernet_clock::{ClockIdentity, SharedClock, SystemClock};
 use tokio_util::sync::CancellationToken;
 
-use crate::questions::{Times, measure};
+use crate::questions::{ResponseTimes, measure};
 
-/// Nodes of the run that the large one is compared with, unless that is small itself.
+/// Nodes of the small run; half of the large one if that is smaller.
 const SMALL: u64 = 1_000_000;
 
 #[tokio::main]
@@ -52,8 +52,8 @@ async fn main() {
     }
 }
 
-/// Fills a database unless it is there, and asks it everything.
-async fn answers(folder: &Path, nodes: u64) -> Vec<Times> {
+/// Measures all queries on a database of `nodes` nodes. Fills the database if it does not exist.
+async fn answers(folder: &Path, nodes: u64) -> Vec<ResponseTimes> {
     let database = folder.join(format!("{nodes}.sqlite"));
     let clock: SharedClock = Arc::new(SystemClock::new(ClockIdentity::new("bench", "pages")));
     if !database.exists() {
@@ -75,6 +75,7 @@ async fn answers(folder: &Path, nodes: u64) -> Vec<Times> {
     times
 }
 
+/// Starts an aggregator on a free port.
 async fn start(database: &Path, clock: &SharedClock, stop: CancellationToken) -> peernet_aggregator::Running {
     let config = AggregatorConfig {
         listen: "tcp://127.0.0.1:0".into(),

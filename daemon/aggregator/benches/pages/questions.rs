@@ -1,4 +1,4 @@
-//! What each page and resource asks, of the largest run.
+//! The queries of each page and API resource, for the largest run.
 
 use std::future::Future;
 
@@ -6,10 +6,10 @@ use peernet_clock::{SharedClock, Span};
 use peernet_logger::{Name, stage};
 use peernet_store::{IterationFilter, RunFilter, Store, StoreError};
 
-/// How often each is asked.
+/// Number of measurements per query.
 const TIMES: usize = 20;
-/// Points of a run's series and of a link's, buckets of a run's course, bins of a histogram, and the slowest iterations,
-/// as pages ask for them.
+/// Sizes that the pages request: points of a run's series, points of a link's series, buckets of a run's course, bins
+/// of a histogram, and number of the slowest iterations.
 const POINTS: usize = 240;
 const CLOCK_POINTS: u32 = 360;
 const BUCKETS: usize = 120;
@@ -17,25 +17,25 @@ const BINS: usize = 48;
 const SLOWEST: u32 = 40;
 /// Rows of the run page's table of iterations without an answer.
 const UNANSWERED: u32 = 8;
-/// Most runs that the page of a comparison is asked for one by one, and of an experiment; of so many it draws the course,
-/// with so many points.
+/// Limits of the comparison page: runs chosen one by one, runs of an experiment, runs whose course is drawn, and points
+/// of each course.
 const CHOSEN: u32 = 12;
 const OF_EXPERIMENT: u32 = 200;
 const COURSES: usize = 24;
 const COURSE_POINTS: usize = 100;
-/// Iterations of which it draws the length of the answer against the latency.
+/// Number of iterations whose answer size is drawn against the latency.
 const PAIRS: u32 = 750;
 
-/// How long one question took.
+/// Response times of one query.
 #[derive(Debug)]
-pub(crate) struct Times {
+pub(crate) struct ResponseTimes {
     pub(crate) question: &'static str,
     pub(crate) median_ms: f64,
     pub(crate) max_ms: f64,
 }
 
-/// Asks everything.
-pub(crate) async fn measure(store: &Store, clock: &SharedClock) -> Vec<Times> {
+/// Measures all queries.
+pub(crate) async fn measure(store: &Store, clock: &SharedClock) -> Vec<ResponseTimes> {
     let newest = store.runs(&RunFilter { limit: 1, ..RunFilter::default() }).await.expect("answers");
     let run = newest.first().expect("there is a run");
     let (number, host) = (run.number, run.host);
@@ -151,7 +151,7 @@ pub(crate) async fn measure(store: &Store, clock: &SharedClock) -> Vec<Times> {
     ]
 }
 
-/// What the page of a comparison draws of a run over time.
+/// Runs the comparison page's queries of one run over time.
 async fn over_time(store: &Store, run: i64) -> Result<(), StoreError> {
     let names: Vec<Name> = [stage::TOTAL, stage::UNATTRIBUTED].into_iter().chain(stage::ORDER).collect();
     tokio::try_join!(
@@ -162,11 +162,12 @@ async fn over_time(store: &Store, run: i64) -> Result<(), StoreError> {
     .map(drop)
 }
 
+/// Measures one query `TIMES` times.
 async fn time<T, F: Future<Output = Result<T, StoreError>>>(
     question: &'static str,
     clock: &SharedClock,
     ask: impl Fn() -> F,
-) -> Times {
+) -> ResponseTimes {
     let mut took = Vec::with_capacity(TIMES);
     for _ in 0..TIMES {
         let began = clock.mono();
@@ -174,5 +175,5 @@ async fn time<T, F: Future<Output = Result<T, StoreError>>>(
         took.push((clock.mono() - began).seconds() * 1e3);
     }
     took.sort_by(f64::total_cmp);
-    Times { question, median_ms: took[TIMES / 2], max_ms: took[TIMES - 1] }
+    ResponseTimes { question, median_ms: took[TIMES / 2], max_ms: took[TIMES - 1] }
 }

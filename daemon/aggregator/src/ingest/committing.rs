@@ -1,4 +1,12 @@
-//! The task that owns the writer: collects batches of many agents and commits them together.
+//! The writer's task, the only owner of the writing connection: it commits the batches of several agents together
+//! (group commit).
+//!
+//! A commit costs one sync of the disk whatever its size. A group is what arrived while the previous commit was
+//! syncing, so that groups grow with the load. A batch of few nodes waits up to `commit_interval_ms` for others, so
+//! that a quiet system does not sync at each batch. A group of `commit_nodes` makes the sync a small part of its cost;
+//! it does not wait longer, because its agents may have used up their windows and wait for this commit.
+//!
+//! Agents get their acknowledgements only after the commit. Nothing in this task waits for an agent.
 
 use std::fmt::Display;
 use std::sync::Arc;
@@ -11,40 +19,40 @@ use tokio::time::MissedTickBehavior;
 use tokio_util::sync::CancellationToken;
 
 use super::connection_log::ConnectionLog;
-use super::preparing::Queued;
+use super::preparing::PreparedWork;
 use super::reopening::Reopening;
 use crate::config::AggregatorConfig;
-use crate::picture::Picture;
+use crate::live_state::LiveState;
 use crate::readiness::Readiness;
 use peernet_store::writing::{
     CommitError, Committed, Integrity, OpenDatabase, PendingIncidents, Step, StoredState, Work, Writer,
 };
 use peernet_store::{AggregatorIncidentKind, StoreError};
 
-/// The first pause after a failed attempt, and the longest.
+/// The first pause after a failed attempt, and the longest one.
 const FIRST_PAUSE: Duration = Duration::from_millis(200);
 const LONGEST_PAUSE: Duration = Duration::from_secs(5);
 
-/// How often the database's files are looked at while there is nothing to store.
-const LOOK_EVERY: Duration = Duration::from_secs(1);
+/// Interval of checking the database's files while no work arrives.
+const CHECK_EVERY: Duration = Duration::from_secs(1);
 
-/// Bytes of the log's file above which it is emptied as soon as nobody reads: twice what it usually has.
+/// Size of SQLite's -wal file above which it is truncated as soon as no reader uses it: twice the usual size.
 const MOST_LOG_BYTES: u64 = 128 << 20;
 
-/// Nodes of a commit at most, unless it is configured to wait for more: beyond that a larger one is no cheaper.
+/// Largest number of nodes of a commit, unless `commit_nodes` is larger: a larger commit is no cheaper per node.
 const MOST_NODES: usize = 100_000;
 
-/// Commits after which what is old is deleted even though work waits.
+/// Number of commits after which expired data is deleted even if work is waiting.
 const RETAIN_EVERY: u64 = 8;
 
-/// When a group is large or old enough.
+/// Limits at which a group is committed.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Grouping {
-    /// Longest time that the first of a group waits for others.
+    /// Longest time that the first batch of a group waits for others.
     pub(crate) interval: Duration,
-    /// Nodes after which a group waits for no more, and takes only what is there.
+    /// Number of nodes at which a group waits for no more batches; those that are ready join it.
     pub(crate) enough: usize,
-    /// Nodes after which a group takes no more.
+    /// Number of nodes at which a group is full.
     pub(crate) most: usize,
 }
 
@@ -55,25 +63,25 @@ impl Grouping {
     }
 }
 
-/// What is asked of the writer beside storing.
+/// A request to the writer's task from other parts of the program.
 #[derive(Debug)]
-pub(crate) enum Errand {
-    /// Keep a run whatever its age, or no longer; answers whether there is such a run.
+pub(crate) enum WriterRequest {
+    /// Protects a run from the retention limits, or ends that protection. The answer is whether there is such a run.
     Pin(i64, bool, oneshot::Sender<Result<bool, StoreError>>),
 }
 
-/// What the writer tells ingest, in the order in which it happened.
+/// A message from the writer's task to the ingest task. The channel keeps the order in which things happened.
 #[derive(Debug)]
 pub(crate) enum StoreEvent {
     /// A transaction is on disk.
     Committed(Committed),
-    /// The database was closed, to be opened anew.
+    /// The database was closed and will be reopened.
     Closed,
-    /// The database was opened anew, and holds this.
+    /// The database was reopened and contains this state.
     Opened(Box<StoredState>),
 }
 
-/// Pauses between attempts, each twice as long as the one before, until one succeeds.
+/// Exponential backoff: each pause is twice as long as the previous one, up to `LONGEST_PAUSE`.
 #[derive(Debug)]
 pub(super) struct Backoff(Duration);
 
@@ -82,7 +90,7 @@ impl Backoff {
         Self(FIRST_PAUSE)
     }
 
-    /// The next pause.
+    /// Returns the next pause.
     pub(super) fn next(&mut self) -> Duration {
         let pause = self.0;
         self.0 = (pause * 2).min(LONGEST_PAUSE);
@@ -90,56 +98,56 @@ impl Backoff {
     }
 }
 
-/// What the writer's task is wired to.
-pub(crate) struct Wires {
-    pub(crate) queue: mpsc::Receiver<Queued>,
-    pub(crate) errands: mpsc::Receiver<Errand>,
+/// The channels and shared objects of the writer's task.
+pub(crate) struct TaskContext {
+    pub(crate) queue: mpsc::Receiver<PreparedWork>,
+    pub(crate) requests: mpsc::Receiver<WriterRequest>,
     pub(crate) stored: mpsc::Sender<StoreEvent>,
     pub(crate) ready: watch::Sender<Readiness>,
-    /// Of the live picture, which tells of connections.
-    pub(crate) pictures: watch::Receiver<Arc<Picture>>,
+    /// Snapshots of the live picture, the source of the connections' statistics.
+    pub(crate) pictures: watch::Receiver<Arc<LiveState>>,
     pub(crate) clock: SharedClock,
     pub(crate) integrity: Integrity,
     pub(crate) stop: CancellationToken,
 }
 
-/// Why the writer's task does not go on with a database.
-enum Ended {
-    /// All that came is stored, or the task was told to stop.
+/// Reason for which the task stopped using a database.
+enum ServeEnd {
+    /// Everything received is stored, or the task was stopped.
     Finished,
-    /// The database has to be opened anew.
+    /// The database has to be reopened.
     Failed(CommitError),
 }
 
-/// What outlives a database that is opened anew.
+/// State of the task that survives reopening the database.
 #[derive(Debug)]
-struct Carried {
-    /// How often that was done.
+struct WriterState {
+    /// Number of times that the database was reopened.
     generation: u64,
-    /// Hosts that took their leave, which could not be stored.
+    /// Hosts whose goodbye could not be stored yet.
     departed: Vec<HostId>,
     backoff: Backoff,
-    /// Of the aggregator itself.
+    /// Incidents of the aggregator itself.
     incidents: PendingIncidents,
     connections: ConnectionLog,
-    /// Since when nothing can be stored, and why; `None` while it can.
+    /// Start and reason of the current storage outage; `None` while commits succeed.
     outage: Option<(Stamp, String)>,
 }
 
-impl Carried {
-    /// Whether work goes with the database that is open. What was let in before is compared with the marks of the one
-    /// before; only that a host has left is true of any.
-    fn is_current(&self, queued: &Queued) -> bool {
+impl WriterState {
+    /// Returns whether work belongs to the open database. Work admitted before a reopening was checked against the
+    /// stored state of the previous database, so it is dropped. A goodbye is valid for any database.
+    fn is_current(&self, queued: &PreparedWork) -> bool {
         queued.generation == self.generation || matches!(queued.work, Work::Goodbye(_))
     }
 
-    /// Nothing can be stored.
-    fn fails(&mut self, error: &CommitError, now: Stamp) {
+    /// Records that nothing can be stored.
+    fn record_failure(&mut self, error: &CommitError, now: Stamp) {
         self.outage.get_or_insert_with(|| (now, error.to_string()));
     }
 
-    /// Something was stored. An outage that anybody could notice is an incident.
-    fn works(&mut self, now: Stamp) {
+    /// Records that a commit succeeded. An outage of at least one second becomes an incident.
+    fn record_success(&mut self, now: Stamp) {
         self.backoff = Backoff::new();
         let Some((since, reason)) = self.outage.take() else { return };
         let seconds = (now.mono - since.mono).seconds();
@@ -150,20 +158,20 @@ impl Carried {
     }
 }
 
-/// Commits until no more work will come and all that came is stored.
+/// Commits until the queue is closed and everything received is stored.
 ///
-/// While the database refuses, the same group is tried again and nothing is acknowledged: agents keep what they sent.
-/// When the file fails or is replaced, the database is closed and opened anew, like in a restart of the process: what
-/// was let in before is dropped, and the agents send it again as far as it is not stored. When told to stop, the group
-/// is tried a last time and then left to them. Gives the database back, to be closed, if it is open.
+/// While the database refuses a group, the same group is retried and nothing is acknowledged, so the agents keep their
+/// batches. When the file fails or is replaced, the database is closed and reopened as at a start of the process: work
+/// admitted before is dropped, and the agents send it again if it is not stored. When `stop` is cancelled, the group is
+/// tried once more and then left to the agents. Returns the database, if it is open, for closing.
 pub(crate) async fn run(
     mut database: OpenDatabase,
-    mut wires: Wires,
+    mut context: TaskContext,
     grouping: Grouping,
     reopening: Reopening,
 ) -> Option<OpenDatabase> {
-    let incidents = PendingIncidents::new(wires.clock.stamp());
-    let mut carried = Carried {
+    let incidents = PendingIncidents::new(context.clock.stamp());
+    let mut state = WriterState {
         generation: 0,
         departed: Vec::new(),
         backoff: Backoff::new(),
@@ -172,195 +180,219 @@ pub(crate) async fn run(
         outage: None,
     };
     loop {
-        match serve(&mut database.writer, &mut wires, grouping, &mut carried).await {
-            Ended::Finished => return Some(database),
-            Ended::Failed(error) => {
-                carried.fails(&error, wires.clock.stamp());
-                let reopened = reopening.reopen(database, &error, &mut wires, &mut carried.backoff);
-                // Large, and rarely needed.
+        match serve(&mut database.writer, &mut context, grouping, &mut state).await {
+            ServeEnd::Finished => return Some(database),
+            ServeEnd::Failed(error) => {
+                state.record_failure(&error, context.clock.stamp());
+                let reopened = reopening.reopen(database, &error, &mut context, &mut state.backoff);
+                // Boxed because the future is large and rarely needed.
                 database = Box::pin(reopened).await?;
-                carried.generation += 1;
+                state.generation += 1;
             }
         }
     }
 }
 
-/// Commits with one database.
-async fn serve(writer: &mut Writer, wires: &mut Wires, grouping: Grouping, carried: &mut Carried) -> Ended {
-    let mut looking = tokio::time::interval(LOOK_EVERY);
-    looking.set_missed_tick_behavior(MissedTickBehavior::Delay);
+/// Commits with one database until it has to be reopened or the work ends.
+async fn serve(
+    writer: &mut Writer,
+    context: &mut TaskContext,
+    grouping: Grouping,
+    state: &mut WriterState,
+) -> ServeEnd {
+    let mut check_interval = tokio::time::interval(CHECK_EVERY);
+    check_interval.set_missed_tick_behavior(MissedTickBehavior::Delay);
+    // Retention starts at once: limits may have changed while the aggregator was stopped.
     let (mut commits, mut more) = (0_u64, Step::More);
     let mut damaged = false;
     loop {
         let mut group = Vec::new();
-        if carried.departed.is_empty() {
+        if state.departed.is_empty() {
             let first = tokio::select! {
+                // Requests come first: they are rare, and their senders wait for the answer.
                 biased;
-                Some(errand) = wires.errands.recv() => {
-                    run_errand(writer, errand, &wires.integrity).await;
+                Some(request) = context.requests.recv() => {
+                    execute_request(writer, request, &context.integrity).await;
                     continue;
                 }
-                first = wires.queue.recv() => first,
+                first = context.queue.recv() => first,
+                // Retention runs only while no work waits.
                 () = std::future::ready(()), if more == Step::More => {
-                    more = retain(writer, wires).await;
+                    more = retain(writer, context).await;
                     continue;
                 }
-                _ = looking.tick() => {
-                    match look_after(writer, wires, carried).await {
-                        Ok(()) if damaged => set(&wires.ready, Readiness::Ready),
+                _ = check_interval.tick() => {
+                    match maintain(writer, context, state).await {
+                        Ok(()) if damaged => set_readiness(&context.ready, Readiness::Ready),
                         Ok(()) => {}
-                        Err(error @ CommitError::Damaged(_)) => set(&wires.ready, why_not(&error)),
-                        Err(error) => return Ended::Failed(error),
+                        Err(error @ CommitError::Damaged(_)) => {
+                            set_readiness(&context.ready, readiness_after(&error));
+                        }
+                        Err(error) => return ServeEnd::Failed(error),
                     }
-                    damaged = wires.integrity.damage().is_some();
+                    damaged = context.integrity.damage().is_some();
                     more = Step::More;
                     continue;
                 }
             };
-            let Some(first) = first else { return Ended::Finished };
-            let waited = (wires.clock.mono() - first.since).to_duration();
-            group = gather(first, &mut wires.queue, waited, grouping).await;
-            group.retain(|queued| carried.is_current(queued));
+            let Some(first) = first else { return ServeEnd::Finished };
+            // Time in the queue counts towards the interval.
+            let waited = (context.clock.mono() - first.since).to_duration();
+            group = collect_group(first, &mut context.queue, waited, grouping).await;
+            // Dropped after grouping, so that a reopening needs no search through the queue.
+            group.retain(|queued| state.is_current(queued));
         }
-        let mut work: Vec<Work> = carried.departed.drain(..).map(Work::Goodbye).collect();
+        let mut work: Vec<Work> = state.departed.drain(..).map(Work::Goodbye).collect();
         let (of_group, room): (Vec<Work>, Vec<_>) = group.into_iter().map(|it| (it.work, it.room)).unzip();
         work.extend(of_group);
         if work.is_empty() {
             continue;
         }
-        match store(writer, &work, wires, carried).await {
+        match store(writer, &work, context, state).await {
             Ok(true) => {}
-            Ok(false) => return Ended::Finished,
+            Ok(false) => return ServeEnd::Finished,
             Err(error) => {
+                // Agents send batches again, but not a goodbye, so it is kept for the reopened database.
                 let left = |work| if let Work::Goodbye(host) = work { Some(host) } else { None };
-                carried.departed = work.into_iter().filter_map(left).collect();
-                return Ended::Failed(error);
+                state.departed = work.into_iter().filter_map(left).collect();
+                return ServeEnd::Failed(error);
             }
         }
+        // Frees the room in the queue before retention, which may take a while.
         drop((work, room));
         commits += 1;
         more = Step::More;
         if commits.is_multiple_of(RETAIN_EVERY) {
-            more = retain(writer, wires).await;
-            match look_after(writer, wires, carried).await {
-                // The next commit tells.
+            more = retain(writer, context).await;
+            match maintain(writer, context, state).await {
+                // The next commit reports the damage.
                 Ok(()) | Err(CommitError::Damaged(_)) => {}
-                Err(error) => return Ended::Failed(error),
+                Err(error) => return ServeEnd::Failed(error),
             }
         }
     }
 }
 
-/// Sees that the file is still where it was, also while nothing is stored, that the log is not too long, and that the
-/// clocks and the statistics of connections are stored.
+/// Checks that the file is still at its path, which is needed also while nothing is stored. Stores the clocks and the
+/// connections' statistics, and truncates SQLite's log if it is too long.
 ///
 /// # Errors
-/// When the database has to be opened anew, or is damaged.
-async fn look_after(writer: &mut Writer, wires: &Wires, carried: &mut Carried) -> Result<(), CommitError> {
+/// If the database has to be reopened, or is damaged.
+async fn maintain(
+    writer: &mut Writer,
+    context: &TaskContext,
+    state: &mut WriterState,
+) -> Result<(), CommitError> {
     writer.check_file()?;
-    undamaged(&wires.integrity)?;
-    let looked_after = async {
-        writer.keep_clocks(wires.clock.stamp(), &mut carried.incidents).await?;
-        let connections = carried.connections.observe(&wires.pictures.borrow(), wires.clock.mono());
+    ensure_undamaged(&context.integrity)?;
+    let maintained = async {
+        writer.keep_clocks(context.clock.stamp(), &mut state.incidents).await?;
+        let connections = state.connections.observe(&context.pictures.borrow(), context.clock.mono());
         if !connections.is_empty() {
             writer.store_connections(&connections).await?;
         }
         writer.bound_log(MOST_LOG_BYTES).await
     };
-    looked_after.await.or_else(|error: CommitError| {
-        // A full disk shows at the next commit.
+    maintained.await.or_else(|error: CommitError| {
+        // A full disk is reported by the next commit.
         if error.leaves_connection_usable() { Ok(()) } else { Err(error) }
     })
 }
 
-/// Deletes a little of what is old. What fails is tried again at the next occasion.
-async fn retain(writer: &mut Writer, wires: &Wires) -> Step {
-    // Freed pages are written to: what can still be salvaged stays as it is.
-    if wires.integrity.damage().is_some() {
+/// Deletes a small part of the expired data. A failed deletion is retried at the next occasion.
+async fn retain(writer: &mut Writer, context: &TaskContext) -> Step {
+    // Deletion writes to freed pages. In a damaged file they have to stay as they are for a salvage.
+    if context.integrity.damage().is_some() {
         return Step::Done;
     }
-    writer.retain(wires.clock.stamp()).await.unwrap_or_else(|error| {
-        wires.integrity.note(&error);
+    writer.retain(context.clock.stamp()).await.unwrap_or_else(|error| {
+        context.integrity.note(&error);
         tracing::warn!(%error, "cannot delete what is old, tried again by itself");
         Step::Done
     })
 }
 
-/// Stores a group, however long that takes; whether it was before the task had to end.
+/// Stores a group and retries while the database refuses it. Returns `false` if the task had to end before the group
+/// was stored.
 ///
 /// # Errors
-/// When the database has to be opened anew for that.
+/// If the database has to be reopened for the group.
 async fn store(
     writer: &mut Writer,
     work: &[Work],
-    wires: &mut Wires,
-    carried: &mut Carried,
+    context: &mut TaskContext,
+    state: &mut WriterState,
 ) -> Result<bool, CommitError> {
     loop {
-        let error = match commit(writer, work, wires).await {
+        let error = match commit(writer, work, context).await {
             Ok(stored) => {
-                carried.works(wires.clock.stamp());
-                set(&wires.ready, Readiness::Ready);
+                state.record_success(context.clock.stamp());
+                set_readiness(&context.ready, Readiness::Ready);
                 for (head, reason) in &stored.quarantined {
                     tracing::error!(host = %head.host, number = head.number, %reason, "a batch was put aside");
                 }
-                // Closed only while everything ends.
-                let _ended = wires.stored.send(StoreEvent::Committed(stored)).await;
+                // The receiver is closed only while the aggregator ends.
+                let _ended = context.stored.send(StoreEvent::Committed(stored)).await;
                 return Ok(true);
             }
             Err(error) => error,
         };
-        if wires.stop.is_cancelled() {
+        if context.stop.is_cancelled() {
             tracing::error!(batches = work.len(), %error, "gave up storing: told to stop");
             return Ok(false);
         }
         if !error.leaves_connection_usable() {
             return Err(error);
         }
-        carried.fails(&error, wires.clock.stamp());
-        set(&wires.ready, why_not(&error));
-        let again = tokio::time::sleep(carried.backoff.next());
+        state.record_failure(&error, context.clock.stamp());
+        set_readiness(&context.ready, readiness_after(&error));
+        // Requests are answered during the pause, too.
+        let again = tokio::time::sleep(state.backoff.next());
         tokio::pin!(again);
         loop {
             tokio::select! {
                 () = &mut again => break,
-                () = wires.stop.cancelled() => break,
-                Some(errand) = wires.errands.recv() => run_errand(writer, errand, &wires.integrity).await,
+                () = context.stop.cancelled() => break,
+                Some(request) = context.requests.recv() => {
+                    execute_request(writer, request, &context.integrity).await;
+                }
             }
         }
     }
 }
 
-/// Stores a group once, unless the file is damaged.
-async fn commit(writer: &mut Writer, work: &[Work], wires: &Wires) -> Result<Committed, CommitError> {
-    // One that was put in the place of a damaged file is opened.
+/// Commits a group once, unless the file is damaged.
+async fn commit(writer: &mut Writer, work: &[Work], context: &TaskContext) -> Result<Committed, CommitError> {
+    // Checked first so that a file which replaced a damaged one is opened.
     writer.check_file()?;
-    undamaged(&wires.integrity)?;
-    let committed = writer.commit(work, wires.clock.stamp()).await;
+    ensure_undamaged(&context.integrity)?;
+    let committed = writer.commit(work, context.clock.stamp()).await;
     if let Err(CommitError::Database(error)) = &committed {
-        wires.integrity.note(error);
+        context.integrity.note(error);
     }
-    // What was committed while damage was found is not acknowledged: its agents keep it.
-    undamaged(&wires.integrity)?;
+    // A group committed while damage was found is not acknowledged, so that the agents keep it.
+    ensure_undamaged(&context.integrity)?;
     committed
 }
 
-fn undamaged(integrity: &Integrity) -> Result<(), CommitError> {
+/// Returns an error if damage of the file is known.
+fn ensure_undamaged(integrity: &Integrity) -> Result<(), CommitError> {
     integrity.refusal().map_or(Ok(()), |refusal| Err(CommitError::Damaged(refusal)))
 }
 
-async fn run_errand(writer: &mut Writer, errand: Errand, integrity: &Integrity) {
-    match errand {
-        Errand::Pin(run, pinned, answer) => {
+/// Executes a request to the writer.
+async fn execute_request(writer: &mut Writer, request: WriterRequest, integrity: &Integrity) {
+    match request {
+        WriterRequest::Pin(run, pinned, answer) => {
             let answered = writer.pin(run, pinned, integrity).await;
-            // Whoever asked may have gone.
+            // The requester may have been dropped.
             let _gone = answer.send(answered);
         }
     }
 }
 
-/// That a group cannot be stored, and why.
-fn why_not(error: &CommitError) -> Readiness {
+/// Returns the readiness after a group could not be stored.
+fn readiness_after(error: &CommitError) -> Readiness {
     match error {
         CommitError::Damaged(what) => {
             Readiness::NotStoring(format!("cannot store events: {what}; agents keep them"))
@@ -369,20 +401,20 @@ fn why_not(error: &CommitError) -> Readiness {
     }
 }
 
-/// That nothing is stored, and why.
+/// Returns the readiness while nothing can be stored.
 pub(super) fn not_storing(error: &impl Display) -> Readiness {
     Readiness::NotStoring(format!("cannot store events: {error}; agents keep them, tried again by itself"))
 }
 
-/// The group that begins with `first`: what waits already, and what comes until the first has waited long enough since
-/// it was let in. Under load that was during the commit before, so that nothing more is waited for. Nor is it where the
-/// group is worth a sync already: its agents may have sent all that they are allowed, and wait for this commit.
-async fn gather(
-    first: Queued,
-    queue: &mut mpsc::Receiver<Queued>,
+/// Collects the group that begins with `first`: the work that is ready, and work that arrives until `first` has waited
+/// for `grouping.interval` since its admission. Under load `first` has waited during the previous commit, so that the
+/// group waits for nothing. Neither does a group of `grouping.enough` nodes.
+async fn collect_group(
+    first: PreparedWork,
+    queue: &mut mpsc::Receiver<PreparedWork>,
     waited: Duration,
     grouping: Grouping,
-) -> Vec<Queued> {
+) -> Vec<PreparedWork> {
     let mut nodes = first.work.weight();
     let mut group = vec![first];
     let patience = tokio::time::sleep(grouping.interval.saturating_sub(waited));
@@ -404,8 +436,8 @@ async fn gather(
     group
 }
 
-/// Logs changes of readiness, once each.
-pub(super) fn set(ready: &watch::Sender<Readiness>, now: Readiness) {
+/// Sets the readiness and logs each change once.
+pub(super) fn set_readiness(ready: &watch::Sender<Readiness>, now: Readiness) {
     ready.send_if_modified(|was| {
         if *was == now {
             return false;
@@ -428,11 +460,11 @@ mod tests {
 
     const EVER: Duration = Duration::from_secs(3600);
 
-    /// Weighs one node.
-    fn piece() -> Queued {
+    /// Work that weighs one node.
+    fn piece() -> PreparedWork {
         let room = Arc::new(Semaphore::new(2));
         let permit = || Arc::clone(&room).try_acquire_owned().expect("a permit");
-        Queued {
+        PreparedWork {
             work: Work::Goodbye(HostId::random()),
             generation: 0,
             since: MonoTime::from_nanos(0),
@@ -440,7 +472,7 @@ mod tests {
         }
     }
 
-    async fn waiting(pieces: usize) -> (mpsc::Sender<Queued>, mpsc::Receiver<Queued>) {
+    async fn waiting(pieces: usize) -> (mpsc::Sender<PreparedWork>, mpsc::Receiver<PreparedWork>) {
         let (sender, receiver) = mpsc::channel(16);
         for _ in 0..pieces {
             sender.send(piece()).await.expect("there is room");
@@ -449,17 +481,18 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn what_is_enough_takes_what_is_there_and_waits_for_nothing() {
+    async fn large_group_takes_ready_work_without_waiting() {
         let (_more_may_come, mut queue) = waiting(4).await;
         let grouping = Grouping { interval: EVER, enough: 2, most: 100 };
-        assert_eq!(gather(piece(), &mut queue, Duration::ZERO, grouping).await.len(), 5);
+        assert_eq!(collect_group(piece(), &mut queue, Duration::ZERO, grouping).await.len(), 5);
     }
 
     #[tokio::test]
-    async fn too_little_waits_until_it_is_enough() {
+    async fn small_group_waits_until_large_enough() {
         let (sender, mut queue) = waiting(1).await;
         let grouping = Grouping { interval: EVER, enough: 4, most: 100 };
-        let group = tokio::spawn(async move { gather(piece(), &mut queue, Duration::ZERO, grouping).await });
+        let group =
+            tokio::spawn(async move { collect_group(piece(), &mut queue, Duration::ZERO, grouping).await });
         tokio::task::yield_now().await;
         assert!(!group.is_finished());
         for _ in 0..2 {
@@ -469,16 +502,16 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn what_waited_its_time_goes_however_little_it_is() {
+    async fn group_is_committed_after_interval_however_small() {
         let (_more_may_come, mut queue) = waiting(1).await;
         let grouping = Grouping { interval: EVER, enough: 100, most: 100 };
-        assert_eq!(gather(piece(), &mut queue, EVER, grouping).await.len(), 2);
+        assert_eq!(collect_group(piece(), &mut queue, EVER, grouping).await.len(), 2);
     }
 
     #[tokio::test]
-    async fn no_group_takes_more_than_the_most() {
+    async fn group_is_limited_to_most_nodes() {
         let (_more_may_come, mut queue) = waiting(10).await;
         let grouping = Grouping { interval: EVER, enough: 2, most: 6 };
-        assert_eq!(gather(piece(), &mut queue, Duration::ZERO, grouping).await.len(), 6);
+        assert_eq!(collect_group(piece(), &mut queue, Duration::ZERO, grouping).await.len(), 6);
     }
 }

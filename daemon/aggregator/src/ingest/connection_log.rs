@@ -1,6 +1,8 @@
-//! Which statistics of connections are stored: those of once a minute, and the last ones of a connection that has ended.
+//! Selects the statistics of connections that are stored: one sample per minute, and the last one of a connection that
+//! has ended.
 //!
-//! They come from the live picture: totals that were missed are part of the next.
+//! The samples come from the live picture: as an event of the stream they would need a newer aggregator. A missed
+//! sample loses no totals, because the totals are cumulative and the next sample contains them.
 
 use std::collections::HashMap;
 
@@ -9,30 +11,31 @@ use peernet_logger::{HostId, Slug};
 use peernet_store::writing::ConnectionSample;
 use peernet_stream::NetworkName;
 
-use crate::picture::Picture;
+use crate::live_state::LiveState;
 
-/// How often a connection is stored while it is open.
+/// Interval of storing the statistics of an open connection.
 const INTERVAL: Span = Span::from_seconds(60);
 
-/// What tells connections apart: edge, cloud, pipeline, kind of network and the edge's end.
+/// Identity of a connection: edge, cloud, pipeline, network name and the edge's local address.
 type Key = (HostId, HostId, Slug, NetworkName, Option<String>);
 
-/// Connections as they were seen last.
+/// The open connections with their latest statistics.
 #[derive(Debug, Default)]
 pub(super) struct ConnectionLog {
     open: HashMap<Key, OpenConnection>,
 }
 
+/// An open connection.
 #[derive(Debug)]
 struct OpenConnection {
     sample: ConnectionSample,
-    /// When it was last stored, or first seen.
+    /// Time of the last stored sample, or of the first observation.
     stored_at: MonoTime,
 }
 
 impl ConnectionLog {
-    /// Takes in a picture. Returns what is to be stored now.
-    pub(super) fn observe(&mut self, picture: &Picture, now: MonoTime) -> Vec<ConnectionSample> {
+    /// Updates the open connections from a snapshot. Returns the samples to be stored.
+    pub(super) fn observe(&mut self, picture: &LiveState, now: MonoTime) -> Vec<ConnectionSample> {
         let mut due = Vec::new();
         let mut before = std::mem::take(&mut self.open);
         for link in picture.links.iter().filter(|link| link.connected) {
@@ -50,6 +53,7 @@ impl ConnectionLog {
                 self.open.insert(key, OpenConnection { sample, stored_at });
             }
         }
+        // The rest has ended: the snapshot does not contain these connections any more.
         due.extend(before.into_values().map(|ended| ended.sample));
         due
     }
@@ -65,7 +69,7 @@ mod tests {
     };
 
     use super::*;
-    use crate::picture::{LinkPicture, Totals};
+    use crate::live_state::{LinkSnapshot, Totals};
 
     fn slug(text: &str) -> Slug {
         text.parse().expect("a name")
@@ -90,8 +94,8 @@ mod tests {
         }
     }
 
-    /// A picture with one link.
-    fn picture(connected: bool, connections: Vec<Connection>) -> Picture {
+    /// Returns a picture with one link.
+    fn picture(connected: bool, connections: Vec<Connection>) -> LiveState {
         let (at, peer) = (WallTime::from_unix_nanos(9), HostId::from_bytes([9; 16]));
         let now = ClockSample {
             network: NetworkName::default(),
@@ -124,8 +128,8 @@ mod tests {
             reflector: None,
         };
         let (edge, history) = (HostId::from_bytes([1; 16]), Vec::new());
-        let link = LinkPicture { edge, edge_name: slug("edge"), connected, last_seen: at, live, history };
-        Picture {
+        let link = LinkSnapshot { edge, edge_name: slug("edge"), connected, last_seen: at, live, history };
+        LiveState {
             at,
             aggregator: slug("base"),
             listening: String::new(),
@@ -159,9 +163,9 @@ mod tests {
         let mut log = ConnectionLog::default();
         let open = |local, bytes| picture(true, vec![connection(local, bytes)]);
         assert_eq!(bytes(&log.observe(&open("10.0.0.2:1", 5), after(0))), [0; 0]);
-        // It was reopened from another port.
+        // The connection was reopened from another port.
         assert_eq!(bytes(&log.observe(&open("10.0.0.2:2", 1), after(1))), [5]);
-        // The edge went away.
+        // The edge disconnected.
         let gone = picture(false, vec![connection("10.0.0.2:2", 1)]);
         assert_eq!(bytes(&log.observe(&gone, after(2))), [1]);
         assert_eq!(bytes(&log.observe(&gone, after(3))), [0; 0]);

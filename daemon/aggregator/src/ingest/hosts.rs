@@ -1,59 +1,65 @@
-//! The hosts that are known: those of which something is stored, with their secrets, and newcomers.
+//! The known hosts: the stored ones with their secrets, and newcomers.
 //!
-//! A newcomer is a host that was let in and of which nothing is stored yet. It is kept in memory while it is connected and
-//! nowhere else; its first batch makes it a host that is stored. So whoever invents hosts fills neither the database nor
-//! the pages: there are as many newcomers as hosts may be stored, and beyond that the one that came first makes way. An agent
-//! stores its first event within a second.
+//! A newcomer is a host whose hello was accepted and of which nothing is stored yet. It exists only in memory and only
+//! while it is connected; its first batch makes it a stored host. So invented hosts fill neither the database nor the
+//! pages: the number of newcomers is limited to `max_hosts`, and beyond that the oldest newcomer is dropped. A genuine
+//! agent stores its first event within a second.
 
 use std::collections::HashMap;
 
 use peernet_clock::{MonoTime, Span};
 use peernet_logger::HostId;
-use peernet_stream::{HostSecret, Missing};
+use peernet_stream::{HostSecret, MissingBatches};
 
 use peernet_store::writing::Introduction;
 
-/// How often the secret of one host is read from the database again because a proof was wrong.
+/// Shortest interval between two reads of a host's secret from the database. A wrong proof causes such a read, because
+/// an operator may have cleared the secret; the interval limits the reads that somebody who guesses secrets can cause.
 const CHECK_EVERY: Span = Span::from_seconds(1);
 
-/// The hosts that are known.
+/// The known hosts.
 #[derive(Debug)]
 pub(crate) struct Hosts {
+    /// Largest number of stored hosts, and of newcomers.
     most: usize,
     stored: HashMap<HostId, StoredHost>,
     newcomers: HashMap<HostId, Newcomer>,
-    /// Newcomers that came so far.
-    came: u64,
+    /// Number of newcomers so far.
+    arrival_number: u64,
 }
 
+/// A host that is in the database.
 #[derive(Debug)]
 struct StoredHost {
-    /// Smaller for a host that has been stored for longer.
+    /// Rank by age in the database: smaller for a host that has been stored longer.
     seniority: u64,
-    /// `None` for a host of an earlier version, or after an operator cleared it.
+    /// The host's secret; `None` for a host of an earlier version or after an operator cleared it.
     secret: Option<HostSecret>,
+    /// Time of the last read of the secret after a wrong proof.
     checked: Option<MonoTime>,
 }
 
-/// A host that was let in and of which nothing is stored.
+/// A host whose hello was accepted and of which nothing is stored.
 #[derive(Clone, Debug)]
 pub(super) struct Newcomer {
-    /// How it introduced itself, with the secret that it proved to have.
+    /// The host's introduction, with the secret that it proved to have.
     pub(super) introduction: Introduction,
-    /// Batches that it no longer holds and that are not here.
-    pub(super) missing: Option<Missing>,
-    came: u64,
+    /// Batches that the agent no longer holds and that are not in the database.
+    pub(super) missing: Option<MissingBatches>,
+    /// Number in the order of arrival.
+    arrival_number: u64,
 }
 
 impl Hosts {
-    /// The hosts that are stored, those first that came first; no more than `most` are let in.
+    /// Creates the table of the stored hosts, oldest first. At most `most` hosts are stored.
     pub(crate) fn new(most: usize, stored: Vec<(HostId, Option<HostSecret>)>) -> Self {
-        let mut hosts = Self { most, stored: HashMap::new(), newcomers: HashMap::new(), came: 0 };
+        let mut hosts = Self { most, stored: HashMap::new(), newcomers: HashMap::new(), arrival_number: 0 };
         hosts.restart(stored);
         hosts
     }
 
-    /// The database is another one, which holds these hosts; newcomers are to come again.
+    /// Replaces the stored hosts after the database was reopened. Newcomers are dropped and have to send their hello
+    /// again.
     pub(super) fn restart(&mut self, stored: Vec<(HostId, Option<HostSecret>)>) {
         self.newcomers.clear();
         let stored = (0..).zip(stored);
@@ -62,7 +68,7 @@ impl Hosts {
         self.stored = stored.collect();
     }
 
-    /// Why a host cannot be let in, if it is not known and there are too many.
+    /// Returns the reason for refusing a host that is not stored, if the number of stored hosts has reached its limit.
     pub(super) fn refuses(&self, host: HostId) -> Option<String> {
         let full = !self.is_stored(host) && self.stored.len() >= self.most;
         full.then(|| {
@@ -74,20 +80,22 @@ impl Hosts {
         })
     }
 
+    /// Returns whether a host is in the database.
     pub(super) fn is_stored(&self, host: HostId) -> bool {
         self.stored.contains_key(&host)
     }
 
+    /// Returns whether a host is connected and not stored yet.
     pub(super) fn is_newcomer(&self, host: HostId) -> bool {
         self.newcomers.contains_key(&host)
     }
 
-    /// Smaller for a host that has been stored for longer; `None` for one of which nothing is stored.
+    /// Returns the host's rank by age, smaller for a host that has been stored longer; `None` if it is not stored.
     pub(super) fn seniority(&self, host: HostId) -> Option<u64> {
         self.stored.get(&host).map(|host| host.seniority)
     }
 
-    /// The secret that belongs to a host, if one is known.
+    /// Returns the host's secret, if one is known.
     pub(super) fn secret(&self, host: HostId) -> Option<&HostSecret> {
         match self.stored.get(&host) {
             Some(stored) => stored.secret.as_ref(),
@@ -95,16 +103,18 @@ impl Hosts {
         }
     }
 
-    /// A stored host has proven that it has this secret; what an operator cleared is kept anew.
+    /// Records the secret that a stored host has proven to have, if the host has no secret: an operator cleared it, or
+    /// the host was stored by an earlier version.
     pub(super) fn enrol(&mut self, host: HostId, secret: &HostSecret) {
         if let Some(stored) = self.stored.get_mut(&host) {
+            // A known secret is never replaced; only an operator can clear it.
             stored.secret.get_or_insert_with(|| secret.clone());
         }
     }
 
-    /// Whether the secret of a host is to be read from the database again: a proof was wrong, and an operator may have
-    /// cleared it.
-    pub(super) fn is_to_be_checked(&mut self, host: HostId, now: MonoTime) -> bool {
+    /// Returns whether the host's secret has to be read from the database again after a wrong proof: an operator may
+    /// have cleared it. At most once per `CHECK_EVERY`.
+    pub(super) fn needs_secret_check(&mut self, host: HostId, now: MonoTime) -> bool {
         let Some(stored) = self.stored.get_mut(&host) else { return false };
         let due = stored.checked.is_none_or(|at| now - at >= CHECK_EVERY);
         if due {
@@ -113,26 +123,27 @@ impl Hosts {
         due
     }
 
-    /// The secret of a host as it stands in the database.
-    pub(super) fn checked(&mut self, host: HostId, secret: Option<HostSecret>) {
+    /// Replaces the host's secret by the one in the database.
+    pub(super) fn set_secret(&mut self, host: HostId, secret: Option<HostSecret>) {
         if let Some(stored) = self.stored.get_mut(&host) {
             stored.secret = secret;
         }
     }
 
-    /// A host was let in of which nothing is stored. What was found of the same stream before stays. Returns the newcomer
-    /// that makes way.
+    /// Adds a host of which nothing is stored. Findings of an earlier hello of the same stream are kept. Returns the
+    /// newcomer that was dropped for it.
     pub(super) fn welcome(
         &mut self,
         introduction: Introduction,
-        missing: Option<Missing>,
+        missing: Option<MissingBatches>,
     ) -> Option<Newcomer> {
         let host = introduction.host.id;
-        self.came += 1;
-        let mut newcomer = Newcomer { introduction, missing, came: self.came };
+        self.arrival_number += 1;
+        let mut newcomer = Newcomer { introduction, missing, arrival_number: self.arrival_number };
         let before = self.newcomers.remove(&host);
         let mut gone = None;
         match before {
+            // Findings of the first hello would otherwise be lost: later hellos do not report them again.
             Some(before) if before.introduction.stream == newcomer.introduction.stream => {
                 let (new, old) = (&mut newcomer.introduction, before.introduction);
                 new.replaced = new.replaced.or(old.replaced);
@@ -141,7 +152,7 @@ impl Hosts {
             }
             Some(before) => gone = Some(before),
             None if self.newcomers.len() >= self.most => {
-                let first = self.newcomers.iter().min_by_key(|(_, newcomer)| newcomer.came);
+                let first = self.newcomers.iter().min_by_key(|(_, newcomer)| newcomer.arrival_number);
                 let first = first.map(|(host, _)| *host);
                 gone = first.and_then(|first| self.newcomers.remove(&first));
             }
@@ -151,7 +162,7 @@ impl Hosts {
         gone
     }
 
-    /// The first batch of a newcomer is about to be stored, and the host with it.
+    /// Turns a newcomer into a stored host, because its first batch is about to be stored.
     pub(super) fn store(&mut self, host: HostId) -> Option<Newcomer> {
         let newcomer = self.newcomers.remove(&host)?;
         let seniority = self.stored.values().map(|host| host.seniority + 1).max().unwrap_or(0);
@@ -160,13 +171,13 @@ impl Hosts {
         Some(newcomer)
     }
 
-    /// A newcomer has gone.
+    /// Removes a newcomer that disconnected.
     pub(super) fn forget(&mut self, host: HostId) -> Option<Newcomer> {
         self.newcomers.remove(&host)
     }
 
-    /// Newcomers for which `gone` holds.
-    pub(super) fn newcomers_that(&self, gone: impl Fn(HostId) -> bool) -> Vec<HostId> {
+    /// Returns the newcomers for which `gone` is true.
+    pub(super) fn newcomers_where(&self, gone: impl Fn(HostId) -> bool) -> Vec<HostId> {
         self.newcomers.keys().copied().filter(|host| gone(*host)).collect()
     }
 }
@@ -201,7 +212,7 @@ mod tests {
     }
 
     #[test]
-    fn whoever_invents_hosts_takes_no_memory() {
+    fn invented_hosts_take_no_memory() {
         let mut hosts = Hosts::new(1_000, Vec::new());
         let gone = (0..20_000).filter(|_| hosts.welcome(introduction(HostId::random()), None).is_some());
         assert_eq!(gone.count(), 19_000);
@@ -216,19 +227,19 @@ mod tests {
         assert_eq!(hosts.refuses(second), None);
         hosts.welcome(introduction(second), None);
         assert!(hosts.store(second).is_some() && hosts.seniority(known) < hosts.seniority(second));
-        let words = hosts.refuses(HostId::random()).expect("it is full");
-        assert!(words.contains("max_hosts"), "{words}");
+        let refusal = hosts.refuses(HostId::random()).expect("it is full");
+        assert!(refusal.contains("max_hosts"), "{refusal}");
         assert_eq!((hosts.refuses(known), hosts.refuses(second)), (None, None));
     }
 
     #[test]
-    fn cleared_secret_is_forgotten_once_it_was_read_again() {
+    fn cleared_secret_is_replaced_after_reread() {
         let (host, at) = (HostId::random(), |seconds| MonoTime::from_nanos(0) + Span::from_seconds(seconds));
         let mut hosts = Hosts::new(1, vec![(host, Some(HostSecret::random()))]);
-        assert!(hosts.is_to_be_checked(host, at(0)));
-        assert!(!hosts.is_to_be_checked(host, at(0)), "whoever guesses causes one question a second");
-        assert!(hosts.is_to_be_checked(host, at(1)));
-        hosts.checked(host, None);
+        assert!(hosts.needs_secret_check(host, at(0)));
+        assert!(!hosts.needs_secret_check(host, at(0)), "whoever guesses causes one question a second");
+        assert!(hosts.needs_secret_check(host, at(1)));
+        hosts.set_secret(host, None);
         assert_eq!(hosts.secret(host), None);
         let secret = HostSecret::random();
         hosts.enrol(host, &secret);

@@ -1,6 +1,6 @@
-//! From the socket to the store: who may speak ([`session`], [`hosts`], [`routes`]), the socket itself ([`socket`]), a bounded [`queue`], the
-//! thread that makes rows of what was let in ([`preparing`]), and the task that commits them ([`committing`]), which opens
-//! the database anew when its file fails or is replaced ([`reopening`]).
+//! The way from the socket to the store: the decision who may send ([`session`], [`hosts`], [`routes`]), the socket
+//! ([`socket`]), a bounded [`queue`], the thread that turns batches into rows ([`preparing`]), the task that commits
+//! them ([`committing`]), and the reopening of a database whose file fails or is replaced ([`reopening`]).
 
 pub(crate) mod committing;
 mod connection_log;
@@ -12,7 +12,7 @@ mod routes;
 mod session;
 pub(crate) mod socket;
 
-pub(crate) use self::committing::Errand;
+pub(crate) use self::committing::WriterRequest;
 pub(crate) use self::hosts::Hosts;
 pub(crate) use self::queue::{MOST_WINDOW, ROOM_BYTES, queue};
 pub(crate) use self::reopening::Reopening;

@@ -1,6 +1,8 @@
-//! The stage between the socket and the writer: reads events and makes rows of them while SQLite works on what came
-//! before. One thread, so that order is kept without further ado: it does the work of a batch in a fraction of the
-//! time that SQLite takes for it.
+//! The stage between the socket and the writer: reads events and turns them into rows while SQLite works on the
+//! previous group.
+//!
+//! Preparing depends on its input only, so it runs in parallel with SQLite's thread. One thread is enough, and it keeps
+//! the order of batches: it needs a fraction of the time that SQLite needs for a batch.
 
 use std::sync::Arc;
 
@@ -8,50 +10,55 @@ use peernet_clock::MonoTime;
 use tokio::runtime::Handle;
 use tokio::sync::{OwnedSemaphorePermit, Semaphore, mpsc};
 
-use super::queue::{Incoming, Waiting};
+use super::queue::{Incoming, QueueItem};
 use peernet_store::writing::Work;
 
-/// Prepared pieces of work that may wait for the writer; bounded by nodes beside that.
+/// Largest number of prepared pieces of work. Their nodes are limited, too.
 const PIECES: usize = 4_096;
 
-/// Work that is ready for the writer, and the room it takes until this is dropped.
+/// Work that is ready for the writer. It occupies its room in the queue until it is dropped.
 #[derive(Debug)]
-pub(crate) struct Queued {
+pub(crate) struct PreparedWork {
     pub(crate) work: Work,
-    /// How often the database had been opened anew when it was let in.
+    /// Generation of the database when the work was admitted.
     pub(crate) generation: u64,
-    /// When it was let in.
+    /// Time of the admission.
     pub(crate) since: MonoTime,
     pub(crate) room: [OwnedSemaphorePermit; 2],
 }
 
-/// What is prepared and not stored yet.
+/// The sending end of the prepared work.
 #[derive(Debug)]
-pub(crate) struct Ready {
-    sender: mpsc::Sender<Queued>,
+pub(crate) struct PreparedSender {
+    sender: mpsc::Sender<PreparedWork>,
     nodes: Arc<Semaphore>,
     most_nodes: u32,
 }
 
-/// Room for prepared work of so many nodes; a single larger piece has room as well.
-pub(crate) fn ready(most_nodes: usize) -> (Ready, mpsc::Receiver<Queued>) {
+/// Creates the channel of prepared work with room for `most_nodes` nodes. A single larger piece of work has room, too.
+pub(crate) fn channel(most_nodes: usize) -> (PreparedSender, mpsc::Receiver<PreparedWork>) {
     let (sender, receiver) = mpsc::channel(PIECES);
     let most_nodes = u32::try_from(most_nodes).unwrap_or(u32::MAX);
-    (Ready { sender, nodes: Arc::new(Semaphore::new(most_nodes as usize)), most_nodes }, receiver)
+    (PreparedSender { sender, nodes: Arc::new(Semaphore::new(most_nodes as usize)), most_nodes }, receiver)
 }
 
-/// Prepares until nothing more will come or the writer has gone. For a thread of its own.
-pub(crate) fn run(runtime: &Handle, mut waiting: mpsc::Receiver<Waiting>, ready: &Ready) {
-    while let Some(Waiting { incoming, generation, since, room }) = waiting.blocking_recv() {
+/// Prepares work until the queue is closed or the writer has ended. Blocks its thread.
+pub(crate) fn run(runtime: &Handle, mut waiting: mpsc::Receiver<QueueItem>, prepared: &PreparedSender) {
+    while let Some(QueueItem { incoming, generation, since, room }) = waiting.blocking_recv() {
         let work = match incoming {
             Incoming::Work(work) => work,
             Incoming::Batch(head, body) => Work::of_batch(head, body),
         };
-        let weight = u32::try_from(work.weight()).unwrap_or(u32::MAX).min(ready.most_nodes);
-        let nodes = runtime.block_on(Arc::clone(&ready.nodes).acquire_many_owned(weight));
-        // Closed only when the writer gave up.
+        // At most all permits, so that work larger than the whole room passes, too.
+        let weight = u32::try_from(work.weight()).unwrap_or(u32::MAX).min(prepared.most_nodes);
+        let nodes = runtime.block_on(Arc::clone(&prepared.nodes).acquire_many_owned(weight));
+        // The semaphore is closed only after the writer ended.
         let Ok(nodes) = nodes else { return };
-        if ready.sender.blocking_send(Queued { work, generation, since, room: [room, nodes] }).is_err() {
+        if prepared
+            .sender
+            .blocking_send(PreparedWork { work, generation, since, room: [room, nodes] })
+            .is_err()
+        {
             return;
         }
     }

@@ -1,7 +1,7 @@
-//! What waits to be stored, bounded by number and bytes.
+//! The bounded queue of work that waits to be stored, limited by number and bytes.
 //!
-//! The socket must never wait for the database: live updates come through it. So there is room or there is not; what
-//! finds none counts as never come, and is asked for again when there is some.
+//! The socket must not wait for the database, because live updates arrive on the same socket. So adding to the queue
+//! never waits: work without room is treated as if it had not arrived, and is requested again when there is room.
 
 use std::sync::Arc;
 
@@ -12,55 +12,57 @@ use tokio::sync::{OwnedSemaphorePermit, Semaphore, mpsc};
 
 use peernet_store::writing::Work;
 
-/// Bytes of batches that may wait, from their arrival until they are stored.
+/// Memory for waiting batches, from their arrival until they are stored, bytes.
 pub(crate) const ROOM_BYTES: usize = 96 * 1024 * 1024;
-/// What one agent may have under way, in batches of its usual length: about 160,000 nodes, so that there is always
-/// enough to be prepared while a commit syncs, also where few agents send.
+/// Largest window of one agent, in batches of the usual size. The window is the aggregator's room divided by the
+/// connected agents, at most this: 32 batches have about 160,000 nodes, several commits' worth, so that a single agent
+/// keeps the writer busy while a commit syncs.
 pub(crate) const MOST_WINDOW: u32 = 32;
-/// Pieces of work that may wait: as many small batches as there is room for.
+/// Largest number of waiting pieces of work: the room filled with the smallest batches.
 const ROOM_ITEMS: usize = ROOM_BYTES / PER_PERMIT;
-/// Bytes per permit: permits are counted in 32 bits.
+/// Bytes per permit of the semaphore, which counts permits in 32 bits.
 const PER_PERMIT: usize = 1_024;
 
-/// What was let in.
+/// Admitted work.
 #[derive(Debug)]
 pub(crate) enum Incoming {
-    /// Ready to be stored.
+    /// Work that needs no preparation.
     Work(Work),
-    /// Events that match their hash and have not been read yet.
+    /// Events that match their hash and are not decoded yet.
     Batch(BatchHead, Bytes),
 }
 
-/// What was let in, when, and the room it takes until this is dropped.
+/// Admitted work with its time of admission. It occupies its room until it is dropped.
 #[derive(Debug)]
-pub(crate) struct Waiting {
+pub(crate) struct QueueItem {
     pub(crate) incoming: Incoming,
     pub(crate) generation: u64,
     pub(crate) since: MonoTime,
     pub(crate) room: OwnedSemaphorePermit,
 }
 
-/// The end where work comes in.
+/// The sending end of the queue.
 #[derive(Debug)]
 pub(crate) struct Queue {
     room: Arc<Semaphore>,
-    /// `None` once closed.
-    sender: Option<mpsc::Sender<Waiting>>,
-    /// How often the database was opened anew. What was let in before is compared with the marks of the one before.
+    /// `None` after [`Queue::close`].
+    sender: Option<mpsc::Sender<QueueItem>>,
+    /// Number of times that the database was reopened. Work admitted before was checked against the stored state of the
+    /// previous database.
     generation: u64,
 }
 
-/// A place that a piece of work will take.
+/// A reserved slot of the queue with room for a number of bytes.
 #[derive(Debug)]
-pub(super) struct Place<'a> {
+pub(super) struct QueueSlot<'a> {
     queue: &'a Queue,
-    slot: mpsc::Permit<'a, Waiting>,
+    permit: mpsc::Permit<'a, QueueItem>,
     room: OwnedSemaphorePermit,
     bytes: usize,
 }
 
-/// An empty queue.
-pub(crate) fn queue() -> (Queue, mpsc::Receiver<Waiting>) {
+/// Creates an empty queue.
+pub(crate) fn queue() -> (Queue, mpsc::Receiver<QueueItem>) {
     let (sender, receiver) = mpsc::channel(ROOM_ITEMS);
     (
         Queue {
@@ -73,45 +75,48 @@ pub(crate) fn queue() -> (Queue, mpsc::Receiver<Waiting>) {
 }
 
 impl Queue {
-    /// A place for so many bytes, if there is one now.
-    pub(super) fn place(&self, bytes: usize) -> Option<Place<'_>> {
+    /// Reserves a slot with room for `bytes`, if there is room now.
+    pub(super) fn reserve(&self, bytes: usize) -> Option<QueueSlot<'_>> {
         let room = self.take(bytes / PER_PERMIT + 1)?;
-        Some(Place { queue: self, slot: self.sender.as_ref()?.try_reserve().ok()?, room, bytes })
+        Some(QueueSlot { queue: self, permit: self.sender.as_ref()?.try_reserve().ok()?, room, bytes })
     }
 
-    /// How many pieces of so many bytes there is room for.
+    /// Returns how many pieces of work of `bytes` each there is room for.
     pub(super) fn room_for(&self, bytes: usize) -> usize {
         let slots = self.sender.as_ref().map_or(0, mpsc::Sender::capacity);
         slots.min(self.room.available_permits() / (bytes / PER_PERMIT + 1))
     }
 
-    /// The database was opened anew.
+    /// Marks later work as checked against the reopened database.
     pub(super) fn begin_generation(&mut self) {
         self.generation += 1;
     }
 
-    /// Nothing more will come.
+    /// Closes the queue: no further work is admitted.
     pub(super) fn close(&mut self) {
+        // Dropping the only sender ends the receiver's loop after the queued work.
         self.sender = None;
     }
 
+    /// Reserves room, if there is enough.
     fn take(&self, permits: usize) -> Option<OwnedSemaphorePermit> {
         Arc::clone(&self.room).try_acquire_many_owned(u32::try_from(permits).ok()?).ok()
     }
 }
 
-impl Place<'_> {
-    /// The place made large enough for so many bytes, if there is room now.
+impl QueueSlot<'_> {
+    /// Enlarges the reserved room to `bytes`, if there is room now.
     pub(super) fn grown_to(mut self, bytes: usize) -> Option<Self> {
+        // A slot holds `bytes / PER_PERMIT + 1` permits, so the difference of the quotients is sufficient.
         let more = (bytes / PER_PERMIT).saturating_sub(self.bytes / PER_PERMIT);
         self.room.merge(self.queue.take(more)?);
         Some(self)
     }
 
-    /// Puts something there.
+    /// Fills the slot.
     pub(super) fn put(self, incoming: Incoming, since: MonoTime) {
         let generation = self.queue.generation;
-        self.slot.send(Waiting { incoming, generation, since, room: self.room });
+        self.permit.send(QueueItem { incoming, generation, since, room: self.room });
     }
 }
 
@@ -120,26 +125,26 @@ mod tests {
     use super::*;
 
     #[test]
-    fn room_is_taken_by_bytes_and_given_back() {
+    fn room_is_reserved_by_bytes_and_released() {
         let (queue, mut waiting) = queue();
         let fits = queue.room_for(1 << 20);
         assert_eq!(fits, ROOM_BYTES / PER_PERMIT / 1_025);
         let frame = || Incoming::Work(Work::Goodbye(peernet_logger::HostId::random()));
         for _ in 0..fits {
-            queue.place(1 << 20).expect("there is room").put(frame(), MonoTime::from_nanos(0));
+            queue.reserve(1 << 20).expect("there is room").put(frame(), MonoTime::from_nanos(0));
         }
-        assert!(queue.place(1 << 20).is_none(), "full");
-        let small = queue.place(1_000).expect("there is a little");
+        assert!(queue.reserve(1 << 20).is_none(), "full");
+        let small = queue.reserve(1_000).expect("there is a little");
         assert!(small.grown_to(1 << 20).is_none(), "it cannot grow");
         drop(waiting.try_recv().expect("the first"));
-        let grown = queue.place(1_000).and_then(|place| place.grown_to((1 << 20) - 1));
+        let grown = queue.reserve(1_000).and_then(|slot| slot.grown_to((1 << 20) - 1));
         grown.expect("there is room again").put(frame(), MonoTime::from_nanos(0));
     }
 
     #[test]
-    fn nothing_comes_in_after_it_is_closed() {
+    fn closed_queue_admits_nothing() {
         let (mut queue, waiting) = queue();
         queue.close();
-        assert!(queue.place(0).is_none() && queue.room_for(0) == 0 && waiting.is_closed());
+        assert!(queue.reserve(0).is_none() && queue.room_for(0) == 0 && waiting.is_closed());
     }
 }

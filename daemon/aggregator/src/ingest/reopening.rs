@@ -1,75 +1,83 @@
-//! Closes a database whose file failed or was replaced, and opens what stands at its path as soon as that works.
+//! Closes a database whose file failed or was replaced, and opens the file at its path as soon as that is possible.
+//!
+//! The writer compares the file at the path with the open file before and after each commit and once a second while it
+//! is idle. This one mechanism covers descriptors that became read-only, and files that were moved, replaced or
+//! unmounted, because it assumes nothing about the file's content. An empty or missing file is never opened: an
+//! operator who moves the database away would otherwise get a new, empty one. Work admitted under an earlier generation
+//! is dropped.
 
 use std::path::PathBuf;
 use std::time::Duration;
 
-use super::committing::{Backoff, Errand, StoreEvent, Wires, not_storing, set};
+use super::committing::{Backoff, StoreEvent, TaskContext, WriterRequest, not_storing, set_readiness};
 use crate::readiness::Readiness;
 use peernet_store::writing::{CommitError, Integrity, OpenDatabase};
 use peernet_store::{RetentionConfig, Store, StoreError};
 
-/// What is needed to open the database anew.
+/// The parameters of reopening the database.
 #[derive(Debug)]
 pub(crate) struct Reopening {
-    /// Where it stands.
+    /// Path of the database.
     pub(crate) path: PathBuf,
     pub(crate) retention: RetentionConfig,
     pub(crate) integrity: Integrity,
-    /// The readers, whose connections are replaced as well.
+    /// The readers; their connections are replaced, too.
     pub(crate) store: Store,
 }
 
 impl Reopening {
-    /// Closes all connections, so that a file system can be unmounted, and tries until the file can be opened and
-    /// written. `None` when told to stop before.
+    /// Closes all connections, so that the file system can be unmounted, and retries until the file can be opened and
+    /// written. Returns `None` if the aggregator is stopped before.
     pub(super) async fn reopen(
         &self,
         database: OpenDatabase,
         error: &CommitError,
-        wires: &mut Wires,
+        context: &mut TaskContext,
         backoff: &mut Backoff,
     ) -> Option<OpenDatabase> {
-        set(&wires.ready, not_storing(error));
-        // Closed only while everything ends; so below.
-        let _ended = wires.stored.send(StoreEvent::Closed).await;
-        // SQLite carries its log over when the last connection is closed.
+        // Set before the files are closed, which may take long.
+        set_readiness(&context.ready, not_storing(error));
+        // The receiver is closed only while the aggregator ends, here and below.
+        let _ended = context.stored.send(StoreEvent::Closed).await;
+        // SQLite checkpoints its log when the last connection is closed, so the readers are closed before the writer.
         self.store.close().await;
         let (former, closed) = database.close().await;
         if let Err(error) = closed {
             tracing::debug!(%error, database = %self.path.display(), "the database was not closed well");
         }
         loop {
-            pause(backoff.next(), wires).await?;
+            pause(backoff.next(), context).await?;
             match OpenDatabase::reopen(&self.path, self.retention, &self.integrity, &former).await {
                 Ok((database, state)) => {
                     self.store.reopen();
-                    let _ended = wires.stored.send(StoreEvent::Opened(Box::new(state))).await;
-                    set(&wires.ready, Readiness::Ready);
+                    let _ended = context.stored.send(StoreEvent::Opened(Box::new(state))).await;
+                    set_readiness(&context.ready, Readiness::Ready);
                     return Some(database);
                 }
-                Err(error) => set(&wires.ready, not_storing(&error)),
+                Err(error) => set_readiness(&context.ready, not_storing(&error)),
             }
         }
     }
 }
 
-/// Waits; errands are refused meanwhile. `None` when told to stop before the end.
-async fn pause(pause: Duration, wires: &mut Wires) -> Option<()> {
+/// Waits for `pause` and refuses requests meanwhile. Returns `None` if the aggregator is stopped before the end.
+async fn pause(pause: Duration, context: &mut TaskContext) -> Option<()> {
     let end = tokio::time::sleep(pause);
     tokio::pin!(end);
     loop {
         tokio::select! {
             () = &mut end => return Some(()),
-            () = wires.stop.cancelled() => return None,
-            Some(errand) = wires.errands.recv() => refuse(errand),
+            () = context.stop.cancelled() => return None,
+            Some(request) = context.requests.recv() => refuse(request),
         }
     }
 }
 
-fn refuse(errand: Errand) {
-    match errand {
-        Errand::Pin(_, _, answer) => {
-            // Whoever asked may have gone.
+/// Refuses a request because no database is open.
+fn refuse(request: WriterRequest) {
+    match request {
+        WriterRequest::Pin(_, _, answer) => {
+            // The requester may have been dropped.
             let _gone = answer.send(Err(StoreError::no_database()));
         }
     }

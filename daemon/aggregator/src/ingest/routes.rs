@@ -1,63 +1,64 @@
-//! Which host spoke on which connection.
+//! The connection of each host with a session.
 
 use std::collections::HashMap;
 
 use peernet_logger::HostId;
 use peernet_networks::ConnectionId;
 
-/// Hosts that may say hello on one connection: an agent needs one. There is no limit for all together: whoever
-/// reached it would lock the others out, and the picture has one of its own.
+/// Largest number of hosts on one connection; an agent needs one. The hosts of all connections together are not limited
+/// here: somebody who reached that limit would lock out all other agents, and the live picture has a limit for hosts.
 const MOST_PER_CONNECTION: usize = 64;
 
-/// What a connection may send from now on.
+/// A change of what a connection may send.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Admission {
-    /// A host's hello was accepted on it.
+    /// A host's hello was accepted on the connection.
     Admit(ConnectionId),
-    /// It has no host any more.
+    /// The connection has no host any more.
     Demote(ConnectionId),
 }
 
-/// The connection on which each host said hello.
+/// The connection on which each host sent its hello.
 #[derive(Debug, Default)]
 pub(super) struct Routes {
     connections: HashMap<HostId, ConnectionId>,
-    /// What changed for connections and was not taken yet.
+    /// Changes for connections that were not collected yet.
     admissions: Vec<Admission>,
 }
 
 impl Routes {
-    /// The connection of a host.
+    /// Returns the connection of a host.
     pub(super) fn of(&self, host: HostId) -> Option<ConnectionId> {
         self.connections.get(&host).copied()
     }
 
-    /// All hosts that are here.
+    /// Returns all hosts with a connection.
     pub(super) fn hosts(&self) -> impl Iterator<Item = HostId> {
         self.connections.keys().copied()
     }
 
-    /// A host said hello on a connection.
+    /// Records that a host's hello was accepted on a connection.
     pub(super) fn enter(&mut self, host: HostId, connection: ConnectionId) {
+        // The host may have opened a new connection before the old one was noticed to be lost.
         let left = self.connections.insert(host, connection);
         self.admissions.push(Admission::Admit(connection));
         self.demote(left);
     }
 
-    /// A host is gone.
+    /// Removes a host.
     pub(super) fn leave(&mut self, host: HostId) {
         let left = self.connections.remove(&host);
         self.demote(left);
     }
 
-    /// All hosts are gone. Returns the connection of each.
+    /// Removes all hosts. Returns the connection of each.
     pub(super) fn clear(&mut self) -> Vec<ConnectionId> {
         let left: Vec<ConnectionId> = self.connections.drain().map(|(_, connection)| connection).collect();
         self.admissions.extend(left.iter().copied().map(Admission::Demote));
         left
     }
 
-    /// What speaks against one more host.
+    /// Returns a reason for refusing another host on this connection, if it has too many.
     pub(super) fn too_many(&self, connection: ConnectionId, host: HostId) -> Option<String> {
         if self.connections.contains_key(&host) {
             return None;
@@ -67,12 +68,12 @@ impl Routes {
             .then(|| format!("{here} hosts said hello on this connection: let each agent open its own"))
     }
 
-    /// Which connections have a host from now on, and which have none any more.
+    /// Returns and clears the collected changes for connections.
     pub(super) fn take_admissions(&mut self) -> Vec<Admission> {
         std::mem::take(&mut self.admissions)
     }
 
-    /// Demotes a connection that a host left, unless there are others on it.
+    /// Demotes a connection that a host left, unless other hosts use it.
     fn demote(&mut self, left: Option<ConnectionId>) {
         let is_empty = |left: &ConnectionId| !self.connections.values().any(|other| other == left);
         self.admissions.extend(left.filter(is_empty).map(Admission::Demote));

@@ -1,4 +1,4 @@
-//! Who may speak, and what becomes of each frame. No sockets here: frames in, replies and news out.
+//! The decisions about each frame and each host. Free of I/O: frames go in, replies and live events come out.
 
 mod greeting;
 mod output;
@@ -17,17 +17,17 @@ use super::committing::StoreEvent;
 use super::hosts::{Hosts, Newcomer};
 use super::queue::{Incoming, Queue};
 use super::routes::{Admission, Routes};
-use crate::live::News;
+use crate::live::LiveEvent;
 use peernet_store::writing::{Aside, Committed, RunName, StoredState, Streams, Work};
 
-/// A host that was silent for so long is asked to say hello again.
+/// Time without messages after which a host loses its session and has to send its hello again.
 const FORGET_SESSIONS: Span = Span::from_seconds(60);
-/// A host of which nothing is stored leaves after this silence: agents speak four times a second.
+/// Time without messages after which a newcomer is dropped. Agents send four messages a second.
 const FORGET_NEWCOMERS: Span = Span::from_seconds(10);
-/// Bytes of a batch as agents cut them, as a rule: by them it is reckoned how many there is room for.
+/// Usual size of a batch as agents cut them, bytes. The number of batches that have room is computed with it.
 const USUAL_BATCH: usize = 128 * 1024;
 
-/// Decides about every frame.
+/// The state of ingest, which decides about each frame.
 #[derive(Debug)]
 pub(crate) struct IngestSession {
     receiving: Receiving,
@@ -41,8 +41,8 @@ pub(crate) struct IngestSession {
 }
 
 impl IngestSession {
-    /// A session that knows nobody; `hosts` and `streams` are what is stored, `unknown` the runs of which the store knows iterations
-    /// only.
+    /// Creates the state without sessions. `hosts` and `streams` come from the database; `unknown` are runs of which
+    /// the database has iterations only.
     pub(crate) fn new(
         receiving: Receiving,
         challenges: Challenges<ConnectionId>,
@@ -63,10 +63,11 @@ impl IngestSession {
         }
     }
 
-    /// A frame came from a connection.
+    /// Processes a frame of a connection.
     pub(super) fn frame(&mut self, from: &Peer, frame: &Bytes, now: Stamp) {
+        // The kind of a frame is decided by its first bytes, so that batches are not decoded twice.
         if let Some(part) = codec::part(frame) {
-            if self.knows(from, part.host)
+            if self.has_session(from, part.host)
                 && let Some(frame) = self.receiving.part(&part, now.mono)
                 && let Some(head) = codec::batch_head(&frame)
             {
@@ -82,25 +83,26 @@ impl IngestSession {
             Ok(ToAggregator::Hello(hello)) => self.hello(from, hello, now),
             Ok(ToAggregator::Proof(proof)) => self.proof(from, proof, now),
             Ok(ToAggregator::Live(update)) => {
-                if self.knows(from, update.host) && self.receiving.live(update.host, now.mono).is_none() {
+                if self.has_session(from, update.host) && self.receiving.live(update.host, now.mono).is_none()
+                {
                     self.name_runs(&update, now.mono);
-                    self.output.announce(News::Update(Box::new(update)));
+                    self.output.announce(LiveEvent::Update(Box::new(update)));
                 }
             }
             Ok(ToAggregator::Echo { host, bytes }) => {
-                if self.knows(from, host) {
+                if self.has_session(from, host) {
                     self.output.reply(from.connection, self.receiving.echo(host, bytes, now.mono));
                 }
             }
             Ok(ToAggregator::Goodbye(host)) => {
-                if self.knows(from, host) && !self.forget_newcomer(host) {
+                if self.has_session(from, host) && !self.forget_newcomer(host) {
                     self.receiving.goodbye(host);
                     self.routes.leave(host);
-                    // Without room the next hello of the host ends its runs.
-                    if let Some(place) = self.queue.place(0) {
-                        place.put(Incoming::Work(Work::Goodbye(host)), now.mono);
+                    // Without room, the next hello of the host ends its runs.
+                    if let Some(slot) = self.queue.reserve(0) {
+                        slot.put(Incoming::Work(Work::Goodbye(host)), now.mono);
                     }
-                    self.output.announce(News::Goodbye(host));
+                    self.output.announce(LiveEvent::Goodbye(host));
                 }
             }
             Err(_) => {
@@ -109,7 +111,8 @@ impl IngestSession {
         }
     }
 
-    /// The live lane names runs whose beginning the store never got: it was acknowledged into another database.
+    /// Stores the names of runs whose start is not in this database because it was acknowledged into another one. The
+    /// live lane states them.
     fn name_runs(&mut self, update: &LiveUpdate, now: MonoTime) {
         if !self.store.has_unnamed() {
             return;
@@ -118,17 +121,17 @@ impl IngestSession {
             let Some(run) = live.run.filter(|run| self.store.is_unnamed(update.host, *run)) else {
                 continue;
             };
-            // Without room, a later update does.
-            let Some(place) = self.queue.place(0) else { return };
+            // Without room, a later update is used.
+            let Some(slot) = self.queue.reserve(0) else { return };
             let (host, pipeline, placement) = (update.host, live.pipeline.clone(), live.placement.clone());
             let name = RunName { host, run, pipeline, placement };
-            place.put(Incoming::Work(Work::Name(Box::new(name))), now);
+            slot.put(Incoming::Work(Work::Name(Box::new(name))), now);
             self.store.named(update.host, run);
         }
     }
 
-    /// Whether the host said hello on that connection; one that did not is asked to.
-    fn knows(&mut self, from: &Peer, host: HostId) -> bool {
+    /// Returns whether the host has a session on the connection. If not, the agent is asked for its hello.
+    fn has_session(&mut self, from: &Peer, host: HostId) -> bool {
         let known = self.routes.of(host) == Some(from.connection);
         if !known {
             self.output.reject_stranger(from.connection);
@@ -136,40 +139,45 @@ impl IngestSession {
         known
     }
 
-    /// A connection has ended. Its hosts say hello again on their next one; of newcomers nothing is kept.
-    pub(super) fn gone(&mut self, connection: ConnectionId) {
+    /// Handles the end of a connection. Its stored hosts send their hello on the next connection; its newcomers are
+    /// dropped.
+    pub(super) fn connection_closed(&mut self, connection: ConnectionId) {
         self.challenges.forget(&connection);
         let routes = &self.routes;
-        for host in self.hosts.newcomers_that(|host| routes.of(host) == Some(connection)) {
+        for host in self.hosts.newcomers_where(|host| routes.of(host) == Some(connection)) {
             self.forget_newcomer(host);
         }
     }
 
+    /// Admits a batch to the queue, or requests it again if there is no room.
     fn batch(&mut self, from: &Peer, head: BatchHead, frame: &Bytes, now: Stamp) {
-        if !self.knows(from, head.host) {
+        if !self.has_session(from, head.host) {
             return;
         }
-        // The first batch of a host brings the host.
+        // The first batch of a newcomer stores the host, too, which needs two more slots.
         let before = if self.hosts.is_newcomer(head.host) {
-            let Some(places) = self.queue.place(0).zip(self.queue.place(0)) else { return self.defer(head) };
-            Some(places)
+            let Some(slots) = self.queue.reserve(0).zip(self.queue.reserve(0)) else {
+                return self.defer(head);
+            };
+            Some(slots)
         } else {
             None
         };
-        let Some(place) = self.queue.place(frame.len()) else {
+        let Some(slot) = self.queue.reserve(frame.len()) else {
             drop(before);
             return self.defer(head);
         };
         let body = codec::batch_body(frame.clone());
         let size = body.as_ref().map_or(frame.len(), Bytes::len);
-        // Compressed events take more room than their frame.
-        let Some(place) = place.grown_to(size) else {
+        // Decompressed events need more room than their frame.
+        let Some(slot) = slot.grown_to(size) else {
             drop(before);
             return self.defer(head);
         };
         if body.is_err() {
             self.output.reject_damaged(head.host);
         }
+        // Room is reserved before: a batch that is accepted must not be lost afterwards.
         let arrival = self.receiving.batch(&head, body.is_ok(), now.mono);
         if matches!(arrival, Arrival::Accept | Arrival::AcceptDamaged)
             && let (Some((greeting, hole)), Some(newcomer)) = (before, self.hosts.store(head.host))
@@ -178,20 +186,21 @@ impl IngestSession {
             self.store.streams.came(head.host, introduction.stream);
             greeting.put(Incoming::Work(Work::Hello(Box::new(introduction))), now.mono);
             if let Some(missing) = missing {
-                hole.put(Incoming::Work(Work::Missing(missing)), now.mono);
+                hole.put(Incoming::Work(Work::MissingBatches(missing)), now.mono);
             }
         }
         match (arrival, body) {
-            (Arrival::Accept, Ok(body)) => place.put(Incoming::Batch(head, body), now.mono),
+            (Arrival::Accept, Ok(body)) => slot.put(Incoming::Batch(head, body), now.mono),
             (Arrival::AcceptDamaged, Err(error)) => {
                 let aside = Aside { head, frame: frame.clone(), body: None, reason: error.to_string() };
-                place.put(Incoming::Work(Work::Aside(Box::new(aside))), now.mono);
+                slot.put(Incoming::Work(Work::Aside(Box::new(aside))), now.mono);
             }
             (Arrival::Duplicate(reply), _) => {
+                // The reply acknowledges the batch, which needs an open database.
                 if self.store.is_open() {
                     self.output.reply(from.connection, reply);
                 }
-                self.output.announce(News::Duplicate(head.host));
+                self.output.announce(LiveEvent::Duplicate(head.host));
             }
             (Arrival::Hole(Some(reply)) | Arrival::Unknown(reply), _) => {
                 self.output.reply(from.connection, reply);
@@ -200,34 +209,34 @@ impl IngestSession {
         }
     }
 
-    /// Forgets a host of which nothing is stored; whether there was one.
+    /// Drops a newcomer. Returns whether the host was one.
     fn forget_newcomer(&mut self, host: HostId) -> bool {
         let Some(newcomer) = self.hosts.forget(host) else { return false };
-        self.left(newcomer);
+        self.end_dropped_newcomer(newcomer);
         true
     }
 
-    /// A newcomer is no longer kept, with this stream.
-    fn left(&mut self, Newcomer { introduction, missing, .. }: Newcomer) {
+    /// Ends the session of a dropped newcomer, unless the host is a newcomer with another stream now.
+    fn end_dropped_newcomer(&mut self, Newcomer { introduction, missing, .. }: Newcomer) {
         let host = introduction.host.id;
         if missing.is_some() {
-            // It waits for nothing that will be stored.
+            // The missing range will not be stored, so nothing has to wait for it.
             self.receiving.failed(introduction.stream);
         }
         if !self.hosts.is_newcomer(host) {
             self.receiving.goodbye(host);
             self.routes.leave(host);
-            self.output.announce(News::Forget(host));
+            self.output.announce(LiveEvent::Forget(host));
         }
     }
 
-    /// There is no room for a batch: it counts as never come.
+    /// Treats a batch without room as if it had not arrived.
     fn defer(&mut self, head: BatchHead) {
         self.receiving.deferred(head.stream);
         self.output.defer_batch(head.host);
     }
 
-    /// Asks for what found no room, as far as there is some now.
+    /// Requests deferred batches as far as there is room now.
     fn ask_for_deferred(&mut self) {
         for (host, request) in self.receiving.room(self.queue.room_for(USUAL_BATCH)) {
             if let Some(route) = self.routes.of(host) {
@@ -236,7 +245,7 @@ impl IngestSession {
         }
     }
 
-    /// The writer tells what became of the database.
+    /// Handles a message of the writer's task.
     pub(super) fn store_event(&mut self, event: StoreEvent) {
         match event {
             StoreEvent::Committed(committed) => self.committed(committed),
@@ -245,7 +254,7 @@ impl IngestSession {
         }
     }
 
-    /// A transaction is on disk.
+    /// Acknowledges the batches of a transaction that is on disk.
     fn committed(&mut self, committed: Committed) {
         for (stream, mark) in committed.marks {
             self.store.streams.marks.insert(stream, mark);
@@ -256,26 +265,27 @@ impl IngestSession {
                 self.output.reply(route, reply);
             }
         }
+        // The commit has freed room in the queue.
         self.ask_for_deferred();
         for (host, (stored, newest)) in committed.hosts {
-            self.output.announce(News::Stored(host, stored, newest));
+            self.output.announce(LiveEvent::Stored(host, stored, newest));
         }
         self.store.add_unnamed(committed.unknown);
         for (host, secret) in committed.secrets {
-            self.hosts.checked(host, secret);
+            self.hosts.set_secret(host, secret);
         }
         for (host, run, number) in committed.runs {
-            self.output.announce(News::Run(host, run, number));
+            self.output.announce(LiveEvent::Run(host, run, number));
         }
     }
 
-    /// The database was closed: its file is away or cannot be used. Agents that are known go on sending.
+    /// Handles the closing of the database, whose file is missing or unusable. Agents with a session continue to send.
     fn database_closed(&mut self) {
         self.store.close();
     }
 
-    /// The database was opened anew, and may be another one: every agent has to say hello again, so that its spool is
-    /// compared with what is stored now. What was let in before is dropped by the writer.
+    /// Handles the reopening of the database, which may be another one. Every agent has to send its hello again, so
+    /// that its spool is compared with the stored state. The writer drops work admitted before.
     fn database_opened(&mut self, state: StoredState) {
         let StoredState { streams, runs, unknown, hosts, known } = state;
         self.receiving.forget_sessions();
@@ -285,17 +295,18 @@ impl IngestSession {
         for route in self.routes.clear() {
             self.output.reply(route, ToAgent::Unknown);
         }
-        self.output.announce(News::Reopened { runs, hosts });
+        self.output.announce(LiveEvent::Reopened { runs, hosts });
     }
 
-    /// Time has passed.
+    /// Drops silent hosts and logs repeated refusals.
     pub(super) fn age(&mut self, now: Stamp) {
         self.challenges.age(now.mono);
         let receiving = &self.receiving;
-        let silent = self.hosts.newcomers_that(|host| !receiving.is_alive(host, FORGET_NEWCOMERS, now.mono));
+        let silent = self.hosts.newcomers_where(|host| !receiving.is_alive(host, FORGET_NEWCOMERS, now.mono));
         for host in silent {
             self.forget_newcomer(host);
         }
+        // Silent hosts count in the division of the windows, so they must not keep their share.
         self.receiving.forget_silent(FORGET_SESSIONS, now.mono);
         let is_silent = |host: &HostId| !self.receiving.is_alive(*host, FORGET_SESSIONS, now.mono);
         let silent: Vec<HostId> = self.routes.hosts().filter(is_silent).collect();
@@ -307,27 +318,27 @@ impl IngestSession {
         }
     }
 
-    /// What is to be sent, and to whom.
+    /// Returns and clears the messages to be sent.
     pub(super) fn take_replies(&mut self) -> Vec<(ConnectionId, ToAgent)> {
         self.output.take_replies()
     }
 
-    /// Which connections have a host from now on, and which have none any more.
+    /// Returns and clears the changes of what connections may send.
     pub(super) fn take_admissions(&mut self) -> Vec<Admission> {
         self.routes.take_admissions()
     }
 
-    /// What the live picture should know.
-    pub(super) fn take_news(&mut self) -> Vec<News> {
-        self.output.take_news()
+    /// Returns and clears the events for the live picture.
+    pub(super) fn take_live_events(&mut self) -> Vec<LiveEvent> {
+        self.output.take_live_events()
     }
 
-    /// What could not be taken, since the start.
+    /// Returns the numbers of rejected messages since the start.
     pub(super) const fn rejected(&self) -> RejectedCounts {
         self.output.rejected()
     }
 
-    /// Lets nothing more in: the writer ends when it has stored what waits.
+    /// Closes the queue. The writer ends when it has stored what waits.
     pub(super) fn close(&mut self) {
         self.queue.close();
     }

@@ -1,4 +1,5 @@
-//! The task that owns the socket.
+//! The ingest task, the only owner of the socket. It never waits for the database, because live updates have to arrive
+//! while a commit syncs or the database is closed.
 
 use std::time::Duration;
 
@@ -16,26 +17,28 @@ use super::routes::Admission;
 use super::session::{IngestSession, RejectedCounts};
 use crate::config::AggregatorConfig;
 use crate::error::{Failure, Problem, StartError};
-use crate::live::News;
+use crate::live::LiveEvent;
 
-/// Replies that wait for an agent at most: one that finds no room is repeated when the agent asks again.
+/// Longest queue of replies to one agent. A reply without room is sent again when the agent asks again.
 const MAX_QUEUED_REPLIES: usize = 16;
-/// How often silent hosts are looked for and losses are reported.
+/// Interval of dropping silent hosts and of reporting rejected messages.
 const AGE_EVERY: Duration = Duration::from_secs(5);
-/// A connection without any sign of life for so long is closed.
+/// Interval of ZeroMQ's heartbeats.
 const HEARTBEAT: Duration = Duration::from_secs(2);
+/// Time without any frame after which a connection is closed.
 const HEARTBEAT_TIMEOUT: Duration = Duration::from_secs(10);
-/// How long the last acknowledgements may take on their way out.
+/// Longest time for sending the last acknowledgements at the end.
 const LINGER: Duration = Duration::from_millis(500);
-/// Room in a message for what the library counts beside the payload.
+/// Part of the message limit for the ZMTP framing beside the payload.
 const FRAMING: usize = 4_096;
 
-/// Listens; returns the socket and the address with the port that was really taken.
+/// Listens. Returns the socket and its address with the actual port.
 pub(crate) async fn listen(config: &AggregatorConfig) -> Result<(ZmtpListener, String), StartError> {
     let listen = &config.listen;
     let address: Address =
         listen.parse().map_err(|error| Problem { key: "listen", message: format!("{error}") })?;
     let limits = ListenerLimits {
+        // A share of the file descriptors, so that agents leave some to the database and the dashboard.
         max_connections: DescriptorShare::EventPort.connections(),
         max_message_bytes: MAX_MESSAGE_BYTES + FRAMING,
         max_unfinished_bytes: config.max_unfinished_bytes,
@@ -52,34 +55,35 @@ pub(crate) async fn listen(config: &AggregatorConfig) -> Result<(ZmtpListener, S
     Ok((listener, Address::of_ip(bound.ip(), bound.port()).to_string()))
 }
 
-/// What the socket's task is wired to.
-pub(crate) struct Wires {
+/// The channels and shared objects of the ingest task.
+pub(crate) struct TaskContext {
     pub(crate) stored: mpsc::Receiver<StoreEvent>,
-    pub(crate) news: mpsc::Sender<News>,
+    pub(crate) live_events: mpsc::Sender<LiveEvent>,
     pub(crate) clock: SharedClock,
     pub(crate) stop: CancellationToken,
 }
 
-/// Receives until told to stop, then waits until what was let in is stored and acknowledged.
+/// Receives until `stop` is cancelled, then waits until the admitted work is stored and acknowledged.
 pub(crate) async fn run(
     mut listener: ZmtpListener,
     address: String,
     mut session: IngestSession,
-    mut wires: Wires,
+    mut context: TaskContext,
 ) -> Result<(), Failure> {
     let sender = listener.sender();
     let mut ageing = tokio::time::interval(AGE_EVERY);
     ageing.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Delay);
+    // One line per interval instead of one per message, which a hostile peer could use to fill the log.
     let mut reported = RejectedCounts::default();
     loop {
         tokio::select! {
-            () = wires.stop.cancelled() => break,
+            () = context.stop.cancelled() => break,
             received = listener.receive() => match received {
                 Some(Arrival::Message(from, frames)) => if let Some(frame) = frames.first() {
-                    session.frame(&from, frame, wires.clock.stamp());
+                    session.frame(&from, frame, context.clock.stamp());
                 },
-                Some(Arrival::Gone(connection, _)) => session.gone(connection),
-                // The port's connections lose nothing, do not move, and are as good as they could be.
+                Some(Arrival::Gone(connection, _)) => session.connection_closed(connection),
+                // TCP connections do not report these arrivals.
                 Some(
                     Arrival::Garbage(..)
                     | Arrival::Incomplete(..)
@@ -90,32 +94,33 @@ pub(crate) async fn run(
                 ) => {}
                 None => return Err(Failure::Socket { address }),
             },
-            event = wires.stored.recv() => match event {
+            event = context.stored.recv() => match event {
                 Some(event) => session.store_event(event),
-                // A writer that cannot store ends as soon as it is told to stop, perhaps before this task looks.
-                None if wires.stop.is_cancelled() => break,
+                // A writer that cannot store ends as soon as `stop` is cancelled, perhaps before this task notices.
+                None if context.stop.is_cancelled() => break,
                 None => return Err(Failure::TaskEnded("writer")),
             },
             _ = ageing.tick() => {
-                session.age(wires.clock.stamp());
+                session.age(context.clock.stamp());
                 report(session.rejected(), &mut reported);
             }
         }
-        deliver(&sender, &mut session, &wires.news).await;
+        deliver(&sender, &mut session, &context.live_events).await;
     }
+    // Closing the queue lets the writer finish; its acknowledgements arrive until it ends.
     session.close();
-    while let Some(event) = wires.stored.recv().await {
+    while let Some(event) = context.stored.recv().await {
         session.store_event(event);
-        deliver(&sender, &mut session, &wires.news).await;
+        deliver(&sender, &mut session, &context.live_events).await;
     }
     listener.close(LINGER).await;
     Ok(())
 }
 
-/// Sends replies and passes on news. Neither waits for the other side: a reply that finds no room is repeated when
-/// the agent asks again, and the live picture's task waits for nothing.
-async fn deliver(sender: &ZmtpSender, session: &mut IngestSession, news: &mpsc::Sender<News>) {
-    // Before the replies: an agent that is welcome sends at once.
+/// Sends the replies and passes on the live events without waiting for the other side: a reply without room is sent
+/// again when the agent asks again, and the live picture's task never waits.
+async fn deliver(sender: &ZmtpSender, session: &mut IngestSession, live_events: &mpsc::Sender<LiveEvent>) {
+    // Admitted before the replies are sent, because a welcomed agent sends at once.
     for admission in session.take_admissions() {
         match admission {
             Admission::Admit(connection) => sender.admit(connection),
@@ -127,12 +132,13 @@ async fn deliver(sender: &ZmtpSender, session: &mut IngestSession, news: &mpsc::
             tracing::debug!(%error, "a reply was not sent; its agent will ask again");
         }
     }
-    for item in session.take_news() {
-        // Closed only while everything ends.
-        let _ended = news.send(item).await;
+    for event in session.take_live_events() {
+        // The receiver is closed only while the aggregator ends.
+        let _ended = live_events.send(event).await;
     }
 }
 
+/// Logs the messages rejected since the last report.
 fn report(rejected: RejectedCounts, reported: &mut RejectedCounts) {
     if rejected != *reported {
         tracing::warn!(

@@ -1,4 +1,5 @@
-//! What an agent says, cut to what the picture takes: its memory is bounded whatever is sent.
+//! Limits for an agent's statements: they are cut to what the live picture keeps, so that its memory is bounded
+//! whatever is sent.
 
 use peernet_stream::{
     Accounting, Connection, HostClock, HostDescription, LinkLive, NetworkInterface, PipelineState, Placement,
@@ -7,14 +8,14 @@ use peernet_stream::{
 
 use peernet_store::plausible;
 
-/// Items of a list: kinds of network, accelerators, steps of a rehearsal.
+/// Longest list: network names, accelerators, steps of an injected clock fault.
 const MOST_LISTED: usize = 32;
-/// Models that a host offers.
+/// Largest number of models that a host offers.
 const MOST_MODELS: usize = 256;
-/// Bytes of a text.
+/// Longest text, bytes.
 const MOST_TEXT: usize = 512;
 
-/// A link, with what can be true of its clocks only.
+/// Cuts a link's state and removes impossible clock values. The number of removed items is added to `left_out`.
 pub(super) fn link(live: &mut LinkLive, left_out: &mut u64) {
     list(&mut live.networks, MOST_LISTED, left_out);
     live.networks.iter_mut().for_each(text);
@@ -31,13 +32,13 @@ pub(super) fn link(live: &mut LinkLive, left_out: &mut u64) {
     let now = &mut live.now;
     let offset = now.offset.as_ref().and_then(plausible::offset);
     let (up, down) = (now.up.map(plausible::delays), now.down.map(plausible::delays));
-    // Not-a-number is unequal to itself: taken out and counted as well.
+    // Compared by value: not-a-number is unequal to itself, so it is removed and counted, too.
     let basis = now.basis.map(plausible::basis);
     *left_out += u64::from((&offset, up, down, basis) != (&now.offset, now.up, now.down, now.basis));
     (now.offset, now.up, now.down, now.basis) = (offset, up, down, basis);
 }
 
-/// How a reflector is probed.
+/// Cuts the state of probing.
 fn probing(probing: &mut Probing) {
     match probing {
         Probing::On { address, stamps, .. } => [address, stamps].into_iter().for_each(text),
@@ -46,7 +47,7 @@ fn probing(probing: &mut Probing) {
     }
 }
 
-/// A reflector that is named for a link.
+/// Cuts the state of a link's reflector.
 fn reflector(reflector: &mut ReflectorLive, left_out: &mut u64) {
     text(&mut reflector.address);
     probing(&mut reflector.probing);
@@ -55,7 +56,7 @@ fn reflector(reflector: &mut ReflectorLive, left_out: &mut u64) {
     reflector.offset = offset;
 }
 
-/// A connection of a link.
+/// Cuts a connection of a link.
 fn connection(connection: &mut Connection) {
     let Connection { local, remote, interface, .. } = connection;
     [local, remote].into_iter().flatten().for_each(text);
@@ -65,7 +66,7 @@ fn connection(connection: &mut Connection) {
     }
 }
 
-/// What a host says of its clock.
+/// Cuts a host's clock state.
 pub(super) fn clock(clock: &mut HostClock, left_out: &mut u64) {
     text(&mut clock.text);
     clock.clocksource.iter_mut().for_each(text);
@@ -74,7 +75,7 @@ pub(super) fn clock(clock: &mut HostClock, left_out: &mut u64) {
     }
 }
 
-/// What a host says of itself.
+/// Cuts a host's description.
 pub(crate) fn description(description: &mut HostDescription, left_out: &mut u64) {
     let hardware = &mut description.hardware;
     list(&mut hardware.gpus, MOST_LISTED, left_out);
@@ -84,32 +85,34 @@ pub(crate) fn description(description: &mut HostDescription, left_out: &mut u64)
     texts.into_iter().chain(&mut hardware.gpus).chain(&mut description.serves).for_each(text);
 }
 
-/// What a host says of its events.
+/// Cuts a host's accounting of events.
 pub(super) fn accounting(accounting: &mut Accounting) {
     accounting.trouble.iter_mut().for_each(text);
 }
 
-/// What a pipeline does.
+/// Cuts a pipeline's state.
 pub(super) fn state(state: &mut PipelineState) {
     if let PipelineState::Waiting(why) | PipelineState::Failed(why) = state {
         text(why);
     }
 }
 
-/// Where a pipeline computes.
+/// Cuts a pipeline's placement.
 pub(super) fn placement(placement: &mut Placement) {
     let Placement { network, address, device, .. } = placement;
     [network, address, device].into_iter().flatten().for_each(text);
 }
 
-/// A text.
+/// Cuts a text at a character boundary.
 pub(super) fn text(text: &mut String) {
     text.truncate(text.floor_char_boundary(MOST_TEXT));
     text.shrink_to_fit();
 }
 
+/// Cuts a list.
 fn list<T>(items: &mut Vec<T>, most: usize, left_out: &mut u64) {
     *left_out += items.len().saturating_sub(most) as u64;
+    // Truncating keeps the capacity, so that memory is freed explicitly.
     items.truncate(most);
     items.shrink_to_fit();
 }

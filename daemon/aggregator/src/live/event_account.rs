@@ -1,74 +1,77 @@
-//! What became of the events of a host: by its own word, and by that of the database.
+//! The events of one host, as counted by the host and by the database.
 
 use peernet_clock::{MonoTime, Span, WallTime};
 use peernet_store::Stored;
 use peernet_stream::Accounting;
 
 use super::bounds;
-use super::catching_up::Lag;
-use crate::picture::Arrivals;
+use super::storage_lag::StorageLag;
+use crate::live_state::Arrivals;
 
-/// The events of one host: made, waiting, arrived and stored.
+/// The events of one host: produced, waiting, arrived and stored.
 #[derive(Debug, Default)]
 pub(super) struct EventAccount {
+    /// The host's own counts.
     accounting: Accounting,
-    lag: Lag,
+    lag: StorageLag,
+    /// The database's counts.
     stored: Stored,
     arrivals: Arrivals,
-    /// The newest moment that is stored, on the host's clock.
+    /// Time of the newest stored event on the host's clock.
     newest_stored: Option<WallTime>,
 }
 
 impl EventAccount {
-    /// The host tells its account, `sent` at that time by its clock.
+    /// Replaces the host's counts by those of an update that was sent at `sent` on the host's clock.
     pub(super) fn update(&mut self, accounting: Accounting, sent: WallTime, now: MonoTime) {
         self.accounting = accounting;
         bounds::accounting(&mut self.accounting);
         self.lag.observe(self.behind(Some(sent)), self.accounting.stored, now);
     }
 
-    /// The database tells what it holds.
+    /// Replaces the database's counts. Duplicates are counted here, because they do not reach the database.
     pub(super) fn store(&mut self, stored: Stored, newest: Option<WallTime>) {
         self.stored = Stored { duplicates: self.stored.duplicates, ..stored };
         self.newest_stored = self.newest_stored.max(newest);
     }
 
-    /// A batch came again.
+    /// Counts a duplicate batch.
     pub(super) const fn add_duplicate(&mut self) {
         self.stored.duplicates += 1;
     }
 
-    /// A batch came and was not taken.
+    /// Counts a batch that arrived and was not stored.
     pub(super) fn add_arrival(&mut self, count: impl FnOnce(&mut Arrivals)) {
         count(&mut self.arrivals);
     }
 
-    /// How far storing is behind measuring, by the host's own clock.
+    /// Returns the storage lag on the host's clock; `None` if nothing waits.
     pub(super) fn behind(&self, sent: Option<WallTime>) -> Option<Span> {
         let oldest = self.accounting.oldest.filter(|_| self.accounting.waiting > 0);
         sent.zip(oldest).map(|(sent, oldest)| (sent - oldest).max(Span::ZERO))
     }
 
-    /// How the backlog changes.
-    pub(super) const fn lag(&self) -> &Lag {
+    /// Returns the estimate of the storage lag's change.
+    pub(super) const fn lag(&self) -> &StorageLag {
         &self.lag
     }
 
-    /// The host's own account.
+    /// Returns the host's counts.
     pub(super) const fn accounting(&self) -> &Accounting {
         &self.accounting
     }
 
-    /// What the database was last said to hold.
+    /// Returns the latest counts of the database.
     pub(super) const fn stored(&self) -> Stored {
         self.stored
     }
 
+    /// Returns the numbers of batches that arrived and were not stored.
     pub(super) const fn arrivals(&self) -> Arrivals {
         self.arrivals
     }
 
-    /// The newest moment that is stored, on the host's clock.
+    /// Returns the time of the newest stored event on the host's clock.
     pub(super) const fn newest_stored(&self) -> Option<WallTime> {
         self.newest_stored
     }

@@ -1,4 +1,8 @@
-//! What is known of one host, now.
+//! The current state of one host.
+//!
+//! A host has one of three states. Its last messages before a stop are a live update and a goodbye. A host that said
+//! goodbye with nothing left in its spool stopped in order, and its pipelines have ended. Only a host that became
+//! silent without a goodbye is away: whether its pipelines still run is unknown.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -14,10 +18,10 @@ use super::metrics_history::MetricsHistory;
 use super::pipeline::Pipeline;
 use super::presence::Presence;
 use super::{MOST_LINKS, MOST_PIPELINES};
-use crate::picture::{Arrivals, HostPicture, LinkPicture, PipelinePicture};
+use crate::live_state::{Arrivals, HostSnapshot, LinkSnapshot, PipelineSnapshot};
 use peernet_store::Stored;
 
-/// One host, its pipelines and its links.
+/// State of one host with its pipelines and links.
 #[derive(Debug)]
 pub(super) struct Host {
     description: HostDescription,
@@ -25,16 +29,17 @@ pub(super) struct Host {
     clock: HostClock,
     metrics: MetricsHistory,
     events: EventAccount,
-    /// Values that were left out of what it told, because they were beyond the limits.
+    /// Number of values of its updates that exceeded the limits.
     left_out: u64,
     pipelines: BTreeMap<Slug, Pipeline>,
-    /// By the cloud and the network.
+    /// Keyed by the cloud and the network.
     links: BTreeMap<(HostId, NetworkName), Link>,
-    picture: Option<Arc<HostPicture>>,
+    /// The latest snapshot; `None` if something changed since.
+    picture: Option<Arc<HostSnapshot>>,
 }
 
 impl Host {
-    /// A host that just introduced itself.
+    /// Creates the state at the host's first hello.
     pub(super) fn new(mut description: HostDescription, process: u64, now: Stamp) -> Self {
         let mut left_out = 0;
         bounds::description(&mut description, &mut left_out);
@@ -51,8 +56,8 @@ impl Host {
         }
     }
 
-    /// It introduced itself again. What another process of it told stays, as that of a host that is away: counters
-    /// must not begin anew for a moment.
+    /// Processes another hello. After a start of a new process the values of the previous one remain, marked as away,
+    /// so that counters do not drop to zero for a moment.
     pub(super) fn introduce(&mut self, mut description: HostDescription, process: u64, now: Stamp) {
         bounds::description(&mut description, &mut self.left_out);
         if self.description.name != description.name {
@@ -66,10 +71,12 @@ impl Host {
         self.picture = None;
     }
 
-    /// It takes its leave: what it told of last has ended, whatever it was told to be at.
+    /// Processes a goodbye. Pipelines of the host's latest update have ended, whatever state that update gave them.
+    /// Others are away.
     pub(super) fn goodbye(&mut self) {
         let last = self.presence.sent_by_current();
         for pipeline in self.pipelines.values_mut() {
+            // Only the pipelines of the last update ended in order; others had disappeared before.
             if Some(pipeline.sent()) == last {
                 pipeline.end();
             } else {
@@ -80,18 +87,19 @@ impl Host {
         self.picture = None;
     }
 
-    /// It is gone without a word, unless it had left before.
+    /// Marks a host that became silent, unless it has said goodbye.
     fn lose(&mut self) {
         self.presence.lose();
         self.picture = None;
         self.pipelines.values_mut().for_each(Pipeline::away);
     }
 
+    /// Returns whether the host is connected.
     fn is_connected(&self) -> bool {
         self.presence.is_connected()
     }
 
-    /// Takes over an update, within the limits.
+    /// Applies a live update, within the limits.
     pub(super) fn update(&mut self, update: LiveUpdate, now: Stamp) {
         self.presence.update(update.sent, now);
         self.events.update(update.accounting, update.sent, now.mono);
@@ -112,6 +120,7 @@ impl Host {
         self.picture = None;
     }
 
+    /// Applies the report of one link.
     fn link(&mut self, live: LinkLive, sent: WallTime, now: Stamp) {
         let key = (live.peer, live.network().clone());
         if let Some(link) = self.links.get_mut(&key) {
@@ -123,46 +132,46 @@ impl Host {
         }
     }
 
-    /// What the database now holds of it.
+    /// Applies the database's counts.
     pub(super) fn store(&mut self, stored: Stored, newest: Option<WallTime>) {
         self.events.store(stored, newest);
         self.picture = None;
     }
 
-    /// Whether the database holds events of it.
+    /// Returns whether the database holds events of the host.
     pub(super) fn has_stored(&self) -> bool {
         self.events.stored().events > 0
     }
 
-    /// What the database was last said to hold of it.
+    /// Returns the latest counts of the database.
     pub(super) fn stored(&self) -> Stored {
         self.events.stored()
     }
 
-    /// A batch of it came again.
+    /// Counts a duplicate batch.
     pub(super) fn duplicate(&mut self) {
         self.events.add_duplicate();
         self.picture = None;
     }
 
-    /// A batch of it came and was not taken.
+    /// Counts a batch that arrived and was not stored.
     pub(super) fn arrived(&mut self, count: impl FnOnce(&mut Arrivals)) {
         self.events.add_arrival(count);
         self.picture = None;
     }
 
-    /// The store gave a run its number.
+    /// Redraws the pipeline of a run whose number has become known.
     pub(super) fn number(&mut self, run: RunId) {
         let of_run = self.pipelines.values_mut().filter(|pipeline| pipeline.run() == Some(run));
         of_run.for_each(Pipeline::redraw);
     }
 
-    /// The current or last runs of its pipelines.
+    /// Returns the current or last runs of the host's pipelines.
     pub(super) fn runs(&self) -> impl Iterator<Item = RunId> {
         self.pipelines.values().filter_map(Pipeline::run)
     }
 
-    /// Lets time pass; whether that changed anything to be seen.
+    /// Applies the passing of time. Returns whether anything visible changed.
     pub(super) fn age(&mut self, now: Stamp, forget: Span) -> bool {
         let mut changed = false;
         if self.presence.is_overdue(now.mono) {
@@ -179,22 +188,22 @@ impl Host {
         changed
     }
 
-    /// When it was last heard of.
+    /// Returns the time of the host's last message.
     pub(super) fn seen(&self) -> MonoTime {
         self.presence.seen().mono
     }
 
-    /// Its name, for the order of the picture.
+    /// Returns the host's name, by which the picture is sorted.
     pub(super) fn name(&self) -> &Slug {
         &self.description.name
     }
 
-    /// The host as it is shown.
-    pub(super) fn picture(&mut self) -> Arc<HostPicture> {
+    /// Returns the host's snapshot.
+    pub(super) fn picture(&mut self) -> Arc<HostSnapshot> {
         if let Some(drawn) = &self.picture {
             return Arc::clone(drawn);
         }
-        let picture = Arc::new(HostPicture {
+        let picture = Arc::new(HostSnapshot {
             id: self.description.id,
             description: self.description.clone(),
             connected: self.is_connected(),
@@ -202,7 +211,7 @@ impl Host {
             last_seen: self.presence.seen().wall,
             clock_ahead: self.presence.clock_ahead(),
             behind: self.events.behind(self.presence.sent()),
-            // A host that is away stores nothing, however fast it did.
+            // The rate is not valid while the host is disconnected, because nothing is stored then.
             catching_up: self.events.lag().catching_up().filter(|_| self.is_connected()),
             clock: self.clock.clone(),
             metrics: self.metrics.current().clone(),
@@ -217,20 +226,21 @@ impl Host {
         picture
     }
 
-    /// Its pipelines as they are shown, by name.
+    /// Returns the snapshots of its pipelines, sorted by name.
     pub(super) fn pipelines(
         &mut self,
         number: impl Fn(RunId) -> Option<i64> + Copy,
         now: Stamp,
-    ) -> impl Iterator<Item = Arc<PipelinePicture>> {
+    ) -> impl Iterator<Item = Arc<PipelineSnapshot>> {
         let Self { description, pipelines, .. } = self;
         pipelines.iter_mut().map(move |(name, pipeline)| {
             pipeline.picture((description.id, &description.name, name), number, now)
         })
     }
 
-    /// Its links as they are shown, by the cloud's name and the network.
-    pub(super) fn links(&mut self) -> Vec<Arc<LinkPicture>> {
+    /// Returns the snapshots of its links, sorted by the cloud's name and the network.
+    pub(super) fn links(&mut self) -> Vec<Arc<LinkSnapshot>> {
+        // A link is connected only if the edge's latest message contained it.
         let last = self.is_connected().then_some(self.presence.seen().mono);
         let mut links: Vec<(&(HostId, NetworkName), &mut Link)> = self.links.iter_mut().collect();
         links.sort_by(|(a, x), (b, y)| (x.cloud(), a).cmp(&(y.cloud(), b)));

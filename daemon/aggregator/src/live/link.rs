@@ -1,4 +1,4 @@
-//! What is known of one link, now: an edge and a cloud over one network.
+//! The current state of one link: an edge and a cloud over one network.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -8,37 +8,38 @@ use peernet_logger::{HostId, Slug};
 use peernet_stream::{ClockSample, LinkLive};
 
 use super::bounds;
-use crate::picture::LinkPicture;
+use crate::live_state::LinkSnapshot;
 use peernet_store::ClockPoint;
 
-/// Seconds of the history.
+/// Length of the history, seconds.
 const HISTORY_S: i64 = 600;
-/// A report's parts may be made so long after it was stamped.
+/// Longest time between the stamp of an update and the creation of its parts.
 const LATER: Span = Span::from_millis(100);
 
-/// One link: as last reported, and its last seconds on the edge's own wall clock, whatever that shows.
+/// The latest report of one link, and a history whose seconds are those of the edge's wall clock, whatever time that
+/// shows.
 #[derive(Debug)]
 pub(super) struct Link {
     live: LinkLive,
     seen: Stamp,
     history: BTreeMap<i64, Arc<ClockPoint>>,
-    /// As last drawn; `None` when something changed since.
-    picture: Option<Arc<LinkPicture>>,
+    /// The latest snapshot; `None` if something changed since.
+    picture: Option<Arc<LinkSnapshot>>,
 }
 
 impl Link {
-    /// A link at its first report.
+    /// Creates the state at the link's first report.
     pub(super) fn new(live: LinkLive, sent: WallTime, now: Stamp, left_out: &mut u64) -> Self {
         let mut link = Self { live: live.clone(), seen: now, history: BTreeMap::new(), picture: None };
         link.update(live, sent, now, left_out);
         link
     }
 
-    /// Takes over a report, within the limits. A second that was known is replaced: each report of it is complete up
-    /// to then.
+    /// Applies a report, within the limits. A second that is known already is replaced, because each report of a second
+    /// covers it from its start.
     pub(super) fn update(&mut self, mut live: LinkLive, sent: WallTime, now: Stamp, left_out: &mut u64) {
         bounds::link(&mut live, left_out);
-        // The second under way. What is known of later ones was said before the edge's clock was set back.
+        // `newest` is the incomplete second. Later seconds were reported before the edge's clock was set back.
         let newest = (sent + LATER).unix_seconds();
         drop(self.history.split_off(&newest.saturating_add(1)));
         let at = second(live.now.at);
@@ -53,31 +54,31 @@ impl Link {
         (self.live, self.seen, self.picture) = (live, now, None);
     }
 
-    /// When it was last reported.
+    /// Returns the time of the latest report.
     pub(super) fn seen(&self) -> MonoTime {
         self.seen.mono
     }
 
-    /// The cloud's name, for the order of the picture.
+    /// Returns the cloud's name, by which the picture is sorted.
     pub(super) fn cloud(&self) -> &Slug {
         &self.live.peer_name
     }
 
-    /// Something beside the reports changed what is drawn.
+    /// Discards the snapshot after a change outside the reports.
     pub(super) fn redraw(&mut self) {
         self.picture = None;
     }
 
-    /// The link as it is shown; `last` is when its edge was last heard of, if that is connected.
-    pub(super) fn picture(&mut self, edge: HostId, name: &Slug, last: Option<MonoTime>) -> Arc<LinkPicture> {
-        // An edge that is there and no longer names the link has nothing to do with the cloud any more.
+    /// Returns the link's snapshot. `last` is the time of the edge's last message if the edge is connected.
+    pub(super) fn picture(&mut self, edge: HostId, name: &Slug, last: Option<MonoTime>) -> Arc<LinkSnapshot> {
+        // A connected edge whose latest update does not contain the link does not use the cloud any more.
         let connected = last == Some(self.seen.mono);
         if let Some(drawn) = &self.picture
             && drawn.connected == connected
         {
             return Arc::clone(drawn);
         }
-        let picture = Arc::new(LinkPicture {
+        let picture = Arc::new(LinkSnapshot {
             edge,
             edge_name: name.clone(),
             connected,
@@ -90,11 +91,12 @@ impl Link {
     }
 }
 
-/// The second that ends at `at` or holds it, by its begin.
+/// Returns the start of the second that contains `at` or ends at it, in Unix seconds.
 fn second(at: WallTime) -> i64 {
     (at - Span::from_nanos(1)).unix_seconds()
 }
 
+/// Returns the history's point of a sample.
 fn point(sample: &ClockSample) -> ClockPoint {
     ClockPoint {
         at: sample.at,

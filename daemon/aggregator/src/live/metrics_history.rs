@@ -1,4 +1,4 @@
-//! How a host fares, now and for the last ten minutes.
+//! The current load metrics of a host and their history of ten minutes.
 
 use std::collections::VecDeque;
 use std::sync::Arc;
@@ -6,14 +6,14 @@ use std::sync::Arc;
 use peernet_clock::{MonoTime, Span, Stamp};
 use peernet_stream::HostMetrics;
 
-use crate::picture::MetricsPoint;
+use crate::live_state::MetricsPoint;
 
-/// Distance of the points.
+/// Interval between two points.
 const POINT_EVERY: Span = Span::from_seconds(5);
 /// Number of points: ten minutes.
 const POINTS: usize = 120;
 
-/// The last metrics of a host and earlier ones at fixed distances.
+/// The latest metrics of a host, and earlier ones at a fixed interval.
 #[derive(Debug)]
 pub(super) struct MetricsHistory {
     current: HostMetrics,
@@ -22,11 +22,12 @@ pub(super) struct MetricsHistory {
 }
 
 impl MetricsHistory {
+    /// Creates an empty history.
     pub(super) fn new(now: MonoTime) -> Self {
         Self { current: HostMetrics::default(), points: VecDeque::new(), next_point: now }
     }
 
-    /// Takes in what the host tells now.
+    /// Adds the latest metrics.
     pub(super) fn push(&mut self, metrics: HostMetrics, now: Stamp) {
         if now.mono >= self.next_point {
             self.next_point = now.mono + POINT_EVERY;
@@ -38,11 +39,12 @@ impl MetricsHistory {
         self.current = metrics;
     }
 
+    /// Returns the latest metrics.
     pub(super) const fn current(&self) -> &HostMetrics {
         &self.current
     }
 
-    /// The points, oldest first.
+    /// Returns the points, oldest first.
     pub(super) fn points(&self) -> Vec<Arc<MetricsPoint>> {
         self.points.iter().cloned().collect()
     }

@@ -1,12 +1,10 @@
-//! The live picture: state of all agents from the live lane alone, so that it stays live whatever waits to be
-//! stored. No I/O here; [`task`] owns the one [`Live`] and publishes its pictures.
+//! The live picture: the current state of all agents, from the live lane alone, so that it stays current however many
+//! batches wait to be stored. Free of I/O; [`task`] owns the [`LiveTracker`] and publishes its snapshots.
 //!
-//! Memory is bounded whatever is sent: so many hosts, so many pipelines and links a host, so many names a second.
-//! What is beyond is left out and counted.
+//! Memory is bounded whatever agents send: the numbers of hosts, of pipelines and links per host, and of names per
+//! second have limits. Values beyond a limit are discarded and counted.
 
 pub(crate) mod bounds;
-mod catching_up;
-mod cell;
 mod event_account;
 mod host;
 mod link;
@@ -14,6 +12,8 @@ mod metrics_history;
 mod percentiles;
 mod pipeline;
 mod presence;
+mod second_figures;
+mod storage_lag;
 pub(crate) mod task;
 #[cfg(test)]
 mod tests;
@@ -26,80 +26,82 @@ use peernet_logger::{HostId, RunId, Slug};
 use peernet_stream::{HostDescription, LiveUpdate};
 
 use self::host::Host;
-use crate::picture::{Picture, RefusedHost, Totals};
+use crate::live_state::{LiveState, RefusedHost, Totals};
 use peernet_store::Stored;
 
-/// Hosts in the picture; beyond, the one that was silent for longest gives way.
+/// Largest number of hosts in the picture. Beyond it, the host that was silent longest is removed.
 const MOST_HOSTS: usize = 4_096;
-/// A host of which nothing is stored leaves the picture after this silence.
+/// Silence after which a host without stored events is removed from the picture.
 const FORGET_STRANGERS: Span = Span::from_seconds(600);
-/// Pipelines of one host.
+/// Largest number of pipelines per host.
 const MOST_PIPELINES: usize = peernet_stream::limits::MAX_PIPELINES;
-/// Links of one host.
+/// Largest number of links per host.
 const MOST_LINKS: usize = 64;
-/// Names of one pipeline within one window.
+/// Largest number of names per pipeline and window.
 const MOST_NAMES: usize = 128;
-/// Refused hosts that are remembered, and for how long.
+/// Largest number of refused hosts in the picture.
 const MOST_REFUSED: usize = 32;
+/// Time for which a refused host is shown.
 const REFUSED_FOR: Span = Span::from_seconds(600);
-/// Hosts outside the picture of which it is remembered what is stored.
+/// Largest number of hosts outside the picture whose stored counts are kept for the totals.
 const MOST_REMEMBERED: usize = 65_536;
-/// Numbers of runs that are remembered.
+/// Largest number of run numbers that are kept.
 const MOST_RUNS: usize = 10_000;
 
-/// What the picture is made from.
+/// An event that changes the picture.
 #[derive(Debug)]
-pub(crate) enum News {
-    /// A host was let in, and the number that its process made at its start.
+pub(crate) enum LiveEvent {
+    /// A host's hello was accepted, with the number that its process drew at its start.
     Hello(Box<HostDescription>, u64),
-    /// The live lane.
+    /// A live update.
     Update(Box<LiveUpdate>),
-    /// A host took its leave.
+    /// A host's goodbye.
     Goodbye(HostId),
-    /// A host was turned away.
+    /// A host was refused.
     Refused(RefusedHost),
-    /// What the database holds of a host, and the newest moment of it on the host's clock.
+    /// The database's counts of a host, and the time of its newest stored event on the host's clock.
     Stored(HostId, Stored, Option<WallTime>),
-    /// A batch came again.
+    /// A duplicate batch arrived.
     Duplicate(HostId),
-    /// A batch came for which there was no room.
+    /// A batch arrived for which the queue had no room.
     Deferred(HostId),
-    /// A batch came whose bytes do not match its hash.
+    /// A batch arrived that does not match its hash.
     Damaged(HostId),
-    /// A frame came that is no message.
+    /// A frame arrived that cannot be decoded.
     Unreadable,
-    /// A message came of a host that did not say hello on that connection.
+    /// A message arrived from a host without a session on its connection.
     Stranger,
-    /// A host has gone of which nothing is stored.
+    /// A host without stored events disconnected.
     Forget(HostId),
-    /// The store's number of a run of a host.
+    /// A run of a host got its number in the store.
     Run(HostId, RunId, i64),
-    /// The database was opened anew, and may be another one.
+    /// The database was reopened and may be another one.
     Reopened {
-        /// The numbers of its newest runs, by their hosts.
+        /// Numbers of its newest runs, with their hosts.
         runs: Vec<(HostId, RunId, i64)>,
-        /// What it holds of hosts.
+        /// Its counts of each host.
         hosts: Vec<(HostId, Stored)>,
     },
 }
 
-/// The state behind the picture.
+/// The state from which snapshots are made.
 #[derive(Debug)]
-pub(crate) struct Live {
+pub(crate) struct LiveTracker {
     aggregator: Slug,
     listening: String,
+    /// Silence after which a host is removed from the picture.
     forget: Span,
     hosts: HashMap<HostId, Host>,
     refused: VecDeque<(Stamp, RefusedHost)>,
-    /// By the host and the id under which it reports the run.
+    /// Keyed by the host and the id under which it reports the run.
     numbers: HashMap<(HostId, RunId), i64>,
-    /// What the database holds of hosts that are not in the picture.
+    /// Stored counts of hosts that are not in the picture.
     stored: HashMap<HostId, Stored>,
     totals: Totals,
 }
 
-impl Live {
-    /// An empty picture; hosts that are silent for `forget` leave it.
+impl LiveTracker {
+    /// Creates an empty picture. A host that is silent for `forget` is removed.
     pub(crate) fn new(aggregator: Slug, listening: String, forget: Span) -> Self {
         Self {
             aggregator,
@@ -113,48 +115,49 @@ impl Live {
         }
     }
 
-    /// Takes in news; whether they change anything to be seen.
-    pub(crate) fn take(&mut self, news: News, now: Stamp) -> bool {
-        match news {
-            News::Hello(description, process) => self.introduce(*description, process, now),
-            News::Refused(refused) => self.refuse(refused, now),
-            News::Reopened { runs, hosts } => self.restart(runs, hosts),
-            News::Run(host, run, number) => {
+    /// Applies an event. Returns whether anything visible changed.
+    pub(crate) fn apply(&mut self, event: LiveEvent, now: Stamp) -> bool {
+        match event {
+            LiveEvent::Hello(description, process) => self.introduce(*description, process, now),
+            LiveEvent::Refused(refused) => self.refuse(refused, now),
+            LiveEvent::Reopened { runs, hosts } => self.restart(runs, hosts),
+            LiveEvent::Run(host, run, number) => {
+                // A hostile agent can start any number of runs.
                 if self.numbers.len() >= MOST_RUNS {
                     self.forget_numbers();
                 }
                 self.numbers.insert((host, run), number);
                 self.with(host, |host| host.number(run));
             }
-            News::Forget(host) => {
+            LiveEvent::Forget(host) => {
                 let forgotten = self.hosts.get(&host).is_some_and(|host| !host.has_stored());
                 if forgotten {
                     self.hosts.remove(&host);
                 }
                 return forgotten;
             }
-            News::Update(update) => return self.with(update.host, |host| host.update(*update, now)),
-            News::Goodbye(host) => return self.with(host, Host::goodbye),
-            News::Duplicate(host) => {
+            LiveEvent::Update(update) => return self.with(update.host, |host| host.update(*update, now)),
+            LiveEvent::Goodbye(host) => return self.with(host, Host::goodbye),
+            LiveEvent::Duplicate(host) => {
                 self.totals.stored.duplicates += 1;
                 return self.with(host, Host::duplicate);
             }
-            News::Deferred(host) => {
+            LiveEvent::Deferred(host) => {
                 self.totals.arrivals.deferred += 1;
                 return self.with(host, |host| host.arrived(|arrivals| arrivals.deferred += 1));
             }
-            News::Damaged(host) => {
+            LiveEvent::Damaged(host) => {
                 self.totals.arrivals.damaged += 1;
                 return self.with(host, |host| host.arrived(|arrivals| arrivals.damaged += 1));
             }
-            News::Unreadable => self.totals.refused.unreadable += 1,
-            News::Stranger => self.totals.refused.strangers += 1,
-            News::Stored(host, stored, newest) => return self.store(host, stored, newest),
+            LiveEvent::Unreadable => self.totals.refused.unreadable += 1,
+            LiveEvent::Stranger => self.totals.refused.strangers += 1,
+            LiveEvent::Stored(host, stored, newest) => return self.store(host, stored, newest),
         }
         true
     }
 
-    /// Forgets the numbers of runs that nobody sees; all of them if those that are left are too many.
+    /// Discards the numbers of runs that are not shown; all of them if the rest is still too many.
     fn forget_numbers(&mut self) {
         let shown: HashSet<(HostId, RunId)> =
             self.hosts.iter().flat_map(|(id, host)| host.runs().map(|run| (*id, run))).collect();
@@ -164,7 +167,7 @@ impl Live {
         }
     }
 
-    /// Forgets what the database before held, and takes in what this one holds.
+    /// Replaces the counts and run numbers of the previous database by those of the reopened one.
     fn restart(&mut self, runs: Vec<(HostId, RunId, i64)>, hosts: Vec<(HostId, Stored)>) {
         self.numbers = runs.into_iter().map(|(host, run, number)| ((host, run), number)).collect();
         for host in self.hosts.values_mut() {
@@ -182,8 +185,10 @@ impl Live {
         }
     }
 
+    /// Applies the database's counts of a host. Returns whether the host is in the picture.
     fn store(&mut self, id: HostId, stored: Stored, newest: Option<WallTime>) -> bool {
         let before = self.hosts.get(&id).map(Host::stored).or_else(|| self.stored.get(&id).copied());
+        // The increase is added, so that totals stay when a host leaves the picture.
         add(&mut self.totals.stored, before.unwrap_or_default(), stored);
         let known = self.with(id, |host| host.store(stored, newest));
         if !known {
@@ -192,17 +197,19 @@ impl Live {
         known
     }
 
-    /// Keeps what the database holds of a host that is not in the picture.
+    /// Keeps the stored counts of a host that is not in the picture, for the totals.
     fn remember(&mut self, id: HostId, stored: Stored) {
         if self.stored.len() < MOST_REMEMBERED || self.stored.contains_key(&id) {
             self.stored.insert(id, stored);
         }
     }
 
+    /// Changes a host. Returns `false` if it is not in the picture.
     fn with(&mut self, host: HostId, change: impl FnOnce(&mut Host)) -> bool {
         self.hosts.get_mut(&host).map(change).is_some()
     }
 
+    /// Processes an accepted hello.
     fn introduce(&mut self, description: HostDescription, process: u64, now: Stamp) {
         if let Some(host) = self.hosts.get_mut(&description.id) {
             host.introduce(description, process, now);
@@ -222,15 +229,17 @@ impl Live {
         self.hosts.insert(id, host);
     }
 
+    /// Adds a refused host, or renews its entry.
     fn refuse(&mut self, mut refused: RefusedHost, now: Stamp) {
         bounds::text(&mut refused.reason);
         let same = |known: &RefusedHost| (&known.name, &known.reason) == (&refused.name, &refused.reason);
         self.refused.retain(|(_, known)| !same(known));
+        // The newest refusals are the relevant ones.
         self.refused.truncate(MOST_REFUSED - 1);
         self.refused.push_front((now, refused));
     }
 
-    /// Lets time pass; whether that changed anything to be seen.
+    /// Applies the passing of time. Returns whether anything visible changed.
     pub(crate) fn age(&mut self, now: Stamp) -> bool {
         let before = (self.hosts.len(), self.refused.len());
         let forget = self.forget;
@@ -250,8 +259,8 @@ impl Live {
         changed
     }
 
-    /// The picture now.
-    pub(crate) fn picture(&mut self, now: Stamp) -> Picture {
+    /// Returns a snapshot.
+    pub(crate) fn picture(&mut self, now: Stamp) -> LiveState {
         let numbers = &self.numbers;
         let mut by_name: BTreeMap<(Slug, HostId), &mut Host> =
             self.hosts.iter_mut().map(|(id, host)| ((host.name().clone(), *id), host)).collect();
@@ -263,7 +272,7 @@ impl Live {
             pipelines.extend(host.pipelines(number, now));
             links.extend(host.links());
         }
-        Picture {
+        LiveState {
             at: now.wall,
             aggregator: self.aggregator.clone(),
             listening: self.listening.clone(),
@@ -276,13 +285,13 @@ impl Live {
         }
     }
 
-    /// A picture to be handed out.
-    pub(crate) fn shared(&mut self, now: Stamp) -> Arc<Picture> {
+    /// Returns a snapshot to be published.
+    pub(crate) fn shared(&mut self, now: Stamp) -> Arc<LiveState> {
         Arc::new(self.picture(now))
     }
 }
 
-/// Adds what came to be stored of a host from one account of it to the next. A host may claim any number.
+/// Adds the increase of a host's stored counts to the totals. Saturates, because a host may state any number.
 const fn add(total: &mut Stored, before: Stored, now: Stored) {
     total.events = total.events.saturating_add(now.events.saturating_sub(before.events));
     total.nodes = total.nodes.saturating_add(now.nodes.saturating_sub(before.nodes));

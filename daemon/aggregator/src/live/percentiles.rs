@@ -1,35 +1,36 @@
-//! The 95th percentile of `total` over the last minutes, in buckets that hold enough iterations for one.
+//! The 95th percentile of the total latency over the last minutes, in buckets with enough iterations for it.
 
 use std::collections::{BTreeMap, BTreeSet};
 
 use peernet_statistics::{Moments, Sketch, Summary};
 use peernet_store::{Figures, P95_NEEDS};
 
-use crate::picture::{PercentilePoint, PercentileSeries};
+use crate::live_state::{PercentilePoint, PercentileSeries};
 
-/// Lengths of buckets, seconds.
+/// Possible lengths of a bucket, seconds.
 const BUCKETS_S: [u32; 9] = [1, 2, 5, 10, 30, 60, 120, 300, 600];
-/// Iterations do not fall evenly into buckets, so a bucket must hold a tenth more than it needs.
+/// Safety factor for the number of iterations of a bucket, because they are not spread evenly over the buckets.
 const SPARE: f64 = 1.1;
-/// A longer pause is an interruption and does not lower the rate. A pipeline that is slower than that has too few
-/// iterations for a percentile even in the longest bucket.
+/// Longest pause between two seconds with iterations that counts as running time; a longer one is an interruption and
+/// does not lower the rate. A pipeline with longer intervals has too few iterations for a percentile even in the
+/// longest bucket.
 const PAUSE_S: i64 = 10;
 
-/// Summaries of `total`, one for each second, and the percentiles of the buckets that they fill.
+/// Summaries of the total latency, one per second, and the percentiles of the buckets.
 #[derive(Debug, Default)]
 pub(super) struct Percentiles {
     seconds: BTreeMap<i64, PackedSummary>,
-    /// Length of the buckets; `None` while none holds enough iterations.
+    /// Length of the buckets, seconds; `None` while even the longest has too few iterations.
     bucket_s: Option<u32>,
-    /// By the bucket's first second.
+    /// Keyed by the first second of the bucket.
     points: BTreeMap<i64, PercentilePoint>,
-    /// Seconds that changed since the last drawing.
+    /// Seconds that changed since the last call of [`Self::series`].
     changed: BTreeSet<i64>,
-    /// A second was added or removed since the last drawing, so that the rate is another.
+    /// `true` if a second was added or removed since the last call of [`Self::series`], which changes the rate.
     grown: bool,
 }
 
-/// A summary in a tenth of the memory: there are hundreds of them per pipeline.
+/// A serialised summary, which needs a tenth of the memory: each pipeline has hundreds of them.
 #[derive(Debug)]
 struct PackedSummary {
     moments: Moments,
@@ -37,10 +38,12 @@ struct PackedSummary {
 }
 
 impl PackedSummary {
+    /// Serialises a summary.
     fn pack(summary: &Summary) -> Self {
         Self { moments: summary.moments, sketch: summary.sketch.to_bytes().into() }
     }
 
+    /// Restores the summary.
     fn unpack(&self) -> Summary {
         let sketch = Sketch::from_bytes(&self.sketch).expect("it was packed by this very program");
         Summary { moments: self.moments, sketch }
@@ -48,20 +51,21 @@ impl PackedSummary {
 }
 
 impl Percentiles {
-    /// Replaces what is known of a second; `None` when nothing succeeded in it.
+    /// Replaces the summary of a second; `None` if no iteration succeeded in it.
     pub(super) fn replace(&mut self, at: i64, total: Option<&Summary>) {
         let packed = total.map_or_else(|| PackedSummary::pack(&Summary::default()), PackedSummary::pack);
         self.grown |= self.seconds.insert(at, packed).is_none();
         self.changed.insert(at);
     }
 
-    /// Forgets a second and all later ones: a clock that was set back will show them again.
+    /// Discards a second and all later ones, because a clock that was set back repeats them.
     pub(super) fn forget_from(&mut self, second: i64) {
+        // Their buckets have to be computed again.
         self.changed.extend(self.seconds.split_off(&second).into_keys());
         self.grown = true;
     }
 
-    /// Forgets the seconds before this one. A percentile stays as long as a second of its bucket does.
+    /// Discards the seconds before `second`. A percentile remains while its bucket overlaps the rest.
     pub(super) fn forget_before(&mut self, second: i64) {
         self.seconds = self.seconds.split_off(&second);
         self.changed = self.changed.split_off(&second);
@@ -69,10 +73,11 @@ impl Percentiles {
         self.points.retain(|from, _| from + length > second);
     }
 
-    /// The percentiles, of the buckets alone that hold enough iterations.
+    /// Returns the percentiles of the buckets with enough iterations.
     pub(super) fn series(&mut self) -> PercentileSeries {
         if std::mem::take(&mut self.grown) {
             let bucket_s = self.rate().and_then(bucket);
+            // Another rate may need another length, which changes all buckets.
             if bucket_s != self.bucket_s {
                 self.bucket_s = bucket_s;
                 self.points.clear();
@@ -82,6 +87,7 @@ impl Percentiles {
         let changed = std::mem::take(&mut self.changed);
         let Some(bucket_s) = self.bucket_s else { return PercentileSeries::default() };
         let length = i64::from(bucket_s);
+        // Only buckets with a changed second are merged, because merging sketches is the main cost of a snapshot.
         let buckets: BTreeSet<i64> = changed.into_iter().map(|at| at.div_euclid(length) * length).collect();
         for from in buckets {
             match self.merge(from, length) {
@@ -92,7 +98,7 @@ impl Percentiles {
         PercentileSeries { bucket_s: Some(bucket_s), points: self.points.values().copied().collect() }
     }
 
-    /// The percentile of a bucket; `None` when it holds too few iterations.
+    /// Returns the percentile of a bucket; `None` if it has too few iterations.
     fn merge(&self, from: i64, length: i64) -> Option<PercentilePoint> {
         let mut sum = Summary::default();
         for second in self.seconds.range(from..from.saturating_add(length)).map(|(_, second)| second) {
@@ -102,9 +108,9 @@ impl Percentiles {
         Some(PercentilePoint { at: from, count: figures.count, p95: figures.p95? })
     }
 
-    /// Successful iterations per second while the pipeline ran; `None` before it ran for a second.
+    /// Returns the rate of successful iterations per second of running time; `None` in the first second.
     fn rate(&self) -> Option<f64> {
-        // The newest second is still under way.
+        // The newest second is incomplete.
         let newest = *self.seconds.last_key_value()?.0;
         let (mut count, mut covered, mut last) = (0, 0, None);
         for (at, second) in self.seconds.range(..newest) {
@@ -116,7 +122,7 @@ impl Percentiles {
     }
 }
 
-/// The shortest bucket that holds enough iterations for a 95th percentile at this rate.
+/// Returns the length of the shortest bucket with enough iterations for a 95th percentile at this rate, seconds.
 fn bucket(rate_hz: f64) -> Option<u32> {
     let needed = P95_NEEDS as f64 * SPARE;
     BUCKETS_S.into_iter().find(|seconds| rate_hz * f64::from(*seconds) >= needed)

@@ -1,4 +1,4 @@
-//! What is known of one pipeline, now.
+//! The current state of one pipeline.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -9,43 +9,43 @@ use peernet_statistics::{Merge, Windows};
 use peernet_stream::{PipelineLive, PipelineState, Placement};
 
 use super::bounds;
-use super::cell::Cell;
 use super::percentiles::Percentiles;
-use crate::picture::{LiveSecond, PipelinePicture, Window};
+use super::second_figures::SecondFigures;
+use crate::live_state::{LiveSecond, PipelineSnapshot, Window};
 
-/// The windows of the picture, in complete seconds.
+/// Lengths of the picture's windows, in complete seconds.
 const WINDOWS: [u32; 3] = [1, 10, 60];
-/// Seconds taken in with their sketches: the longest window and the second under way.
+/// Seconds that are kept with their sketches: the longest window and the incomplete second.
 const SKETCHES_S: i64 = 61;
-/// Room in their ring: for a clock that is set back by less than a [`STEP`].
+/// Length of their ring, seconds. The surplus is for a clock that is set back by less than [`STEP`].
 const RING_S: usize = 64;
-/// Seconds kept as points of the live charts.
+/// Seconds that are kept as points of the live charts.
 const SERIES_S: i64 = 600;
-/// A clock that goes back by more was set.
+/// A larger decrease of the agent's clock means that the clock was set back.
 const STEP: Span = Span::from_seconds(2);
-/// Updates come four times a second: after this long without one, time goes on without the agent.
+/// Silence after which the windows continue without the agent. Updates arrive four times a second.
 const SILENT: Span = Span::from_seconds(1);
 
-/// One pipeline: rings of the last seconds on the agent's own wall clock, whatever that shows.
+/// State of one pipeline, with rings of the last seconds of the agent's wall clock, whatever time that shows.
 #[derive(Debug)]
 pub(super) struct Pipeline {
     state: PipelineState,
     run: Option<RunId>,
     placement: Placement,
     load: String,
-    recent: Windows<Cell>,
+    recent: Windows<SecondFigures>,
     series: BTreeMap<i64, Arc<LiveSecond>>,
     percentiles: Percentiles,
-    /// The agent's clock at the last update.
+    /// The agent's clock at the latest update.
     sent: WallTime,
-    /// Our clocks at the last update.
+    /// The aggregator's clocks at the latest update.
     seen: Stamp,
-    /// As last drawn; `None` when something changed since.
-    picture: Option<Arc<PipelinePicture>>,
+    /// The latest snapshot; `None` if something changed since.
+    picture: Option<Arc<PipelineSnapshot>>,
 }
 
 impl Pipeline {
-    /// A pipeline at its first update.
+    /// Creates the state at the pipeline's first update.
     pub(super) fn new(live: PipelineLive, sent: WallTime, now: Stamp, left_out: &mut u64) -> Self {
         let mut pipeline = Self {
             state: PipelineState::Starting,
@@ -63,13 +63,14 @@ impl Pipeline {
         pipeline
     }
 
-    /// Takes over an update. A second that was known is replaced: each report of it is complete up to then.
+    /// Applies an update. A second that is known already is replaced, because each report of a second covers it from
+    /// its start.
     pub(super) fn update(&mut self, mut live: PipelineLive, sent: WallTime, now: Stamp, left_out: &mut u64) {
         bounds::state(&mut live.state);
         bounds::placement(&mut live.placement);
         bounds::text(&mut live.load);
         if self.sent - sent > STEP {
-            // The clock was set back and shows these seconds again: what is known of them happened at other times.
+            // The clock was set back and repeats these seconds; the known ones happened at other times.
             self.recent.forget_from(sent.unix_seconds());
             drop(self.series.split_off(&sent.unix_seconds()));
             self.percentiles.forget_from(sent.unix_seconds());
@@ -79,16 +80,18 @@ impl Pipeline {
         let newest = sent.unix_seconds();
         for second in live.seconds {
             let at = second.at;
-            // A clock that was set, or a hostile agent: such a second would push all others out of the rings.
+            // Reported after a step of the clock or by a hostile agent: such a second would displace all others from
+            // the rings.
             if at > newest || at <= newest.saturating_sub(SERIES_S) {
                 *left_out += 1;
                 continue;
             }
-            let cell = Cell::of(second, left_out);
-            self.series.insert(at, Arc::new(cell.draw(at)));
-            self.percentiles.replace(at, cell.total());
+            let second_figures = SecondFigures::of(second, left_out);
+            self.series.insert(at, Arc::new(second_figures.draw(at)));
+            self.percentiles.replace(at, second_figures.total());
+            // Sketches are large; older seconds are kept as points of the charts only.
             if at > newest - SKETCHES_S {
-                self.recent.replace(at, cell);
+                self.recent.replace(at, second_figures);
             }
         }
         let oldest = newest.saturating_sub(SERIES_S) + 1;
@@ -97,15 +100,15 @@ impl Pipeline {
         self.picture = None;
     }
 
-    /// When it was last heard of.
+    /// Returns the time of the latest update.
     pub(super) fn seen(&self) -> MonoTime {
         self.seen.mono
     }
 
-    /// The windows must be drawn again when time goes on without updates.
+    /// Discards the snapshot if its windows change with time, because the agent is silent. Returns whether it did.
     pub(super) fn age(&mut self, now: Stamp) -> bool {
         let empty =
-            |picture: &Arc<PipelinePicture>| picture.windows.iter().all(|window| window.counts.total() == 0);
+            |picture: &Arc<PipelineSnapshot>| picture.windows.iter().all(|window| window.counts.total() == 0);
         let ageing =
             now.mono - self.seen.mono > SILENT && self.picture.as_ref().is_some_and(|drawn| !empty(drawn));
         if ageing {
@@ -114,12 +117,12 @@ impl Pipeline {
         ageing
     }
 
-    /// The agent's clock at the last update.
+    /// Returns the agent's clock at the latest update.
     pub(super) fn sent(&self) -> WallTime {
         self.sent
     }
 
-    /// Its agent stopped, and the pipeline with it.
+    /// Marks the pipeline as finished, because its agent stopped in order.
     pub(super) fn end(&mut self) {
         if !matches!(self.state, PipelineState::Finished | PipelineState::Failed(_)) {
             self.state = PipelineState::Finished;
@@ -127,7 +130,7 @@ impl Pipeline {
         }
     }
 
-    /// Its host is gone: what was under way may go on there or not.
+    /// Marks the pipeline as away, because its host became silent and may or may not still run it.
     pub(super) fn away(&mut self) {
         if !matches!(self.state, PipelineState::Finished | PipelineState::Failed(_)) {
             self.state = PipelineState::Away;
@@ -135,27 +138,28 @@ impl Pipeline {
         }
     }
 
-    /// Something beside the updates changed what is drawn.
+    /// Discards the snapshot after a change outside the updates.
     pub(super) fn redraw(&mut self) {
         self.picture = None;
     }
 
-    /// The current or last run.
+    /// Returns the current or last run.
     pub(super) fn run(&self) -> Option<RunId> {
         self.run
     }
 
-    /// The pipeline as it is shown; `number` knows the store's numbers of runs.
+    /// Returns the pipeline's snapshot. `number` returns the store's number of a run.
     pub(super) fn picture(
         &mut self,
         (host, host_name, pipeline): (HostId, &Slug, &Slug),
         number: impl Fn(RunId) -> Option<i64>,
         now: Stamp,
-    ) -> Arc<PipelinePicture> {
+    ) -> Arc<PipelineSnapshot> {
+        // Unchanged pipelines share one snapshot between pictures.
         if let Some(drawn) = &self.picture {
             return Arc::clone(drawn);
         }
-        let picture = Arc::new(PipelinePicture {
+        let picture = Arc::new(PipelineSnapshot {
             host,
             host_name: host_name.clone(),
             pipeline: pipeline.clone(),
@@ -173,24 +177,25 @@ impl Pipeline {
         picture
     }
 
-    /// The windows end at the agent's last update, or later when it has been silent for long.
+    /// Returns the windows. They end at the agent's latest update, or at the present if the agent is silent.
     fn windows(&self, now: Stamp) -> [Window; 3] {
         let silence = now.mono - self.seen.mono;
         let end = if silence > SILENT { self.sent + silence } else { self.sent };
         let current = end.unix_seconds();
         let under_way = (end - WallTime::from_unix_nanos(current.saturating_mul(1_000_000_000))).seconds();
-        // A pipeline that began within the window has no rate before; a moment after its begin has none yet.
+        // The time before the pipeline's start does not lower the rate. At least 1 s is assumed, so that a pipeline
+        // that has just started has no extreme rate.
         let known_for = self
             .series
             .first_key_value()
             .map_or(f64::INFINITY, |(first, _)| ((current - first) as f64 + under_way).max(1.0));
-        let mut sum = Cell::default();
+        let mut sum = SecondFigures::default();
         let mut merged = 0;
-        // Each window holds the shorter one, and all hold the second under way.
+        // Each window contains the shorter ones, and all contain the incomplete second.
         WINDOWS.map(|seconds| {
             let cells = i64::from(seconds) + 1;
-            for (_, cell) in self.recent.iter(current - merged, (cells - merged) as usize) {
-                sum.merge(cell);
+            for (_, second_figures) in self.recent.iter(current - merged, (cells - merged) as usize) {
+                sum.merge(second_figures);
             }
             merged = cells;
             sum.window(seconds, (f64::from(seconds) + under_way).min(known_for))

@@ -1,95 +1,99 @@
-//! Whether a host is there, and when it was heard.
+//! The presence of a host, and the time of its last message.
 
 use peernet_clock::{MonoTime, Span, Stamp, WallTime};
 
-/// A host that sent nothing for so long counts as disconnected; it sends four times a second.
+/// Silence after which a host counts as disconnected. Agents send four messages a second.
 const CONNECTED_WITHIN: Span = Span::from_seconds(3);
 
-/// Whether a host is there.
+/// State of a host's presence.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum State {
-    /// It said hello and tells of itself.
+    /// The host has a session and sends updates.
     Connected,
-    /// It does not, and nobody knows why.
+    /// The host became silent without a goodbye.
     Silent,
-    /// It took its leave.
+    /// The host said goodbye.
     Left,
 }
 
-/// The process of a host that was last heard, and when.
+/// The latest process of a host, its state, and the time of its last message.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Presence {
     state: State,
-    /// The number that the host's process made at its start.
+    /// The number that the host's process drew at its start.
     process: u64,
+    /// Time of the last message.
     seen: Stamp,
-    /// The last update: the host's clock when it was sent, and the process that sent it.
+    /// The latest update: the host's clock when it was sent, and the process that sent it.
     update: Option<(WallTime, u64)>,
 }
 
 impl Presence {
-    /// A process that just introduced itself.
+    /// Creates the state at a process's hello.
     pub(super) const fn new(process: u64, now: Stamp) -> Self {
         Self { state: State::Connected, process, seen: now, update: None }
     }
 
+    /// Returns whether the host is connected.
     pub(super) fn is_connected(&self) -> bool {
         self.state == State::Connected
     }
 
+    /// Returns whether the host has said goodbye.
     pub(super) fn has_left(&self) -> bool {
         self.state == State::Left
     }
 
-    /// When the host was last heard.
+    /// Returns the time of the host's last message.
     pub(super) const fn seen(&self) -> Stamp {
         self.seen
     }
 
-    /// The host's clock at its last update.
+    /// Returns the host's clock at its latest update.
     pub(super) fn sent(&self) -> Option<WallTime> {
         self.update.map(|(sent, _)| sent)
     }
 
-    /// The host's clock at the last update of the process that is there now.
+    /// Returns the host's clock at the latest update of the current process.
     pub(super) fn sent_by_current(&self) -> Option<WallTime> {
         self.update.filter(|(_, process)| *process == self.process).map(|(sent, _)| sent)
     }
 
-    /// Difference of the host's clock to ours at its last update.
+    /// Returns the host's clock minus the aggregator's at the latest update.
     pub(super) fn clock_ahead(&self) -> Span {
         self.sent().map_or(Span::ZERO, |sent| sent - self.seen.wall)
     }
 
-    /// A process introduced itself; whether it is the one that was there.
+    /// Records a process's hello. Returns whether it is the same process as before.
     pub(super) fn introduce(&mut self, process: u64, now: Stamp) -> bool {
         self.seen = now;
         let same = std::mem::replace(&mut self.process, process) == process;
+        // A new process counts as connected from its first update on: until then the picture shows the previous one.
         if same {
             self.state = State::Connected;
         }
         same
     }
 
-    /// The host sent an update.
+    /// Records an update.
     pub(super) const fn update(&mut self, sent: WallTime, now: Stamp) {
         (self.state, self.seen) = (State::Connected, now);
         self.update = Some((sent, self.process));
     }
 
-    /// The host took its leave.
+    /// Records a goodbye.
     pub(super) const fn leave(&mut self) {
         self.state = State::Left;
     }
 
-    /// The host is gone without a word, unless it had left before.
+    /// Records that the host became silent, unless it has said goodbye.
     pub(super) fn lose(&mut self) {
         if self.is_connected() {
             self.state = State::Silent;
         }
     }
 
-    /// Whether the host counts as connected and was silent for too long.
+    /// Returns whether the host counts as connected and has been silent for too long.
     pub(super) fn is_overdue(&self, now: MonoTime) -> bool {
         self.is_connected() && now - self.seen.mono > CONNECTED_WITHIN
     }

@@ -1,4 +1,4 @@
-//! The task that owns the live state and publishes pictures of it.
+//! The task that owns the live picture's state and publishes its snapshots.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -6,19 +6,19 @@ use std::time::Duration;
 use peernet_clock::{SharedClock, Span};
 use tokio::sync::{mpsc, watch};
 
-use super::{Live, News};
-use crate::picture::Picture;
+use super::{LiveEvent, LiveTracker};
+use crate::live_state::LiveState;
 
-/// Between two pictures, at least: five a second.
+/// Shortest interval between two snapshots: at most five a second.
 const BETWEEN: Span = Span::from_millis(200);
-/// How often time passes for what is silent.
+/// Interval of applying the passing of time to silent hosts.
 const AGE_EVERY: Duration = Duration::from_secs(1);
 
-/// Takes in news until there will be no more; publishes a picture when something changed.
+/// Applies events until their channel is closed, and publishes a snapshot after changes.
 pub(crate) async fn run(
-    mut live: Live,
-    mut news: mpsc::Receiver<News>,
-    pictures: watch::Sender<Arc<Picture>>,
+    mut live: LiveTracker,
+    mut events: mpsc::Receiver<LiveEvent>,
+    pictures: watch::Sender<Arc<LiveState>>,
     clock: SharedClock,
 ) {
     let mut ageing = tokio::time::interval(AGE_EVERY);
@@ -26,10 +26,11 @@ pub(crate) async fn run(
     let mut published = clock.mono();
     let mut changed = false;
     loop {
+        // Events are collected until the next snapshot is due, so that a burst costs one snapshot.
         let wait = (BETWEEN - (clock.mono() - published)).to_duration();
         tokio::select! {
-            item = news.recv() => match item {
-                Some(item) => changed |= live.take(item, clock.stamp()),
+            event = events.recv() => match event {
+                Some(event) => changed |= live.apply(event, clock.stamp()),
                 None => return,
             },
             _ = ageing.tick() => changed |= live.age(clock.stamp()),

@@ -1,4 +1,4 @@
-//! The agent's end of the event stream over a real socket.
+//! The agent's end of the event stream, on a TCP socket.
 
 use std::time::Duration;
 
@@ -15,29 +15,29 @@ use zeromq::{Message, Options, Socket, SocketType};
 use crate::generate;
 use crate::spool::Spool;
 
-/// Longest time that anything may take before a test counts as hung.
+/// Longest time that a step may take before its test fails.
 const PATIENCE: Duration = Duration::from_secs(30);
 
-/// An agent: the real state machine, a spool in memory, a socket.
+/// A test agent: the agents' state machine with a spool in memory and a socket.
 pub(crate) struct Agent {
     pub(crate) id: HostId,
     pub(crate) sending: Sending,
     pub(crate) notices: Vec<Notice>,
     spool: Spool,
-    socket: Wire,
+    socket: AgentSocket,
     clock: SharedClock,
 }
 
-/// The secret that hosts of these tests have.
+/// Returns the secret of a host of these tests, which follows from its id.
 pub(crate) fn secret_of(host: HostId) -> HostSecret {
     let half = host.as_bytes();
     HostSecret::from_bytes(std::array::from_fn(|n| half[n % half.len()]))
 }
 
-/// A bare connection to the aggregator.
-pub(crate) struct Wire(Socket);
+/// A connection to the aggregator.
+pub(crate) struct AgentSocket(Socket);
 
-impl Wire {
+impl AgentSocket {
     pub(crate) async fn to(address: &str) -> Self {
         let socket = Socket::new(SocketType::Dealer, Options::default());
         socket.connect(address).await.expect("connects");
@@ -52,12 +52,12 @@ impl Wire {
         self.0.send(Message::single(frame.into())).await.expect("sends");
     }
 
-    /// Says hello and proves it; returns what is answered then.
+    /// Sends a hello and the proof; returns the aggregator's answer.
     pub(crate) async fn greet(&self, hello: &Hello) -> ToAgent {
         self.greet_with(hello, &secret_of(hello.host.id)).await
     }
 
-    /// The same with any secret.
+    /// Same as [`Self::greet`] with any secret.
     pub(crate) async fn greet_with(&self, hello: &Hello, secret: &HostSecret) -> ToAgent {
         self.send(&ToAggregator::Hello(hello.clone())).await;
         let answer = self.receive().await;
@@ -82,18 +82,18 @@ impl Agent {
 
     pub(crate) async fn with(id: HostId, name: &str, address: &str, clock: &SharedClock) -> Self {
         let spool = Spool::new();
-        // The transport does not tell of lost connections here: patience notices.
+        // This socket does not report lost connections, so the agent detects them by its patience.
         let patience = Span::from_millis(500);
         let config = SendingConfig { batch_nodes: 1_000, patience, ..SendingConfig::default() };
         let process = generate::Numbers::new(clock.mono().nanos() as u64).bits();
         let mut sending =
             Sending::new(config, generate::host(id, name), secret_of(id), process, spool.state());
         sending.connected(clock.mono());
-        let socket = Wire::to(address).await;
+        let socket = AgentSocket::to(address).await;
         Self { id, sending, notices: Vec::new(), spool, socket, clock: SharedClock::clone(clock) }
     }
 
-    /// Does what the state machine wants to have done.
+    /// Executes the actions of the state machine.
     async fn act(&mut self) {
         while let Some(action) = self.sending.next(self.clock.mono()) {
             if let Action::Send(frame) = action {
@@ -108,7 +108,7 @@ impl Agent {
         events.into_iter().for_each(|event| self.sending.offer(&event, self.clock.stamp()));
     }
 
-    /// Speaks with the aggregator until `done`.
+    /// Exchanges messages with the aggregator until `done` is true; fails after `PATIENCE`.
     pub(crate) async fn until(&mut self, what: &str, mut done: impl FnMut(&Self) -> bool) {
         let speak = async {
             loop {
@@ -135,7 +135,7 @@ impl Agent {
         self.until("the agent is welcome", |agent| agent.sending.is_up()).await;
     }
 
-    /// Sends everything and waits until it is acknowledged.
+    /// Sends all events and waits until they are acknowledged.
     pub(crate) async fn until_stored(&mut self) {
         self.sending.flush(self.clock.wall());
         self.until("everything is stored", |agent| agent.sending.is_idle()).await;
@@ -146,7 +146,7 @@ impl Agent {
         self.live_with(pipelines, vec![], HostClock::default()).await;
     }
 
-    /// Sends a live update with what is known of clocks.
+    /// Sends a live update with links and the state of the clock.
     pub(crate) async fn live_with(
         &self,
         pipelines: Vec<PipelineLive>,
@@ -165,7 +165,7 @@ impl Agent {
         self.socket.send(&ToAggregator::Live(update)).await;
     }
 
-    /// Takes its leave.
+    /// Sends a goodbye.
     pub(crate) async fn goodbye(&self) {
         self.socket.send(&ToAggregator::Goodbye(self.id)).await;
     }

@@ -1,4 +1,4 @@
-//! What an agent tells of clocks; for tests.
+//! Clock samples and links as agents send them.
 
 use peernet_clock::{DelaySource, Exchange, ExchangeCounts, Interval, Offset, RawTime, Span, Verdict};
 use peernet_logger::HostId;
@@ -8,13 +8,13 @@ use peernet_stream::{
 
 use super::generate;
 
-/// An interval of so many microseconds.
+/// Returns an interval from `lo` to `hi` microseconds.
 pub fn micros(lo: i64, hi: i64) -> Interval {
     Interval { lo: Span::from_micros(lo), hi: Span::from_micros(hi) }
 }
 
-/// The second of the relation that ends so many seconds after [`generate::at`]'s zero, with everything that one can
-/// hold. The cloud is 250 ms ahead, give or take as many microseconds as `width`.
+/// Returns the sample of the second that ends `second` seconds after the zero of [`generate::at`], with all optional
+/// parts. The cloud's clock is 250 ms ahead, with bounds of ± `width` µs.
 pub fn sample(peer: HostId, second: i64, width: i64) -> ClockSample {
     let at = generate::at(second as f64);
     let sent = RawTime::of_wall(at - Span::from_millis(400));
@@ -70,7 +70,7 @@ pub fn sample(peer: HostId, second: i64, width: i64) -> ClockSample {
     }
 }
 
-/// A link as an agent reports it.
+/// Returns a link as an agent reports it.
 pub fn link(now: ClockSample) -> LinkLive {
     LinkLive {
         peer: now.peer,

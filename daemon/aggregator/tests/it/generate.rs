@@ -1,4 +1,4 @@
-//! Hosts, runs and iterations as an agent would send them; for tests and the benchmark.
+//! Hosts, runs and iterations as agents send them, for tests and benchmarks.
 
 use peernet_clock::{ClockIdentity, Interval, OneWayDelay, Span, Verdict, WallTime};
 use peernet_logger::{
@@ -9,33 +9,33 @@ use peernet_stream::{
     Event, Hardware, HostDescription, Iteration, Outcome, Placement, PlacementKind, RunDescription,
 };
 
-/// Reproducible numbers.
+/// Reproducible pseudo-random numbers.
 #[derive(Clone, Debug)]
 pub struct Numbers(SplitMix64);
 
 impl Numbers {
-    /// Numbers that follow from the seed.
+    /// Creates the generator; the seed determines the numbers.
     pub const fn new(seed: u64) -> Self {
         Self(SplitMix64::new(seed))
     }
 
-    /// The next number, evenly spread over 64 bits.
+    /// Returns the next number, uniform over 64 bits.
     pub fn bits(&mut self) -> u64 {
         self.0.bits()
     }
 
-    /// The next number, evenly spread between two.
+    /// Returns the next number, uniform from `low` to `high` without `high`.
     pub fn between(&mut self, low: i64, high: i64) -> i64 {
         low + (self.bits() % (high - low) as u64) as i64
     }
 }
 
-/// A moment of the year 2025: seconds after its first.
+/// Returns the time `seconds` after the start of the year 2025 (UTC).
 pub fn at(seconds: f64) -> WallTime {
     WallTime::from_unix_nanos(1_735_689_600_000_000_000) + Span::from_seconds_f64(seconds)
 }
 
-/// A host that introduces itself.
+/// Returns a host's description.
 pub fn host(id: HostId, name: &str) -> HostDescription {
     HostDescription {
         id,
@@ -48,7 +48,7 @@ pub fn host(id: HostId, name: &str) -> HostDescription {
     }
 }
 
-/// A placement on a cloud.
+/// Returns a placement on a cloud.
 pub fn remote() -> Placement {
     Placement {
         kind: PlacementKind::Remote,
@@ -60,7 +60,7 @@ pub fn remote() -> Placement {
     }
 }
 
-/// A run that begins.
+/// Returns the event that starts a run.
 pub fn run_started(run: RunId, pipeline: &str, started: WallTime) -> Event {
     Event::RunStarted(RunDescription {
         run,
@@ -75,12 +75,12 @@ pub fn run_started(run: RunId, pipeline: &str, started: WallTime) -> Event {
     })
 }
 
-/// An iteration over two hosts with a node of every kind: 21 nodes.
+/// Returns an iteration over two hosts with nodes of every kind: 21 nodes. Five iterations start per second.
 pub fn iteration(run: RunId, number: u64, hosts: (HostId, HostId), numbers: &mut Numbers) -> Iteration {
     iteration_at(run, number, hosts, at(number as f64 * 0.2), numbers)
 }
 
-/// The same, beginning at a given moment.
+/// Same as [`iteration`] with the given time of start.
 pub fn iteration_at(
     run: RunId,
     number: u64,
@@ -153,6 +153,7 @@ pub fn iteration_at(
     Iteration { run, number, episode: 0, step: number as u32, warm_up: false, outcome: Outcome::Ok, tree }
 }
 
+/// Returns a one-way delay of `nanos` with bounds of ± 40 µs.
 fn transit(sent: WallTime, nanos: i64) -> Measure {
     let span = Span::from_nanos(nanos);
     let half = Span::from_micros(40);
@@ -169,7 +170,7 @@ fn transit(sent: WallTime, nanos: i64) -> Measure {
     }))
 }
 
-/// Events in wire form, one after the other: the body of a batch.
+/// Encodes events one after the other: the body of a batch.
 pub fn body(events: &[Event]) -> Vec<u8> {
     events.iter().flat_map(|event| rmp_serde::to_vec(event).expect("plain data")).collect()
 }

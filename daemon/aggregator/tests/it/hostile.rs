@@ -1,4 +1,4 @@
-//! Whoever means harm or is broken: silent connections, many names, a database that goes away.
+//! Tests with hostile or defective peers: silent connections, many names, a database that disappears.
 
 use std::sync::Arc;
 
@@ -12,16 +12,16 @@ use tokio::net::TcpStream;
 use tokio::sync::Semaphore;
 use tokio::task::JoinSet;
 
-use crate::agent::Wire;
-use crate::bed::Bed;
-use crate::raw::{Raw, Reply};
+use crate::agent::AgentSocket;
+use crate::scripted_agent::{Reply, ScriptedAgent};
+use crate::testbed::Testbed;
 use crate::{clocks, generate};
 
 #[tokio::test]
 async fn silent_connections_keep_no_agent_out() {
-    let mut bed = Bed::new().await;
-    let address = bed.address.strip_prefix("tcp://").expect("TCP").to_owned();
-    // Who is thrown out comes back at once.
+    let mut testbed = Testbed::new().await;
+    let address = testbed.address.strip_prefix("tcp://").expect("TCP").to_owned();
+    // A connection that is closed by the aggregator is opened again at once.
     let mut silent = JoinSet::new();
     let inside = Arc::new(Semaphore::new(0));
     for _ in 0..300 {
@@ -36,20 +36,20 @@ async fn silent_connections_keep_no_agent_out() {
         });
     }
     let _all = inside.acquire_many(300).await.expect("open");
-    let mut agent = bed.agent("edge").await;
+    let mut agent = testbed.agent("edge").await;
     agent.until_up().await;
     silent.shutdown().await;
-    bed.stop().await;
+    testbed.stop().await;
 }
 
 #[tokio::test]
-async fn one_connection_says_hello_for_few_hosts() {
-    let mut bed = Bed::new().await;
-    let wire = Wire::to(&bed.address).await;
+async fn hosts_per_connection_are_limited() {
+    let mut testbed = Testbed::new().await;
+    let socket = AgentSocket::to(&testbed.address).await;
     for n in 0..65 {
-        // Each as if it had a connection of its own.
-        let hello = Raw::new(&bed).await.hello(&format!("host-{n}"));
-        match wire.greet(&hello).await {
+        // Each hello is as if from an agent with a separate connection.
+        let hello = ScriptedAgent::new(&testbed).await.hello(&format!("host-{n}"));
+        match socket.greet(&hello).await {
             ToAgent::Welcome { .. } => assert!(n < 64),
             ToAgent::Refused { reason } => {
                 assert!(n == 64 && reason.contains("let each agent open its own"), "{n}: {reason}");
@@ -57,42 +57,42 @@ async fn one_connection_says_hello_for_few_hosts() {
             other => panic!("{other:?}"),
         }
     }
-    // Others are let in.
-    let mut agent = bed.agent("edge").await;
+    // Other connections are accepted.
+    let mut agent = testbed.agent("edge").await;
     agent.until_up().await;
-    bed.stop().await;
+    testbed.stop().await;
 }
 
 #[tokio::test]
-async fn what_is_no_message_and_what_strangers_send_is_counted() {
-    let mut bed = Bed::new().await;
-    let mut stranger = Raw::new(&bed).await;
+async fn unreadable_and_unknown_messages_are_counted() {
+    let mut testbed = Testbed::new().await;
+    let mut stranger = ScriptedAgent::new(&testbed).await;
     for junk in [&b""[..], b"\xff\xff\xff", &[7; 10_000]] {
-        stranger.wire.send_frame(junk.to_vec()).await;
+        stranger.socket.send_frame(junk.to_vec()).await;
     }
     stranger.send_next().await;
     stranger.expect(Reply::Unknown).await;
-    stranger.wire.send(&ToAggregator::Goodbye(stranger.host)).await;
+    stranger.socket.send(&ToAggregator::Goodbye(stranger.host)).await;
     stranger.expect(Reply::Unknown).await;
-    let counted = bed.picture("all of them", |picture| {
+    let counted = testbed.picture("all of them", |picture| {
         let refused = picture.totals.refused;
         (refused.unreadable, refused.strangers) == (3, 2)
     });
     let picture = counted.await;
     assert!(picture.hosts.is_empty() && picture.totals.stored.events == 0);
-    bed.stop().await;
+    testbed.stop().await;
 }
 
 #[tokio::test]
-async fn a_hostile_account_of_clocks_takes_little_room_and_holds_up_nothing() {
-    let mut bed = Bed::new().await;
-    let mut agent = bed.agent("edge").await;
+async fn hostile_clock_values_are_bounded_and_stored() {
+    let mut testbed = Testbed::new().await;
+    let mut agent = testbed.agent("edge").await;
     agent.until_up().await;
-    // More than is read, then as much as is read.
+    // More links than an update may have, then as many as it may have.
     let mut links: Vec<_> = (0..1_024)
         .map(|_| {
             let mut now = clocks::sample(HostId::random(), 1, 40);
-            now.at = bed.clock.wall();
+            now.at = testbed.clock.wall();
             now.max_drift_ppm = f64::NAN;
             let mut link = clocks::link(now);
             link.networks = vec![String::new(); 64];
@@ -104,13 +104,13 @@ async fn a_hostile_account_of_clocks_takes_little_room_and_holds_up_nothing() {
     let more = [&links[..], &links[..1]].concat();
     agent.live_with(vec![], more, clock.clone()).await;
     agent.live_with(vec![], links, clock).await;
-    let picture = bed.picture("some links", |picture| !picture.links.is_empty()).await;
+    let picture = testbed.picture("some links", |picture| !picture.links.is_empty()).await;
     assert_eq!(picture.links.len(), 64);
-    // The links of one update, and half the networks of those that are shown but for one.
+    // 64 links of one update are shown, and of 63 of them half of the networks.
     assert_eq!(picture.hosts[0].live_left_out, 1_024 - 64 + 63 * 32);
     assert!(serde_json::to_string(&*picture).expect("serialises").len() < 1_000_000);
 
-    // Every bit of a number set or none, in the lane that must store what it can.
+    // Extreme bit patterns in the durable lane, which must store what it can.
     let wild = |second: i64, nanos: i64| {
         let mut sample = clocks::sample(HostId::from_bytes([7; 16]), second, 40);
         (sample.window, sample.max_drift_ppm) = (nanos.cast_unsigned(), f64::NEG_INFINITY);
@@ -130,7 +130,7 @@ async fn a_hostile_account_of_clocks_takes_little_room_and_holds_up_nothing() {
     let hosts = (agent.id, HostId::from_bytes([7; 16]));
     agent.offer((1..=50).map(|n| {
         let mut iteration = generate::iteration(run, n, hosts, &mut numbers);
-        // Two clocks, so that it is judged again.
+        // The two hosts have different clocks, so the delay is computed again.
         let (upload, _) = iteration.tree.find(&["upload"]).expect("measured");
         if let Some(Measure::Transit(transit)) = iteration.tree.measure_mut(upload) {
             transit.delay = Some(OneWayDelay::unsynchronised(Span::from_nanos(i64::MIN)));
@@ -140,77 +140,78 @@ async fn a_hostile_account_of_clocks_takes_little_room_and_holds_up_nothing() {
     let samples = [i64::MIN, i64::MAX, -1, 0].into_iter().zip(1..).map(|(nanos, second)| wild(second, nanos));
     agent.offer(samples.map(|sample| Event::Clock(Box::new(sample))));
     agent.until_stored().await;
-    assert_eq!(bed.count("SELECT count(*) FROM quarantine").await, 0);
-    assert_eq!(bed.count("SELECT count(*) FROM clock_sample").await, 4);
-    let store = bed.aggregator().store();
+    assert_eq!(testbed.count("SELECT count(*) FROM quarantine").await, 0);
+    assert_eq!(testbed.count("SELECT count(*) FROM clock_sample").await, 4);
+    let store = testbed.aggregator().store();
     let (from, to) = (WallTime::from_unix_nanos(i64::MIN), WallTime::from_unix_nanos(i64::MAX));
     let key = LinkKey { edge: agent.id, cloud: hosts.1, network: NetworkName::default() };
     let series = store.clock_series(&key, from, to, 600).await.expect("answers");
     assert_eq!(series.points.len(), 4);
     let recomputed = store.recompute(1).await.expect("answers").expect("exists");
     assert_eq!(recomputed.stages.len(), 2);
-    bed.stop().await;
+    testbed.stop().await;
 }
 
 #[tokio::test]
 async fn nothing_is_acknowledged_while_the_database_file_is_away() {
-    let mut bed = Bed::new().await;
-    let mut agent = bed.agent("edge").await;
+    let mut testbed = Testbed::new().await;
+    let mut agent = testbed.agent("edge").await;
     let run = RunId::random();
     agent.offer([generate::run_started(run, "line", generate::at(0.0))]);
     agent.until_stored().await;
-    let away = bed.database.with_extension("away");
-    std::fs::rename(&bed.database, &away).expect("moves");
-    // Seen although nothing is to be stored.
-    agent.until("it is seen", |_| bed.aggregator().ready() != Readiness::Ready).await;
-    let Readiness::NotStoring(reason) = bed.aggregator().ready() else { panic!("not storing") };
+    let away = testbed.database.with_extension("away");
+    std::fs::rename(&testbed.database, &away).expect("moves");
+    // Detected although nothing is to be stored.
+    agent.until("it is seen", |_| testbed.aggregator().ready() != Readiness::Ready).await;
+    let Readiness::NotStoring(reason) = testbed.aggregator().ready() else { panic!("not storing") };
     assert!(reason.contains("deleted, moved or replaced") && reason.contains("put it back"), "{reason}");
     let mut numbers = generate::Numbers::new(3);
     let hosts = (agent.id, HostId::from_bytes([7; 16]));
     agent.offer((1..=50).map(|n| Event::Iteration(generate::iteration(run, n, hosts, &mut numbers))));
-    agent.sending.flush(bed.clock.wall());
+    agent.sending.flush(testbed.clock.wall());
     assert_eq!((agent.accounting().stored, agent.accounting().waiting), (1, 50));
 
-    std::fs::rename(&away, &bed.database).expect("moves back");
+    std::fs::rename(&away, &testbed.database).expect("moves back");
     agent.until_stored().await;
-    assert_eq!(bed.aggregator().ready(), Readiness::Ready);
-    assert_eq!(bed.count("SELECT ok FROM run").await, 50);
-    bed.stop().await;
+    assert_eq!(testbed.aggregator().ready(), Readiness::Ready);
+    assert_eq!(testbed.count("SELECT ok FROM run").await, 50);
+    testbed.stop().await;
 }
 
 #[tokio::test]
-async fn a_run_that_began_before_a_fresh_database_gets_its_name_from_the_live_lane() {
-    let mut bed = Bed::new().await;
-    let mut agent = bed.agent("edge").await;
+async fn unnamed_run_gets_name_from_live_lane() {
+    let mut testbed = Testbed::new().await;
+    let mut agent = testbed.agent("edge").await;
     let run = RunId::random();
     let mut numbers = generate::Numbers::new(3);
     let hosts = (agent.id, HostId::from_bytes([7; 16]));
     agent.offer((4..=9).map(|n| Event::Iteration(generate::iteration(run, n, hosts, &mut numbers))));
     agent.until_stored().await;
-    // Not yet named, and known as such after a restart too.
-    assert_eq!(bed.count("SELECT count(*) FROM run WHERE model = 'unknown'").await, 1);
-    bed.stop().await;
-    bed.start().await;
+    // The run has no name yet, and is known as unnamed after a restart, too.
+    assert_eq!(testbed.count("SELECT count(*) FROM run WHERE model = 'unknown'").await, 1);
+    testbed.stop().await;
+    testbed.start().await;
     agent.until_up().await;
-    let mut again = crate::agent::Agent::with(agent.id, "edge", &bed.address, &bed.clock).await;
+    let mut again = crate::agent::Agent::with(agent.id, "edge", &testbed.address, &testbed.clock).await;
     drop(agent);
     again.until_up().await;
-    let second = bed.clock.wall().unix_seconds();
+    let second = testbed.clock.wall().unix_seconds();
     again.live(vec![crate::lanes::live(run, second, &[0.020])]).await;
     again.offer([Event::Iteration(generate::iteration(run, 10, hosts, &mut numbers))]);
     again.until_stored().await;
     assert_eq!(
-        bed.count(
-            "SELECT count(*) FROM run_list WHERE pipeline = 'line' AND placement = 'remote' AND ok = 7"
-        )
-        .await,
+        testbed
+            .count(
+                "SELECT count(*) FROM run_list WHERE pipeline = 'line' AND placement = 'remote' AND ok = 7"
+            )
+            .await,
         1
     );
-    let picture = bed
+    let picture = testbed
         .picture("what was stored before", |picture| {
             picture.hosts.first().is_some_and(|host| host.stored.events == 7)
         })
         .await;
     assert_eq!(picture.hosts.len(), 1);
-    bed.stop().await;
+    testbed.stop().await;
 }

@@ -1,4 +1,4 @@
-//! Both lanes from agents to readers.
+//! Tests of both lanes from agents to readers.
 
 use peernet_aggregator::Readiness;
 use peernet_logger::{HostId, RunId, stage};
@@ -9,7 +9,7 @@ use peernet_stream::{
     RunEnded, Second,
 };
 
-use crate::bed::Bed;
+use crate::testbed::Testbed;
 use crate::{clocks, generate};
 
 fn iterations(run: RunId, edge: HostId, numbers: std::ops::RangeInclusive<u64>) -> Vec<Iteration> {
@@ -42,9 +42,9 @@ pub(crate) fn live(run: RunId, at: i64, totals: &[f64]) -> PipelineLive {
 }
 
 #[tokio::test]
-async fn what_agents_send_is_what_readers_get() {
-    let mut bed = Bed::new().await;
-    let (mut one, mut two) = (bed.agent("one").await, bed.agent("two").await);
+async fn readers_get_what_agents_sent() {
+    let mut testbed = Testbed::new().await;
+    let (mut one, mut two) = (testbed.agent("one").await, testbed.agent("two").await);
     let runs = [RunId::random(), RunId::random()];
     let sent = [iterations(runs[0], one.id, 1..=300), iterations(runs[1], two.id, 1..=200)];
     for (agent, (run, sent)) in [&mut one, &mut two].into_iter().zip(runs.iter().zip(&sent)) {
@@ -59,7 +59,7 @@ async fn what_agents_send_is_what_readers_get() {
     tokio::join!(one.until_stored(), two.until_stored());
     assert_eq!((one.accounting().stored, two.accounting().stored, one.accounting().dropped), (302, 202, 0));
 
-    let store = bed.aggregator().store();
+    let store = testbed.aggregator().store();
     let listed = store.runs(&RunFilter::default()).await.expect("answers");
     assert_eq!(listed.len(), 2);
     for summary in &listed {
@@ -72,33 +72,33 @@ async fn what_agents_send_is_what_readers_get() {
             assert_eq!(detail.expect("stored").tree, iteration.tree);
         }
     }
-    assert_eq!(bed.count("SELECT count(*) FROM node").await, 500 * 21);
-    let picture = bed.picture("both accounts", |picture| {
+    assert_eq!(testbed.count("SELECT count(*) FROM node").await, 500 * 21);
+    let picture = testbed.picture("both accounts", |picture| {
         picture.hosts.len() == 2 && picture.hosts.iter().map(|host| host.stored.events).sum::<u64>() == 504
     });
     assert_eq!(picture.await.hosts.iter().map(|host| host.stored.nodes).sum::<u64>(), 500 * 21);
-    bed.stop().await;
+    testbed.stop().await;
 }
 
 #[tokio::test]
-async fn what_is_told_of_clocks_is_shown_and_stored() {
-    let mut bed = Bed::new().await;
-    let mut agent = bed.agent("edge").await;
+async fn clock_samples_are_shown_and_stored() {
+    let mut testbed = Testbed::new().await;
+    let mut agent = testbed.agent("edge").await;
     agent.until_up().await;
     let cloud = HostId::random();
     let samples: Vec<_> = (1..=200).map(|second| clocks::sample(cloud, second, 40)).collect();
     let of_samples = |part: &[ClockSample]| -> Vec<Event> {
         part.iter().cloned().map(|sample| Event::Clock(Box::new(sample))).collect()
     };
-    // Half, a restart, and the other half: each once.
+    // Half of the samples, a restart, and the other half: each is stored once.
     agent.offer(of_samples(&samples[..100]));
     agent.until_stored().await;
-    bed.stop().await;
-    bed.start().await;
+    testbed.stop().await;
+    testbed.start().await;
     agent.offer(of_samples(&samples[100..]));
     agent.until_stored().await;
-    assert_eq!(bed.count("SELECT count(*) FROM clock_sample").await, 200);
-    let store = bed.aggregator().store();
+    assert_eq!(testbed.count("SELECT count(*) FROM clock_sample").await, 200);
+    let store = testbed.aggregator().store();
     let links = store.links().await.expect("answers");
     assert_eq!((links.len(), links[0].edge, links[0].cloud), (1, agent.id, cloud));
     let series =
@@ -108,67 +108,69 @@ async fn what_is_told_of_clocks_is_shown_and_stored() {
         assert_eq!((point.at, &point.offset, point.up), (sample.at, &sample.offset, sample.up));
     }
 
-    // The live lane shows now, whatever is stored.
+    // The live lane shows the present, independently of what is stored.
     let mut now = clocks::sample(cloud, 1, 40);
-    now.at = bed.clock.wall();
+    now.at = testbed.clock.wall();
     let clock = HostClock { text: "kernel, synchronised".into(), ..HostClock::default() };
     agent.live_with(vec![], vec![clocks::link(now.clone())], clock.clone()).await;
-    let picture = bed.picture("the link", |picture| picture.links.len() == 1).await;
+    let picture = testbed.picture("the link", |picture| picture.links.len() == 1).await;
     let link = &picture.links[0];
     assert_eq!((link.edge, link.connected, &link.live), (agent.id, true, &clocks::link(now.clone())));
     assert_eq!((link.history.len(), &link.history[0].offset), (1, &now.offset));
     assert_eq!(picture.hosts[0].clock, clock);
-    bed.picture("that the edge is away", |picture| picture.links.iter().all(|link| !link.connected)).await;
-    bed.stop().await;
+    testbed
+        .picture("that the edge is away", |picture| picture.links.iter().all(|link| !link.connected))
+        .await;
+    testbed.stop().await;
 }
 
 #[tokio::test]
-async fn a_restart_in_the_middle_loses_nothing_and_stores_nothing_twice() {
-    let mut bed = Bed::new().await;
-    let mut agent = bed.agent("edge").await;
+async fn restart_loses_nothing_and_stores_nothing_twice() {
+    let mut testbed = Testbed::new().await;
+    let mut agent = testbed.agent("edge").await;
     let run = RunId::random();
     agent.offer([generate::run_started(run, "line", generate::at(0.0))]);
     for part in 0..4_u64 {
         agent.offer(events(&iterations(run, agent.id, part * 500 + 1..=part * 500 + 500)));
         let half = agent.accounting().stored + 250;
         agent.until("half of it is stored", |agent| agent.accounting().stored >= half).await;
-        bed.stop().await;
-        bed.start().await;
+        testbed.stop().await;
+        testbed.start().await;
     }
     agent.until_stored().await;
     assert_eq!(agent.accounting().stored, 2_001);
-    assert_eq!(bed.count("SELECT count(*) FROM iteration").await, 2_000);
-    assert_eq!(bed.count("SELECT count(*) FROM node").await, 2_000 * 21);
-    assert_eq!(bed.count("SELECT ok FROM run").await, 2_000);
-    assert_eq!(bed.count("SELECT count(*) FROM gap").await, 0);
-    let stages = bed.aggregator().store().statistics_of(1).await.expect("answers").stages;
+    assert_eq!(testbed.count("SELECT count(*) FROM iteration").await, 2_000);
+    assert_eq!(testbed.count("SELECT count(*) FROM node").await, 2_000 * 21);
+    assert_eq!(testbed.count("SELECT ok FROM run").await, 2_000);
+    assert_eq!(testbed.count("SELECT count(*) FROM gap").await, 0);
+    let stages = testbed.aggregator().store().statistics_of(1).await.expect("answers").stages;
     let total = stages.iter().find(|known| known.stage == "total").expect("measured");
     assert_eq!(total.figures.count, 2_000);
-    bed.stop().await;
+    testbed.stop().await;
 }
 
 #[tokio::test]
-async fn nothing_is_acknowledged_before_it_is_on_disk_and_the_picture_lives_on() {
-    let mut bed = Bed::new().await;
-    let mut agent = bed.agent("edge").await;
+async fn nothing_is_acknowledged_before_commit_while_picture_updates() {
+    let mut testbed = Testbed::new().await;
+    let mut agent = testbed.agent("edge").await;
     agent.until_up().await;
-    bed.picture("the host", |picture| picture.hosts.len() == 1).await;
-    // The greeting is stored before the lock.
+    testbed.picture("the host", |picture| picture.hosts.len() == 1).await;
+    // The greeting is stored before the database is locked.
     let run = RunId::random();
     agent.offer([generate::run_started(run, "line", generate::at(0.0))]);
     agent.until_stored().await;
 
-    let mut other = bed.connection().await;
+    let mut other = testbed.connection().await;
     sqlx::raw_sql("BEGIN EXCLUSIVE").execute(&mut other).await.expect("locks");
     agent.offer(events(&iterations(run, agent.id, 1..=100)));
-    agent.until("storing is seen to fail", |_| bed.aggregator().ready() != Readiness::Ready).await;
-    let Readiness::NotStoring(reason) = bed.aggregator().ready() else { panic!("not storing") };
+    agent.until("storing is seen to fail", |_| testbed.aggregator().ready() != Readiness::Ready).await;
+    let Readiness::NotStoring(reason) = testbed.aggregator().ready() else { panic!("not storing") };
     assert!(reason.contains("locked"), "{reason}");
     assert_eq!((agent.accounting().stored, agent.accounting().waiting), (1, 100));
 
-    let second = bed.clock.wall().unix_seconds();
+    let second = testbed.clock.wall().unix_seconds();
     agent.live(vec![live(run, second, &[0.020; 7])]).await;
-    let picture = bed.picture("the second", |picture| {
+    let picture = testbed.picture("the second", |picture| {
         picture.pipelines.first().is_some_and(|line| line.windows[2].counts.ok == 7)
     });
     let picture = picture.await;
@@ -177,22 +179,22 @@ async fn nothing_is_acknowledged_before_it_is_on_disk_and_the_picture_lives_on()
 
     sqlx::raw_sql("ROLLBACK").execute(&mut other).await.expect("unlocks");
     agent.until_stored().await;
-    assert_eq!(bed.aggregator().ready(), Readiness::Ready);
-    assert_eq!(bed.count("SELECT count(*) FROM iteration").await, 100);
-    bed.stop().await;
+    assert_eq!(testbed.aggregator().ready(), Readiness::Ready);
+    assert_eq!(testbed.count("SELECT count(*) FROM iteration").await, 100);
+    testbed.stop().await;
 }
 
 #[tokio::test]
-async fn what_was_let_in_before_a_stop_is_stored_and_acknowledged() {
-    let mut bed = Bed::new().await;
-    let mut agent = bed.agent("edge").await;
+async fn admitted_batches_are_stored_and_acknowledged_at_stop() {
+    let mut testbed = Testbed::new().await;
+    let mut agent = testbed.agent("edge").await;
     agent.until_up().await;
     let run = RunId::random();
     agent.offer([generate::run_started(run, "line", generate::at(0.0))]);
     agent.offer(events(&iterations(run, agent.id, 1..=400)));
     agent.until("some is stored", |agent| agent.accounting().stored > 0).await;
-    bed.stop().await;
-    let stored = bed.count("SELECT ok FROM run").await as u64 + 1;
+    testbed.stop().await;
+    let stored = testbed.count("SELECT ok FROM run").await as u64 + 1;
     agent.until("all acknowledgements are here", |agent| agent.accounting().stored >= stored).await;
     assert_eq!(agent.accounting().stored, stored);
 }

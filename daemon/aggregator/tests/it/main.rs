@@ -1,17 +1,17 @@
-//! The whole aggregator: real sockets, real SQLite files, agents that speak the real protocol.
+//! Tests of the whole aggregator, with TCP sockets, SQLite files and agents that use the event stream's protocol.
 
 mod agent;
-mod bed;
 #[expect(unreachable_pub, reason = "shared with the unit tests")]
 mod clocks;
+mod faulty_agents;
+mod full_queue;
 #[expect(unreachable_pub, reason = "shared with the unit tests and the benchmark")]
 mod generate;
 mod hostile;
 mod lanes;
-mod raw;
 mod reopening;
-mod room;
+mod scripted_agent;
 mod spool;
 mod starting;
 mod stopping;
-mod trouble;
+mod testbed;

@@ -1,4 +1,4 @@
-//! The database's file goes away or is replaced while the aggregator runs.
+//! Tests in which the database's file is moved or replaced while the aggregator runs.
 
 use std::path::{Path, PathBuf};
 
@@ -9,16 +9,17 @@ use peernet_stream::Event;
 use sqlx::{AssertSqlSafe, Connection};
 
 use crate::agent::Agent;
-use crate::bed::Bed;
 use crate::generate;
+use crate::testbed::Testbed;
 
+/// Returns the path of the database with `end` appended.
 fn beside(database: &Path, end: &str) -> PathBuf {
     let mut path = database.as_os_str().to_owned();
     path.push(end);
     path.into()
 }
 
-/// Moves the database away with all that is beside it.
+/// Moves the database away with its -wal and -shm files.
 fn move_away(database: &Path) {
     for end in ["", "-wal", "-shm"] {
         let from = beside(database, end);
@@ -28,35 +29,38 @@ fn move_away(database: &Path) {
     }
 }
 
-async fn backup(bed: &Bed) -> PathBuf {
-    let copy = beside(&bed.database, "-copy");
+/// Copies the database.
+async fn backup(testbed: &Testbed) -> PathBuf {
+    let copy = beside(&testbed.database, "-copy");
     let into = format!("VACUUM INTO '{}'", copy.display());
-    sqlx::raw_sql(AssertSqlSafe(into)).execute(&mut bed.connection().await).await.expect("copies");
+    sqlx::raw_sql(AssertSqlSafe(into)).execute(&mut testbed.connection().await).await.expect("copies");
     copy
 }
 
-/// Waits until nothing is stored for a reason that contains these words.
-async fn not_storing(bed: &Bed, words: &str) {
-    let mut ready = bed.aggregator().readiness();
+/// Waits until storing fails for a reason that contains `words`.
+async fn not_storing(testbed: &Testbed, words: &str) {
+    let mut ready = testbed.aggregator().readiness();
     let says = |ready: &Readiness| matches!(ready, Readiness::NotStoring(reason) if reason.contains(words));
     ready.wait_for(says).await.expect("runs");
 }
 
-async fn ready(bed: &Bed) {
-    let mut ready = bed.aggregator().readiness();
+/// Waits until events are stored again.
+async fn ready(testbed: &Testbed) {
+    let mut ready = testbed.aggregator().readiness();
     ready.wait_for(|ready| *ready == Readiness::Ready).await.expect("runs");
 }
 
-struct Line {
+/// An agent with one pipeline's run.
+struct TestPipeline {
     agent: Agent,
     run: RunId,
     next: u64,
     numbers: generate::Numbers,
 }
 
-impl Line {
-    async fn new(bed: &Bed) -> Self {
-        let (mut agent, run) = (bed.agent("edge").await, RunId::random());
+impl TestPipeline {
+    async fn new(testbed: &Testbed) -> Self {
+        let (mut agent, run) = (testbed.agent("edge").await, RunId::random());
         agent.offer([generate::run_started(run, "line", generate::at(0.0))]);
         Self { agent, run, next: 1, numbers: generate::Numbers::new(3) }
     }
@@ -69,6 +73,7 @@ impl Line {
             .offer(range.map(|n| Event::Iteration(generate::iteration(run, n, hosts, &mut self.numbers))));
     }
 
+    /// Adds iterations and waits until they are stored.
     async fn store(&mut self, count: u64) {
         self.offer(count);
         self.agent.until_stored().await;
@@ -76,103 +81,105 @@ impl Line {
 }
 
 #[tokio::test]
-async fn an_older_copy_in_its_place_is_compared_afresh() {
-    let mut bed = Bed::new().await;
-    let mut line = Line::new(&bed).await;
+async fn older_copy_is_compared_with_spools_again() {
+    let mut testbed = Testbed::new().await;
+    let mut line = TestPipeline::new(&testbed).await;
     line.store(10).await;
-    let copy = backup(&bed).await;
+    let copy = backup(&testbed).await;
     line.store(40).await;
-    let before = bed.aggregator().store().run(1).await.expect("answers").expect("exists");
+    let before = testbed.aggregator().store().run(1).await.expect("answers").expect("exists");
     assert_eq!(before.summary.counts.ok, 50);
-    move_away(&bed.database);
-    not_storing(&bed, "put it back").await;
-    std::fs::rename(&copy, &bed.database).expect("restores");
-    ready(&bed).await;
+    move_away(&testbed.database);
+    not_storing(&testbed, "put it back").await;
+    std::fs::rename(&copy, &testbed.database).expect("restores");
+    ready(&testbed).await;
     line.store(5).await;
-    assert_eq!(bed.count("SELECT count(*) FROM iteration").await, 15);
-    assert_eq!(bed.count("SELECT count(*) FROM gap").await, 1);
-    let picture = bed.picture("what this database holds", |picture| {
+    assert_eq!(testbed.count("SELECT count(*) FROM iteration").await, 15);
+    assert_eq!(testbed.count("SELECT count(*) FROM gap").await, 1);
+    let picture = testbed.picture("what this database holds", |picture| {
         picture.hosts.first().is_some_and(|host| host.stored.events < 50)
     });
     assert_eq!(picture.await.hosts.len(), 1);
-    // Readers ask the file that stands there, too.
-    let after = bed.aggregator().store().run(1).await.expect("answers").expect("exists");
+    // Readers use the file that is at the path now, too.
+    let after = testbed.aggregator().store().run(1).await.expect("answers").expect("exists");
     assert_eq!(after.summary.counts.ok, 15);
-    bed.stop().await;
-    assert_eq!(bed.count("SELECT count(*) FROM iteration").await, 15);
+    testbed.stop().await;
+    assert_eq!(testbed.count("SELECT count(*) FROM iteration").await, 15);
 }
 
 #[tokio::test]
-async fn a_vanished_database_is_never_made_anew() {
-    let mut bed = Bed::new().await;
-    let mut line = Line::new(&bed).await;
+async fn missing_database_is_never_created_again() {
+    let mut testbed = Testbed::new().await;
+    let mut line = TestPipeline::new(&testbed).await;
     line.store(10).await;
-    move_away(&bed.database);
-    not_storing(&bed, "its file system is not mounted").await;
+    move_away(&testbed.database);
+    not_storing(&testbed, "its file system is not mounted").await;
     line.offer(10);
-    assert!(!bed.database.exists());
-    let refused = bed.aggregator().store().run(1).await.expect_err("closed");
+    assert!(!testbed.database.exists());
+    let refused = testbed.aggregator().store().run(1).await.expect_err("closed");
     assert!(matches!(refused, StoreError::Closed { .. }), "{refused}");
-    assert!(bed.aggregator().pin(1, true).await.is_err());
-    std::fs::write(&bed.database, "").expect("writes");
-    not_storing(&bed, "is empty").await;
-    std::fs::write(&bed.database, "no database at all").expect("writes");
-    not_storing(&bed, "not a database").await;
-    assert_eq!(std::fs::read(&bed.database).expect("reads"), b"no database at all");
-    // The file that was moved is whole by itself, whatever stays of its log.
-    std::fs::rename(beside(&bed.database, "-away"), &bed.database).expect("moves back");
+    assert!(testbed.aggregator().pin(1, true).await.is_err());
+    std::fs::write(&testbed.database, "").expect("writes");
+    not_storing(&testbed, "is empty").await;
+    std::fs::write(&testbed.database, "no database at all").expect("writes");
+    not_storing(&testbed, "not a database").await;
+    assert_eq!(std::fs::read(&testbed.database).expect("reads"), b"no database at all");
+    // The moved file is complete without its log.
+    std::fs::rename(beside(&testbed.database, "-away"), &testbed.database).expect("moves back");
     line.agent.until_stored().await;
-    assert_eq!(bed.aggregator().ready(), Readiness::Ready);
-    assert_eq!(bed.count("SELECT count(*) FROM iteration").await, 20);
-    assert_eq!(bed.count("SELECT count(*) FROM gap").await, 0);
-    bed.stop().await;
+    assert_eq!(testbed.aggregator().ready(), Readiness::Ready);
+    assert_eq!(testbed.count("SELECT count(*) FROM iteration").await, 20);
+    assert_eq!(testbed.count("SELECT count(*) FROM gap").await, 0);
+    testbed.stop().await;
 }
 
 #[tokio::test]
-async fn the_log_of_a_replaced_database_is_not_applied() {
-    let mut bed = Bed::new().await;
-    let mut line = Line::new(&bed).await;
+async fn log_of_replaced_database_is_not_applied() {
+    let mut testbed = Testbed::new().await;
+    let mut line = TestPipeline::new(&testbed).await;
     line.store(10).await;
-    let copy = backup(&bed).await;
-    // Somebody who reads keeps the log from being carried over.
-    let mut reader = bed.connection().await;
+    let copy = backup(&testbed).await;
+    // An open read transaction prevents the checkpoint of the log.
+    let mut reader = testbed.connection().await;
     sqlx::raw_sql("BEGIN; SELECT count(*) FROM iteration").execute(&mut reader).await.expect("reads");
     line.store(40).await;
-    std::fs::rename(&copy, &bed.database).expect("replaces");
-    not_storing(&bed, "belongs to the database that was there before").await;
+    std::fs::rename(&copy, &testbed.database).expect("replaces");
+    not_storing(&testbed, "belongs to the database that was there before").await;
     reader.close().await.expect("closes");
-    std::fs::remove_file(beside(&bed.database, "-wal")).expect("removes");
-    ready(&bed).await;
+    std::fs::remove_file(beside(&testbed.database, "-wal")).expect("removes");
+    ready(&testbed).await;
     line.store(5).await;
-    assert_eq!(bed.count("SELECT count(*) FROM iteration").await, 15);
-    bed.stop().await;
+    assert_eq!(testbed.count("SELECT count(*) FROM iteration").await, 15);
+    testbed.stop().await;
 }
 
 #[tokio::test]
-async fn a_removed_log_is_made_anew_and_nothing_is_lost() {
-    let mut bed = Bed::new().await;
-    let mut line = Line::new(&bed).await;
+async fn removed_log_is_recreated_without_loss() {
+    let mut testbed = Testbed::new().await;
+    let mut line = TestPipeline::new(&testbed).await;
     line.store(10).await;
-    std::fs::remove_file(beside(&bed.database, "-wal")).expect("removes");
-    not_storing(&bed, "sqlite-wal").await;
-    ready(&bed).await;
+    std::fs::remove_file(beside(&testbed.database, "-wal")).expect("removes");
+    not_storing(&testbed, "sqlite-wal").await;
+    ready(&testbed).await;
     line.store(10).await;
-    assert_eq!(bed.count("SELECT count(*) FROM iteration").await, 20);
-    assert_eq!(bed.count("SELECT count(*) FROM gap").await, 0);
-    bed.stop().await;
+    assert_eq!(testbed.count("SELECT count(*) FROM iteration").await, 20);
+    assert_eq!(testbed.count("SELECT count(*) FROM gap").await, 0);
+    testbed.stop().await;
 }
 
 #[tokio::test]
-async fn a_host_that_left_meanwhile_has_ended_its_runs() {
-    let mut bed = Bed::new().await;
-    let mut line = Line::new(&bed).await;
+async fn goodbye_during_outage_ends_runs() {
+    let mut testbed = Testbed::new().await;
+    let mut line = TestPipeline::new(&testbed).await;
     line.store(10).await;
-    move_away(&bed.database);
-    not_storing(&bed, "put it back").await;
+    move_away(&testbed.database);
+    not_storing(&testbed, "put it back").await;
     line.agent.goodbye().await;
-    bed.picture("that it left", |picture| picture.hosts.first().is_some_and(|host| !host.connected)).await;
-    std::fs::rename(beside(&bed.database, "-away"), &bed.database).expect("moves back");
-    ready(&bed).await;
-    bed.stop().await;
-    assert_eq!(bed.count("SELECT count(*) FROM run WHERE ended_ns IS NOT NULL").await, 1);
+    testbed
+        .picture("that it left", |picture| picture.hosts.first().is_some_and(|host| !host.connected))
+        .await;
+    std::fs::rename(beside(&testbed.database, "-away"), &testbed.database).expect("moves back");
+    ready(&testbed).await;
+    testbed.stop().await;
+    assert_eq!(testbed.count("SELECT count(*) FROM run WHERE ended_ns IS NOT NULL").await, 1);
 }

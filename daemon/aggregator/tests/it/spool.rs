@@ -1,24 +1,24 @@
-//! A spool in memory: what an agent keeps in its file.
+//! A spool in memory instead of the agent's file.
 
 use std::collections::BTreeMap;
 
 use peernet_clock::Stamp;
 use peernet_stream::{
-    Action, Chain, Notice, Reached, Sending, SpoolState, SpooledBatch, StreamId, Totals, Usage,
+    Action, Chain, NewestSentBatch, Notice, Sending, SpoolState, SpooledBatch, StreamId, Totals, Usage,
 };
 
-/// What survives the process.
+/// The state that survives the agent's process.
 #[derive(Clone, Debug)]
 pub(crate) struct Spool {
     pub(crate) stream: StreamId,
     previous: Option<StreamId>,
     first: u64,
     events_before_first: Option<u64>,
-    /// Number and chain of the last batch that was deleted.
+    /// Number and chain of the last deleted batch.
     deleted: (u64, Chain),
     batches: BTreeMap<u64, SpooledBatch>,
     totals: Totals,
-    reached: Vec<Reached>,
+    reached: Vec<NewestSentBatch>,
 }
 
 impl Spool {
@@ -35,7 +35,7 @@ impl Spool {
         }
     }
 
-    /// What it knows when it is opened.
+    /// Returns the state that a spool reports when it is opened.
     pub(crate) fn state(&self) -> SpoolState {
         let newest = self.batches.last_key_value();
         let held = self
@@ -59,7 +59,7 @@ impl Spool {
         }
     }
 
-    /// Does what the state machine wants, which never fails here.
+    /// Executes an action of the state machine; it never fails here.
     pub(crate) fn act(&mut self, action: Action, sending: &mut Sending, now: Stamp) -> Option<Notice> {
         match action {
             Action::Append { batches, totals } => {

@@ -1,4 +1,4 @@
-//! Starting: what cannot work is said with what, where, and what to do.
+//! Tests of the start: an error states the object, the place and the remedy.
 
 use std::sync::Arc;
 
@@ -6,54 +6,56 @@ use peernet_aggregator::{Aggregator, AggregatorConfig, StartError};
 use peernet_store::OpenError;
 use tokio_util::sync::CancellationToken;
 
-use crate::bed::Bed;
+use crate::testbed::Testbed;
 
-async fn refusal(bed: &Bed, config: AggregatorConfig) -> StartError {
+/// Returns the error of a start with `config`.
+async fn refusal(testbed: &Testbed, config: AggregatorConfig) -> StartError {
     let stop = CancellationToken::new();
-    Aggregator::start(config, Arc::clone(&bed.clock), stop).await.expect_err("refuses")
+    Aggregator::start(config, Arc::clone(&testbed.clock), stop).await.expect_err("refuses")
 }
 
 #[tokio::test]
 async fn a_port_in_use_is_named() {
-    let mut bed = Bed::new().await;
-    let config = AggregatorConfig { database: bed.database.with_file_name("other.sqlite"), ..bed.config() };
-    let error = refusal(&bed, config).await;
-    assert!(matches!(&error, StartError::Listen { address, .. } if *address == bed.address));
-    assert!(error.to_string().starts_with(&format!("cannot listen on {}: ", bed.address)), "{error}");
-    bed.stop().await;
+    let mut testbed = Testbed::new().await;
+    let config =
+        AggregatorConfig { database: testbed.database.with_file_name("other.sqlite"), ..testbed.config() };
+    let error = refusal(&testbed, config).await;
+    assert!(matches!(&error, StartError::Listen { address, .. } if *address == testbed.address));
+    assert!(error.to_string().starts_with(&format!("cannot listen on {}: ", testbed.address)), "{error}");
+    testbed.stop().await;
 }
 
 #[tokio::test]
 async fn an_unwritable_database_is_named() {
-    let mut bed = Bed::new().await;
+    let mut testbed = Testbed::new().await;
     let listen = "tcp://127.0.0.1:0".to_owned();
-    // Not a database; and below something that is not a folder.
-    let file = bed.database.with_file_name("notes.txt");
+    // One file is not a database; the other path is below a file.
+    let file = testbed.database.with_file_name("notes.txt");
     std::fs::write(&file, "not a database, but long enough to be taken for the header of one by a reader")
         .expect("writes");
-    let config = AggregatorConfig { database: file.clone(), listen: listen.clone(), ..bed.config() };
-    let error = refusal(&bed, config).await;
+    let config = AggregatorConfig { database: file.clone(), listen: listen.clone(), ..testbed.config() };
+    let error = refusal(&testbed, config).await;
     assert!(
         matches!(&error, StartError::Database(OpenError::Unrecognised { path, .. }) if *path == file),
         "{error}"
     );
     let below = file.join("peernet.sqlite");
-    let config = AggregatorConfig { database: below, listen, ..bed.config() };
+    let config = AggregatorConfig { database: below, listen, ..testbed.config() };
     assert_eq!(
         Aggregator::check(&config).iter().map(|problem| problem.key).collect::<Vec<_>>(),
         ["database"]
     );
-    let error = refusal(&bed, config).await;
+    let error = refusal(&testbed, config).await;
     assert!(error.to_string().contains("notes.txt is not a folder; choose another path"), "{error}");
-    bed.stop().await;
+    testbed.stop().await;
 }
 
 #[tokio::test]
-async fn what_runs_says_where_it_listens_and_what_it_is_called() {
-    let mut bed = Bed::new().await;
-    let picture = bed.aggregator().live().borrow().clone();
+async fn picture_states_address_and_name() {
+    let mut testbed = Testbed::new().await;
+    let picture = testbed.aggregator().live().borrow().clone();
     assert_eq!(picture.aggregator.as_str(), "base");
     assert!(picture.listening.starts_with("tcp://127.0.0.1:") && !picture.listening.ends_with(":0"));
     assert!(picture.hosts.is_empty() && picture.pipelines.is_empty());
-    bed.stop().await;
+    testbed.stop().await;
 }

@@ -1,4 +1,4 @@
-//! Stopping: what is left behind.
+//! Tests of the stop: the state of the files after it.
 
 use peernet_logger::{HostId, RunId};
 use peernet_store::RunFilter;
@@ -6,37 +6,37 @@ use peernet_stream::Event;
 use sqlx::sqlite::SqliteConnectOptions;
 use sqlx::{ConnectOptions, SqliteConnection};
 
-use crate::bed::Bed;
 use crate::generate;
+use crate::testbed::Testbed;
 
 async fn word(connection: &mut SqliteConnection, sql: &'static str) -> String {
     sqlx::query_scalar(sql).fetch_one(connection).await.expect("answers")
 }
 
 #[tokio::test]
-async fn the_file_alone_is_whole_after_a_clean_stop() {
-    let mut bed = Bed::new().await;
-    let mut agent = bed.agent("edge").await;
+async fn database_file_is_complete_after_clean_stop() {
+    let mut testbed = Testbed::new().await;
+    let mut agent = testbed.agent("edge").await;
     let (run, hosts) = (RunId::random(), (agent.id, HostId::from_bytes([7; 16])));
     let mut numbers = generate::Numbers::new(3);
     agent.offer([generate::run_started(run, "line", generate::at(0.0))]);
     agent.offer((1..=300).map(|n| Event::Iteration(generate::iteration(run, n, hosts, &mut numbers))));
     agent.until_stored().await;
-    // Readers have connections, too, and whoever holds the handle keeps them.
-    let handle = bed.aggregator().clone();
+    // Readers have connections, too, and a handle keeps them open.
+    let handle = testbed.aggregator().clone();
     let store = handle.store();
     let (filter, stages) = (RunFilter::default(), ["total".into()]);
     let (listed, _, _) =
         tokio::join!(store.runs(&filter), store.statistics_of(1), store.series(1, &stages, 100));
     assert_eq!(listed.expect("answers").len(), 1);
-    let log = bed.database.with_file_name("peernet.sqlite-wal");
+    let log = testbed.database.with_file_name("peernet.sqlite-wal");
     assert!(std::fs::metadata(&log).is_ok_and(|log| log.len() > 0), "it is written while it runs");
-    bed.stop().await;
+    testbed.stop().await;
 
     assert!(!log.exists(), "{} bytes are left", std::fs::metadata(&log).map_or(0, |log| log.len()));
     let elsewhere = tempfile::tempdir().expect("a folder");
     let copy = elsewhere.path().join("copy.sqlite");
-    std::fs::copy(&bed.database, &copy).expect("copies");
+    std::fs::copy(&testbed.database, &copy).expect("copies");
     let mut copied = SqliteConnectOptions::new().filename(&copy).connect().await.expect("opens");
     assert_eq!(word(&mut copied, "PRAGMA quick_check").await, "ok");
     assert_eq!(word(&mut copied, "SELECT count(*) || ' ' || max(number) FROM iteration").await, "300 300");

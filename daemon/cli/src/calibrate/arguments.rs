@@ -1,4 +1,4 @@
-//! What `peernet calibrate` can be told.
+//! Arguments of `peernet calibrate`.
 
 use std::num::{NonZeroU64, ParseFloatError, ParseIntError};
 use std::path::PathBuf;
@@ -10,7 +10,7 @@ use crate::address::{AddressError, DEFAULT_PORT, address};
 use crate::network::network;
 use crate::seconds::{SecondsError, seconds};
 
-/// What `peernet calibrate` can be told.
+/// Arguments of `peernet calibrate`.
 #[derive(Debug, clap::Args)]
 pub(crate) struct Arguments {
     /// The agent at the other end, which needs a table [serve]: tcp://host:5551, or host.
@@ -50,16 +50,16 @@ pub(crate) struct Arguments {
     pub(super) quiet: bool,
 }
 
-/// Checks the address or host, whose network another option may name.
+/// Checks the address or host. Its network may be named by another option.
 fn peer(text: &str) -> Result<String, AddressError> {
     address(text, DEFAULT_PORT, NetworkKind::default()).map(|_| text.to_owned())
 }
 
 impl Arguments {
-    /// The peer's address, on the network that was named.
+    /// Returns the peer's address on the named network.
     ///
     /// # Errors
-    /// When the address is one of another network.
+    /// When the address belongs to another network.
     pub(super) fn peer_address(&self) -> anyhow::Result<Address> {
         let peer = address(&self.peer, DEFAULT_PORT, self.network.unwrap_or_default())?;
         peer.check_network(self.network).context("--network")?;
@@ -91,7 +91,7 @@ enum SizeError {
     OutOfRange,
 }
 
-/// A size in bytes: a number, and one of the usual units in any case.
+/// Reads a size in bytes: a number, and one of the usual units in any case.
 fn size(text: &str) -> Result<u64, SizeError> {
     let text = text.trim();
     let digits = text.trim_end_matches(|char: char| char.is_ascii_alphabetic() || char == ' ');
@@ -121,7 +121,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn no_repeat_at_all_is_too_few() {
+    fn zero_repeats_are_refused() {
         assert_eq!(repeats("0"), Err(RepeatsError::Zero));
         assert_eq!(repeats("-1").expect_err("none").to_string(), "not a whole number");
         assert_eq!(repeats("12").map(NonZeroU64::get), Ok(12));

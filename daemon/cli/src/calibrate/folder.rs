@@ -1,4 +1,4 @@
-//! Where the results go.
+//! Folder for the results of a calibration.
 
 use std::path::{Path, PathBuf};
 
@@ -9,17 +9,17 @@ use peernet_networks::Address;
 
 use super::Arguments;
 
-/// A folder that is there and can be written to before anything is measured.
+/// A folder that exists and is known to be writable before anything is measured.
 pub(super) struct Folder {
     path: PathBuf,
     made: bool,
 }
 
 impl Folder {
-    /// The folder that was asked for, or one named after peer and time.
+    /// Creates the requested folder, or one named after peer and time.
     ///
     /// # Errors
-    /// When it holds something already (64) or cannot be made (73).
+    /// When it holds files already (64) or cannot be created (73).
     pub(super) fn make(arguments: &Arguments, peer: &Address, at: WallTime) -> Result<Self, Failure> {
         let path = arguments.result_loc.clone().unwrap_or_else(|| default(peer, at));
         let entries = std::fs::read_dir(&path);
@@ -42,10 +42,10 @@ impl Folder {
         &self.path
     }
 
-    /// Takes it away again if it was made here: there is nothing to keep.
+    /// Removes the folder if it was created here, because there is nothing to keep.
     pub(super) fn discard(self) {
         if self.made {
-            // Only an empty folder goes; if even that fails, it stays and does no harm.
+            // Only an empty folder is removed; one that remains does no harm.
             let _ = std::fs::remove_dir(self.path);
         }
     }
@@ -66,7 +66,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_folder_is_named_after_peer_and_time() {
+    fn folder_is_named_after_peer_and_time() {
         let at = WallTime::from_unix_nanos(1_795_179_293_000_000_000);
         let name = |peer: &str| default(&peer.parse().expect("an address"), at).display().to_string();
         assert_eq!(name("tcp://cloud.lab:5551"), "calibration-cloud.lab-2026-11-20-125453");

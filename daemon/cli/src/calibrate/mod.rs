@@ -1,7 +1,7 @@
 //! `peernet calibrate`: the published study of a link as a command.
 //!
-//! A payload sweep is a run of the `synthetic` sensor: an agent in the foreground sends payloads of all sizes to a
-//! peer's model `calibration`, which answers with what it was given, and [`peernet_analysis`] makes a study of it.
+//! A payload sweep is a run of the `synthetic` sensor: an agent in the foreground sends payloads of all sizes to a peer's model
+//! `calibration`, which returns them, and [`peernet_analysis`] makes a study of the delays.
 
 mod arguments;
 mod folder;
@@ -23,19 +23,19 @@ use peernet_clock::WallTime;
 use peernet_figures::draw_calibration;
 use peernet_inference::Scratch;
 
-use crate::foreground::{Ended, Ready, Shows, Watched, listen};
+use crate::foreground::{Ended, LogDestination, Ready, Watched, start_log};
 use folder::Folder;
-use observe::{Unfit, Watch};
+use observe::{SweepObserver, UnmeasurableSize};
 use plan::Plan;
 
 /// Studies the link, prints the study and writes its files.
 ///
 /// # Errors
-/// When the peer cannot be reached or does not take part (69), the study has no result (69), the configuration is wrong
-/// (78), the results cannot be written (73), or the user ended it early (130).
+/// When the peer cannot be reached or fails (69), the study has no result (69), the configuration is wrong (78), the results
+/// cannot be written (73), or the user ended it early (130).
 pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
     let unavailable = |error: anyhow::Error| Failure::new(Exit::Unavailable, error);
-    listen(Shows::Itself)?;
+    start_log(LogDestination::StandardError)?;
     let plan = Plan::new(arguments).map_err(|error| Failure::new(Exit::Usage, error))?;
     let state = Scratch::new("agent")
         .context("cannot make a temporary folder; TMPDIR names another place")
@@ -46,18 +46,20 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
     let started = ready.truth.wall();
     let folder = Folder::make(arguments, &plan.peer, started)?;
 
-    let mut watch = Watch::new(&plan, ready.clock.clone(), arguments.quiet);
+    let mut watch = SweepObserver::new(&plan, ready.clock.clone(), arguments.quiet);
     let Watched { ended, name: edge, missed } = ready.watch(&mut watch)?;
-    let observed = watch.seen;
+    let observed = watch.observed;
     let failed = match &ended {
         Ended::Finished => None,
         Ended::Interrupted => Some(Failure::new(
             Exit::Interrupted,
             anyhow!("ended early: what was measured until then is above"),
         )),
-        Ended::Own(Unfit(reason)) | Ended::Failed(reason) => Some(unavailable(anyhow!("{reason}"))),
+        Ended::OwnReason(UnmeasurableSize(reason)) | Ended::Failed(reason) => {
+            Some(unavailable(anyhow!("{reason}")))
+        }
     };
-    if observed.samples.is_empty() || matches!(ended, Ended::Own(_)) {
+    if observed.samples.is_empty() || matches!(ended, Ended::OwnReason(_)) {
         folder.discard();
         return match failed {
             Some(Failure { exit: Exit::Interrupted, .. }) => {
@@ -85,11 +87,11 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
         rehearsed: observed.rehearsed,
     };
     let study = Study::new(setting, observed.samples, &observed.clocks);
-    // Said first: a disk that is full must not take the result away.
+    // Printed first: a full disk must not prevent the result from being shown.
     say(study.text());
     let written = write(&study, folder.path()).map_err(|error| {
-        let told = "the result is above, but not all of its files are written";
-        Failure::new(Exit::Unwritten, anyhow::Error::from(error).context(told))
+        let message = "the result is above, but not all of its files are written";
+        Failure::new(Exit::Unwritten, anyhow::Error::from(error).context(message))
     })?;
     let names: Vec<_> = written.iter().filter_map(|path| path.file_name()?.to_str()).collect();
     say(format_args!("\n{}: {}", folder.path().display(), names.join(", ")));

@@ -1,4 +1,4 @@
-//! Watching the sweep: what the agent measures, until it ends.
+//! Observation of the sweep until it ends.
 
 use std::collections::BTreeSet;
 
@@ -13,52 +13,52 @@ use super::plan::Plan;
 use super::sweep::Sweep;
 use crate::foreground::{Ended, PeerWait, PipelineActivity, RunObserver};
 
-/// How long a peer that went away is waited for once the time for the sweep is over.
+/// Wait for an absent peer after the time for the sweep is over.
 const AFTER_THE_END: Span = Span::from_seconds(10);
 
-/// The peer cannot answer a payload of one of the sizes; the text says which and why.
+/// The peer cannot answer payloads of one of the sizes; the text names the size and the reason.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub(super) struct Unfit(pub(super) String);
+pub(super) struct UnmeasurableSize(pub(super) String);
 
-/// What was seen.
+/// Measurements of the sweep.
 #[derive(Default)]
 pub(super) struct Observed {
     pub(super) samples: Vec<Sample>,
     pub(super) clocks: Vec<ClockSample>,
-    /// The peer, as it calls itself.
+    /// The peer's own name.
     pub(super) cloud: Option<String>,
-    /// Whether the clock of either host was made wrong on purpose.
+    /// `true` if the clock of either host was made wrong on purpose.
     pub(super) rehearsed: bool,
-    /// How often the peer was away and came back with the same clock.
+    /// Number of times that the peer returned with the same clock after an absence.
     pub(super) reconnections: u64,
 }
 
 /// Observer of the agent.
-pub(super) struct Watch<'a> {
+pub(super) struct SweepObserver<'a> {
     plan: &'a Plan,
     clock: SharedClock,
     progress: Sweep,
-    pub(super) seen: Observed,
+    pub(super) observed: Observed,
     began: MonoTime,
     peer_wait: PeerWait,
-    /// The peer was not there, or refused, at the first try.
+    /// The peer was absent, or refused, at the first attempt.
     turned_away: Option<IncidentKind>,
-    /// The sizes of which one payload at least was sent.
+    /// Sizes of which at least one payload was sent.
     tried: BTreeSet<u64>,
-    /// The peer's clock, as it was told last.
+    /// The peer's clock as last reported.
     cloud_clock: Option<HostClock>,
-    /// What comes now is another clock's and no part of the study.
+    /// `true` if later measurements are those of another clock and no part of the study.
     over: bool,
 }
 
-impl<'a> Watch<'a> {
+impl<'a> SweepObserver<'a> {
     pub(super) fn new(plan: &'a Plan, clock: SharedClock, quiet: bool) -> Self {
         let now = clock.mono();
         Self {
             plan,
             progress: Sweep::new(plan, quiet, now),
             clock,
-            seen: Observed::default(),
+            observed: Observed::default(),
             began: now,
             peer_wait: PeerWait::new(now),
             turned_away: None,
@@ -68,44 +68,44 @@ impl<'a> Watch<'a> {
         }
     }
 
-    /// There is a session again. What was measured with another clock is another study.
-    fn came_back(&mut self, clock: Option<HostClock>) -> Option<Ended<Unfit>> {
+    /// Handles a new session. Measurements with another clock would be another study.
+    fn came_back(&mut self, clock: Option<HostClock>) -> Option<Ended<UnmeasurableSize>> {
         self.peer_wait.record_answer(self.clock.mono());
         let before = std::mem::replace(&mut self.cloud_clock, clock);
-        let how = match (&before, &self.cloud_clock) {
-            // A program that was started anew rehearses anew, and counts the steps of its clock anew.
+        let change = match (&before, &self.cloud_clock) {
+            // A restarted program begins its artificial clock error and its count of steps again.
             (Some(before), Some(now)) if before.rehearsal == now.rehearsal && before.epoch <= now.epoch => {
-                self.seen.reconnections += 1;
+                self.observed.reconnections += 1;
                 return None;
             }
-            (_, Some(HostClock { rehearsal: Some(how), .. })) => {
-                format!("another clock, which is made wrong on purpose ({how})")
+            (_, Some(HostClock { rehearsal: Some(change), .. })) => {
+                format!("another clock, which is made wrong on purpose ({change})")
             }
             (_, Some(_)) => "another clock".to_owned(),
-            // It went again before anybody could look.
+            // The peer left again before its clock could be read.
             (_, None) => "a clock of which nothing is known".to_owned(),
         };
         self.over = true;
-        let name = self.seen.cloud.as_deref().unwrap_or("the peer");
+        let name = self.observed.cloud.as_deref().unwrap_or("the peer");
         let text = format!(
-            "{name} went away and came back with {how}: the study ends with what was measured before"
+            "{name} went away and came back with {change}: the study ends with what was measured before"
         );
         Some(Ended::Failed(text))
     }
 }
 
-impl RunObserver for Watch<'_> {
-    type Own = Unfit;
+impl RunObserver for SweepObserver<'_> {
+    type OwnReason = UnmeasurableSize;
 
-    fn take(&mut self, event: Event, running: Option<&Running>) -> Option<Ended<Unfit>> {
+    fn handle_event(&mut self, event: Event, running: Option<&Running>) -> Option<Ended<UnmeasurableSize>> {
         if self.over {
             return None;
         }
         match event {
             Event::RunStarted(run) => {
-                // One fact for each end whose clock is rehearsed.
-                self.seen.rehearsed |= run.facts.iter().any(|(fact, _)| fact.starts_with("Rehearsal"));
-                self.seen.cloud = run.placement.peer.map(|peer| peer.to_string());
+                // There is one fact for each host with an artificial clock error.
+                self.observed.rehearsed |= run.facts.iter().any(|(fact, _)| fact.starts_with("Rehearsal"));
+                self.observed.cloud = run.placement.peer.map(|peer| peer.to_string());
                 self.cloud_clock = running.and_then(cloud_clock);
                 self.peer_wait.record_answer(self.clock.mono());
                 self.progress.begin(self.peer_wait.last_present());
@@ -116,22 +116,22 @@ impl RunObserver for Watch<'_> {
                     self.peer_wait.record_answer(self.clock.mono());
                 }
                 let (payload, first) = (sample.payload_bytes, self.tried.insert(sample.payload_bytes));
-                self.seen.samples.push(sample);
-                // What a peer cannot do the first time it will not do later either.
+                self.observed.samples.push(sample);
+                // A failure at the first payload of a size would repeat.
                 if let (true, Outcome::Failed(reason)) = (first, &iteration.outcome) {
-                    return Some(Ended::Own(Unfit(unfit(payload, reason))));
+                    return Some(Ended::OwnReason(UnmeasurableSize(describe_unmeasurable(payload, reason))));
                 }
             }
-            Event::Clock(second) => self.seen.clocks.push(*second),
+            Event::Clock(second) => self.observed.clocks.push(*second),
             Event::RunEnded(run) => {
                 return Some(Ended::of_run(run.reason, "sweep"));
             }
             Event::Incident(incident) => match incident.kind {
                 IncidentKind::PipelineFailed => return Some(Ended::Failed(incident.text)),
-                IncidentKind::Disconnected | IncidentKind::Refused if self.seen.cloud.is_none() => {
+                IncidentKind::Disconnected | IncidentKind::Refused if self.observed.cloud.is_none() => {
                     self.turned_away = Some(incident.kind);
                 }
-                IncidentKind::Connected if self.seen.cloud.is_some() => {
+                IncidentKind::Connected if self.observed.cloud.is_some() => {
                     return self.came_back(running.and_then(cloud_clock));
                 }
                 _ => {}
@@ -141,11 +141,11 @@ impl RunObserver for Watch<'_> {
         None
     }
 
-    fn look(&mut self, running: &Running) -> Option<Ended<Unfit>> {
+    fn poll_state(&mut self, running: &Running) -> Option<Ended<UnmeasurableSize>> {
         let activity = PipelineActivity::of(running);
         let waits_for = activity.waits_for();
         if let (Some(kind), Some(reason)) = (self.turned_away, waits_for) {
-            // There is no configuration here, and the model is a mere echo.
+            // The advice concerns a configuration, which does not exist here, and the model needs no loading.
             let reason = reason.strip_suffix(OpenError::LOADING).unwrap_or(reason);
             let advice = match kind {
                 IncidentKind::Refused => {
@@ -157,26 +157,26 @@ impl RunObserver for Watch<'_> {
         }
         let now = self.clock.mono();
         self.peer_wait.update(&activity, now);
-        // Who set an early end does not wait long after it for a peer that is away.
+        // A user who limits the time does not want to wait much longer for an absent peer.
         let left = self.began + Span::from_seconds_f64(self.plan.seconds) - self.peer_wait.last_present();
         let most = (left + AFTER_THE_END).clamp(AFTER_THE_END, PeerWait::USUAL);
-        let name = self.seen.cloud.as_deref();
+        let name = self.observed.cloud.as_deref();
         let trouble = name.and_then(|name| self.peer_wait.describe_trouble(name, waits_for, now, most));
-        self.progress.show(&self.seen.samples, now, trouble);
+        self.progress.show(&self.observed.samples, now, trouble);
         self.peer_wait.reason_to_give_up(waits_for, now, most).map(Ended::Failed)
     }
 
-    fn over(&mut self) {
+    fn end_decided(&mut self) {
         self.progress.end();
     }
 }
 
-/// What is known of the peer's clock now.
+/// Returns the peer's clock as reported now.
 fn cloud_clock(running: &Running) -> Option<HostClock> {
     running.live().links.into_iter().next()?.cloud
 }
 
-fn unfit(payload_bytes: u64, reason: &str) -> String {
+fn describe_unmeasurable(payload_bytes: u64, reason: &str) -> String {
     let payload = bytes(payload_bytes as f64).plain();
     format!(
         "payloads of {payload} cannot be measured: {reason}; leave that size out of --sizes, or allow more on the peer ([serve] session)"

@@ -1,4 +1,4 @@
-//! The sweep: which sizes, in which order, as the configuration of an agent.
+//! Plan of the sweep, sizes and their order, as the configuration of an agent.
 
 use std::path::Path;
 
@@ -15,36 +15,39 @@ use serde_json::json;
 use super::Arguments;
 use crate::foreground::tables;
 
-/// Rounds in random order before they repeat; enough that size and time have nothing in common.
+/// Number of rounds in random order before they repeat: enough that size and time are not correlated.
 const ROUNDS: u64 = 64;
-/// What the order follows from.
+/// Seed of the order.
 const SEED: u64 = 1;
-/// How long to wait for an answer: the largest payloads are slow over some links. Milliseconds.
+/// Timeout of an answer in milliseconds: the largest payloads are slow over some links.
 const TIMEOUT_MS: u64 = 60_000;
-/// How long connecting may take. Milliseconds.
+/// Timeout of connecting in milliseconds.
 const OPEN_TIMEOUT_MS: u64 = 10_000;
-/// Largest message unless a payload needs more, and what it has beside the payload. Bytes.
+/// Size limit of a message in bytes unless a payload needs more, and the part of a message besides the payload.
 const MESSAGE_BYTES: u64 = 64 << 20;
 const BESIDE_PAYLOAD: u64 = 1 << 20;
 
-/// The sweep.
+/// Plan of a sweep.
 pub(super) struct Plan {
     sizes: Vec<u64>,
-    /// Who is asked.
+    /// Address of the peer.
     pub(super) peer: Address,
-    /// Sizes in the order in which they are sent, over and over.
+    /// Sizes in the order in which they are sent; the order repeats.
     order: Vec<u64>,
     warm_up: u64,
-    /// Iterations that count.
+    /// Number of iterations that count.
     pub(super) iterations: u64,
-    /// When it ends at the latest, seconds.
+    /// Time limit, seconds.
     pub(super) seconds: f64,
     pipeline: serde_json::Value,
 }
 
 impl Plan {
+    /// Makes the plan.
+    ///
     /// # Errors
-    /// With fewer than three sizes there is no line; and the peer's address may be one of another network than the named one.
+    /// When there are fewer than three sizes, which make no line, or the peer's address belongs to another network than the named
+    /// one.
     pub(super) fn new(arguments: &Arguments) -> anyhow::Result<Self> {
         let mut sizes = arguments.sizes.clone();
         sizes.sort_unstable();
@@ -86,23 +89,23 @@ impl Plan {
         Ok(Self { sizes, order, peer, warm_up, iterations, seconds: arguments.seconds, pipeline })
     }
 
-    /// Sizes, smallest first.
+    /// Returns the sizes, smallest first.
     pub(super) fn sizes(&self) -> &[u64] {
         &self.sizes
     }
 
-    /// Iterations with those of the warm-up.
+    /// Returns the number of iterations, including the warm-up.
     pub(super) fn all(&self) -> u64 {
         self.iterations.saturating_add(self.warm_up)
     }
 
-    /// The payload of an iteration, counted from 1.
+    /// Returns the payload of an iteration, counted from 1.
     pub(super) fn payload(&self, number: u64) -> u64 {
         let at = number.saturating_sub(1) % self.order.len() as u64;
         self.order[at as usize]
     }
 
-    /// An agent that does this and nothing else; what relates the clocks is taken from a file, if one is named.
+    /// Makes the configuration of an agent for the sweep; tables that relate the clocks are read from `file`, if one is named.
     ///
     /// # Errors
     /// When the file cannot be read (66) or its tables are wrong (78).
@@ -133,7 +136,7 @@ mod tests {
     }
 
     #[test]
-    fn every_round_has_every_size_in_another_order() {
+    fn each_round_has_all_sizes_in_own_order() {
         let plan = plan("cloud --sizes 1kB,100,1MB,100,10kB --repeats 50 --warm-up 1").expect("four sizes");
         assert_eq!(
             (plan.sizes(), plan.iterations, plan.all()),

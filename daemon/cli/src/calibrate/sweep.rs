@@ -1,4 +1,4 @@
-//! How far the sweep is.
+//! Progress of the sweep.
 
 use peernet_analysis::calibration::Sample;
 use peernet_analysis::order::Ordered;
@@ -8,14 +8,14 @@ use peernet_statistics::number::{bytes, fixed, milliseconds};
 use super::plan::Plan;
 use crate::foreground::Progress;
 
-/// Shows how far the sweep is.
+/// Display of the sweep's progress.
 pub(super) struct Sweep {
     progress: Progress,
     scale: Scale,
     began: MonoTime,
 }
 
-/// What there is to do.
+/// Extent of the sweep.
 struct Scale {
     iterations: u64,
     seconds: f64,
@@ -31,25 +31,25 @@ impl Sweep {
         Self { progress: Progress::new(quiet, now), scale, began: now }
     }
 
-    /// The first iteration is under way.
+    /// Notes that the first iteration has started.
     pub(super) const fn begin(&mut self, now: MonoTime) {
         self.began = now;
     }
 
-    /// Shows the state at `now`, or in its place what it waits for.
+    /// Shows the state at `now`, or the trouble in its place.
     pub(super) fn show(&mut self, samples: &[Sample], now: MonoTime, trouble: Option<String>) {
         let (scale, elapsed) = (&self.scale, (now - self.began).seconds());
         self.progress.show(now, trouble, || scale.describe(samples, elapsed));
     }
 
-    /// Takes the bar away.
+    /// Removes the bar.
     pub(super) fn end(&self) {
         self.progress.end();
     }
 }
 
 impl Scale {
-    /// In words, and how much of the whole is done.
+    /// Describes the state, and returns the share that is done.
     fn describe(&self, samples: &[Sample], elapsed: f64) -> (String, f64) {
         let done = samples.len() as f64;
         let share = (done / self.iterations as f64).max(elapsed / self.seconds).clamp(0.0, 1.0);
@@ -69,7 +69,7 @@ impl Scale {
     }
 }
 
-/// The median delay of one payload's uploads so far.
+/// Formats the median delay of one payload's uploads so far.
 fn median(samples: &[Sample], payload_bytes: u64) -> String {
     let delays = samples.iter().filter(|sample| sample.payload_bytes == payload_bytes);
     let delays: Ordered = delays.filter_map(|sample| sample.passage(Direction::Up)?.seconds()).collect();

@@ -1,4 +1,4 @@
-//! The order of an experiment's runs.
+//! Order of an experiment's runs.
 
 use std::collections::HashMap;
 
@@ -6,9 +6,10 @@ use peernet_analysis::loaded::Loaded;
 
 use super::experiment::Experiments;
 
-/// The runs as numbers, those of an experiment in the order of its file, as `peernet run` shows them, whatever the order in
-/// which they were measured. They take the places that its runs had; all others stay where they are. An experiment whose
-/// folder is not there, or cannot be read, stays as it is: only the order depends on it.
+/// Returns the indexes of the runs in the order of display: those of an experiment in the order of its file, as in `peernet run`.
+///
+/// They take the places that the experiment's runs had; all others keep theirs. If the folder of an experiment does not exist or
+/// cannot be read, its runs keep their order: nothing else depends on it.
 pub(super) fn as_declared(runs: &[Loaded], experiments: &Experiments) -> Vec<usize> {
     let mut order: Vec<usize> = (0..runs.len()).collect();
     let mut executions: HashMap<&str, Vec<usize>> = HashMap::new();
@@ -29,7 +30,7 @@ pub(super) fn as_declared(runs: &[Loaded], experiments: &Experiments) -> Vec<usi
             })
         };
         let mut sorted = places.clone();
-        // Stable: the users of one run stay as they are.
+        // The sort is stable: the users of one run keep their order.
         sorted.sort_by_key(rank);
         places.into_iter().zip(sorted).for_each(|(place, run)| order[place] = run);
     }
@@ -53,7 +54,7 @@ mod tests {
     }
 
     #[test]
-    fn runs_come_as_the_file_has_them() {
+    fn runs_have_order_of_file() {
         let experiment = tempfile::tempdir().expect("a folder");
         let labels = |label: &str| vec![("load".to_owned(), label.to_owned())];
         let configurations: Vec<_> = ["b", "a"].map(|label| json!({ "labels": labels(label) })).to_vec();

@@ -1,24 +1,24 @@
-//! How an agent in the foreground ended.
+//! End of an agent in the foreground.
 
 use std::convert::Infallible;
 
 use peernet_stream::EndReason;
 
-/// How it ended; `Own` is what only one command can meet.
+/// Reason for which the agent ended; `OwnReason` holds reasons that only one command has.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub(crate) enum Ended<Own = Infallible> {
-    /// All was done, or there is no more to do.
+pub(crate) enum Ended<OwnReason = Infallible> {
+    /// All was done, or nothing remains to do.
     Finished,
     /// The user ended it.
     Interrupted,
-    /// The agent or what it needs could not go on; the text says why.
+    /// The agent, or something that it needs, failed; the text is the reason.
     Failed(String),
-    /// What the command has another answer to.
-    Own(Own),
+    /// A reason for which the command has its own answer.
+    OwnReason(OwnReason),
 }
 
-impl<Own> Ended<Own> {
-    /// Takes the reason why the agent's run ended; `what` is the word for the run in the command's messages.
+impl<OwnReason> Ended<OwnReason> {
+    /// Converts the reason for which the agent's run ended; `what` is the word for the run in the command's messages.
     pub(crate) fn of_run(reason: EndReason, what: &str) -> Self {
         match reason {
             EndReason::Finished => Self::Finished,

@@ -1,7 +1,7 @@
-//! What users' own code prints, what makes connections worse than they could be, and with `PEERNET_LOG` the log.
+//! Output of users' code, remarks on connections, and with `PEERNET_LOG` the log.
 //!
-//! On a terminal it stands above the progress. A run that is one of an experiment's hands it to the program that shows
-//! the progress: on standard output, each line a text of JSON.
+//! On a terminal it is printed above the progress. A run of an experiment passes it to the program that shows the progress: on
+//! standard output, each line as a JSON text.
 
 use std::fmt::{self, Write as _};
 use std::io::{self, Write};
@@ -20,23 +20,23 @@ use tracing_subscriber::util::SubscriberInitExt;
 
 use super::progress::above_the_bar;
 
-/// Where users' lines come from.
+/// Log targets of the lines of users' code.
 const USERS: [&str; 2] = ["peernet_external::python", "peernet_external::exec"];
 
-/// Who shows the lines.
+/// The process that shows the lines.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Shows {
-    /// This program, on standard error.
-    Itself,
-    /// The one that started it and reads its standard output.
+pub(crate) enum LogDestination {
+    /// This process, on standard error.
+    StandardError,
+    /// The process that started it and reads its standard output.
     Parent,
 }
 
-/// Passes on what users' code prints and remarks on connections; the log itself only as far as `PEERNET_LOG` says.
+/// Installs the log: it passes output of users' code and remarks on connections, and other lines only as `PEERNET_LOG` says.
 ///
 /// # Errors
 /// When the variable holds no level (78).
-pub(crate) fn listen(shows: Shows) -> Result<(), Failure> {
+pub(crate) fn start_log(destination: LogDestination) -> Result<(), Failure> {
     let wrong = |error: anyhow::Error| Failure::new(Exit::Configuration, error);
     let level = std::env::var(VARIABLE)
         .unwrap_or_else(|_| format!("off,{}=info,{}=info,{REMARKS}=warn", USERS[0], USERS[1]));
@@ -45,21 +45,23 @@ pub(crate) fn listen(shows: Shows) -> Result<(), Failure> {
             "{level:?} (from {VARIABLE}) is not a log level: {error}; use error, warn, info, debug or trace"
         ))
     })?;
-    let log =
-        tracing_subscriber::fmt().with_env_filter(filter).with_writer(move || To(shows)).with_ansi(false);
-    // It would print them to standard error itself, through the bar.
-    let log = log.log_internal_errors(false).event_format(Form { other: Line::default() }).finish();
+    let log = tracing_subscriber::fmt()
+        .with_env_filter(filter)
+        .with_writer(move || LogWriter(destination))
+        .with_ansi(false);
+    // It would print its own errors to standard error, through the bar.
+    let log = log.log_internal_errors(false).event_format(LogFormat { other: Line::default() }).finish();
     log.try_init().map_err(|error| wrong(error.into()))
 }
 
-/// Takes the log, one whole line at a time.
-struct To(Shows);
+/// Writer of the log, which gets one whole line at a time.
+struct LogWriter(LogDestination);
 
-impl Write for To {
+impl Write for LogWriter {
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
         match self.0 {
-            Shows::Itself => above_the_bar(|| io::stderr().lock().write(bytes)),
-            Shows::Parent => {
+            LogDestination::StandardError => above_the_bar(|| io::stderr().lock().write(bytes)),
+            LogDestination::Parent => {
                 let text = String::from_utf8_lossy(bytes);
                 say(serde_json::Value::from(text.trim_end()));
                 Ok(bytes.len())
@@ -69,18 +71,18 @@ impl Write for To {
 
     fn flush(&mut self) -> io::Result<()> {
         match self.0 {
-            Shows::Itself => io::stderr().lock().flush(),
-            Shows::Parent => Ok(()),
+            LogDestination::StandardError => io::stderr().lock().flush(),
+            LogDestination::Parent => Ok(()),
         }
     }
 }
 
-/// `model my_model-Net: the line` for users, `warning: the text` for remarks, the form of the log for the rest.
-struct Form {
+/// Formatter: `model my_model-Net: the line` for users' code, `warning: the text` for remarks, the log's form for the rest.
+struct LogFormat {
     other: Line,
 }
 
-impl<S, N> FormatEvent<S, N> for Form
+impl<S, N> FormatEvent<S, N> for LogFormat
 where
     S: Subscriber + for<'a> LookupSpan<'a>,
     N: for<'a> FormatFields<'a> + 'static,
@@ -95,23 +97,23 @@ where
         if target != REMARKS && !USERS.contains(&target) {
             return self.other.format_event(context, writer, event);
         }
-        let mut said = Said::default();
-        event.record(&mut said);
+        let mut message = LogMessage::default();
+        event.record(&mut message);
         if target == REMARKS {
-            return writeln!(writer, "warning: {}", said.line);
+            return writeln!(writer, "warning: {}", message.line);
         }
-        writeln!(writer, "{}: {}", said.name, said.line)
+        writeln!(writer, "{}: {}", message.name, message.line)
     }
 }
 
-/// Who said what.
+/// Name and text of a log event.
 #[derive(Default)]
-struct Said {
+struct LogMessage {
     name: String,
     line: String,
 }
 
-impl Visit for Said {
+impl Visit for LogMessage {
     fn record_str(&mut self, field: &Field, value: &str) {
         if field.name() == "name" {
             value.clone_into(&mut self.name);
@@ -120,7 +122,7 @@ impl Visit for Said {
 
     fn record_debug(&mut self, field: &Field, value: &dyn fmt::Debug) {
         if field.name() == "message" {
-            // A text takes all that is written to it.
+            // Writing to a string cannot fail.
             let _ = write!(self.line, "{value:?}");
         }
     }

@@ -1,7 +1,8 @@
-//! An agent in the foreground: started, watched until it is done or somebody ends it, and seen to its end.
+//! Running of an agent in the foreground: it is started, observed until it is done or a signal ends it, and stopped.
 //!
-//! Three commands run one: `calibrate` studies a link, `measure` takes a run down, and the published `--server` serves.
-//! They differ in what they look for ([`RunObserver`]); starting, signals and stopping are the same.
+//! Three commands use it: `calibrate` studies a link, `measure` records a run, and the published `--server` serves. They differ
+//! in their observer ([`RunObserver`]); starting, signals and stopping are the same. Events come from the agent's tap; the
+//! rest of its state is read several times a second.
 
 mod dashboard;
 mod ended;
@@ -17,8 +18,8 @@ mod waiting;
 
 pub(crate) use dashboard::where_seen;
 pub(crate) use ended::Ended;
-pub(crate) use latency::{p99, told};
-pub(crate) use log::{Shows, listen};
+pub(crate) use latency::{describe_quantiles, p99};
+pub(crate) use log::{LogDestination, start_log};
 pub(crate) use peer_wait::{PeerWait, PipelineActivity};
 pub(crate) use progress::Progress;
 pub(crate) use remark::remark;
@@ -40,41 +41,41 @@ use peernet_stream::Event;
 use tokio::sync::mpsc;
 use tokio_util::sync::CancellationToken;
 
-/// Events between the agent and this program, which looks at each at once.
+/// Capacity of the channel of events from the agent, each of which is processed at once.
 const EVENTS: usize = 16_384;
-/// Between two looks at the agent.
-const LOOK: Duration = Duration::from_millis(250);
+/// Time between two reads of the agent's state.
+const POLL_INTERVAL: Duration = Duration::from_millis(250);
 
-/// Looks at an agent in the foreground.
+/// Observer of an agent in the foreground.
 pub(crate) trait RunObserver {
-    /// How it can end beside what [`Ended`] names.
-    type Own;
+    /// Reasons to end besides those of [`Ended`].
+    type OwnReason;
 
-    /// Takes an event; says how it ended if it did. Without `running` the end was decided before.
-    fn take(&mut self, event: Event, running: Option<&Running>) -> Option<Ended<Self::Own>>;
+    /// Processes an event; returns the reason if the agent is to end. Without `running` the end was decided before.
+    fn handle_event(&mut self, event: Event, running: Option<&Running>) -> Option<Ended<Self::OwnReason>>;
 
-    /// Looks at the agent, several times a second and after every answer to a peer; says whether it is over.
-    fn look(&mut self, running: &Running) -> Option<Ended<Self::Own>>;
+    /// Reads the agent's state, several times a second and after every answer to a peer; returns the reason if it is to end.
+    fn poll_state(&mut self, running: &Running) -> Option<Ended<Self::OwnReason>>;
 
-    /// It is over; what is under way is still waited for.
-    fn over(&mut self) {}
+    /// Notes that the end is decided; work in progress is still waited for.
+    fn end_decided(&mut self) {}
 }
 
-/// A checked configuration and the clock that it runs by.
+/// A checked configuration with its clock.
 pub(crate) struct Ready {
     config: AgentConfig,
     /// This machine's clock.
     pub(crate) truth: SharedClock,
-    /// What `[rehearsal]` makes of it.
+    /// The clock that `[rehearsal]` makes of it.
     pub(crate) clock: SharedClock,
 }
 
-/// What came of it.
-pub(crate) struct Watched<Own> {
-    pub(crate) ended: Ended<Own>,
+/// Result of an observed agent.
+pub(crate) struct Watched<OwnReason> {
+    pub(crate) ended: Ended<OwnReason>,
     /// The agent's name.
     pub(crate) name: String,
-    /// Events that there was no room for.
+    /// Number of events that did not fit into the channel.
     pub(crate) missed: u64,
 }
 
@@ -82,7 +83,7 @@ impl Ready {
     /// Checks everything that the configuration names.
     ///
     /// # Errors
-    /// When the clock cannot be read (69), or something is wrong with the configuration (78).
+    /// When the clock cannot be read (69), or the configuration is wrong (78).
     pub(crate) fn new(config: AgentConfig) -> Result<Self, Failure> {
         let unavailable = |error: std::io::Error| Failure::new(Exit::Unavailable, error);
         let truth = clock::system(&config.agent.clock_identity).map_err(unavailable)?;
@@ -98,12 +99,12 @@ impl Ready {
         Ok(Self { config, truth, clock })
     }
 
-    /// Runs the agent until its observer has seen enough or a signal arrives, then waits for its end. A second signal ends
-    /// the waiting for what is under way.
+    /// Runs the agent until its observer ends it or a signal arrives, then waits for its end. A second signal ends the waiting for
+    /// work in progress.
     ///
     /// # Errors
     /// When the agent cannot start (69) or loses a task (70).
-    pub(crate) fn watch<E: RunObserver>(self, observer: &mut E) -> Result<Watched<E::Own>, Failure> {
+    pub(crate) fn watch<E: RunObserver>(self, observer: &mut E) -> Result<Watched<E::OwnReason>, Failure> {
         let runtime = tokio::runtime::Builder::new_multi_thread().thread_name("peernet").enable_all().build();
         let runtime = runtime
             .context("cannot start the threads of the runtime")
@@ -115,7 +116,7 @@ impl Ready {
     }
 }
 
-/// Why the agent did not start, for those who have no `[agent] state_dir` to change.
+/// Rewords the error of a start for users who have no `[agent] state_dir` to change.
 fn not_started(error: StartError) -> anyhow::Error {
     match error {
         StartError::Identity(IdentityError::InUse(folder)) => anyhow!(
@@ -130,14 +131,14 @@ async fn watch<E: RunObserver>(
     config: AgentConfig,
     clock: &SharedClock,
     observer: &mut E,
-) -> Result<Watched<E::Own>, Failure> {
+) -> Result<Watched<E::OwnReason>, Failure> {
     let mut signals = Signals::new().map_err(|error| Failure::new(Exit::Unavailable, error))?;
     let (stop, (tap, mut events)) = (CancellationToken::new(), mpsc::channel(EVENTS));
     let running = Agent::start_observed(config, VERSION, Arc::clone(clock), stop.clone(), tap).await;
     let running = running.map_err(|error| Failure::new(Exit::Unavailable, not_started(error)))?;
     let name = running.name().to_string();
     let mut served = running.served();
-    let mut look = tokio::time::interval(LOOK);
+    let mut poll = tokio::time::interval(POLL_INTERVAL);
     let mut is_interrupted = false;
     let ended = loop {
         let ended = tokio::select! {
@@ -146,29 +147,29 @@ async fn watch<E: RunObserver>(
                 Some(Ended::Interrupted)
             }
             event = events.recv() => match event {
-                Some(event) => observer.take(event, Some(&running)),
+                Some(event) => observer.handle_event(event, Some(&running)),
                 None => Some(Ended::Failed("the agent ended by itself".to_owned())),
             },
-            Ok(()) = served.changed() => observer.look(&running),
-            _ = look.tick() => observer.look(&running),
+            Ok(()) = served.changed() => observer.poll_state(&running),
+            _ = poll.tick() => observer.poll_state(&running),
         };
         if let Some(ended) = ended {
             break ended;
         }
     };
-    observer.over();
+    observer.end_decided();
     if is_interrupted {
         complain("ending; what is under way may take some seconds, Ctrl-C again does not wait for it");
     }
     stop.cancel();
-    let missed = running.untapped();
+    let missed = running.events_missed_by_tap();
     tokio::select! {
         joined = running.join() => joined.map_err(|error| Failure::new(Exit::Software, error))?,
         () = signals.next() => complain("what was under way is left alone"),
     }
-    // What was under way when it ended.
+    // Events of work that was in progress at the end.
     while let Ok(event) = events.try_recv() {
-        observer.take(event, None);
+        observer.handle_event(event, None);
     }
     Ok(Watched { ended, name, missed })
 }

@@ -1,10 +1,10 @@
-//! Wait for a peer that is away: when it is given up, and what the user is told of a slow one.
+//! Wait for a peer that is away: when it is given up, and what is shown of a slow one.
 
 use peernet_agent::Running;
 use peernet_clock::{MonoTime, Span};
 use peernet_stream::PipelineState;
 
-/// Time of silence after which the user is told.
+/// Time of silence after which a message is shown.
 const SILENCE: Span = Span::from_seconds(3);
 /// Reason given for a peer that has sent nothing at all, not even a refusal.
 const UNKNOWN: &str = "neither a refusal nor a word of PEERNet's protocol has come back until then; check the address, and what listens there";
@@ -12,9 +12,9 @@ const UNKNOWN: &str = "neither a refusal nor a word of PEERNet's protocol has co
 /// Current activity of a pipeline.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) enum PipelineActivity {
-    /// Its sensor has been set up since this time.
+    /// The sensor has been in preparation since this time.
     Preparing(MonoTime),
-    /// Its sensor has been asked for a sample at this time.
+    /// The sensor was asked for a sample at this time.
     Sensing(MonoTime),
     /// Its peer is away; the text is the reason, once it is known.
     Away(Option<String>),
@@ -26,7 +26,7 @@ impl PipelineActivity {
     /// Returns the activity of the first pipeline.
     pub(crate) fn of(running: &Running) -> Self {
         let Some(pipeline) = running.live().pipelines.into_iter().next() else { return Self::Running };
-        match (pipeline.state, running.senses_since(&pipeline.pipeline)) {
+        match (pipeline.state, running.sensor_busy_since(&pipeline.pipeline)) {
             (PipelineState::Waiting(reason), _) => Self::Away(Some(reason)),
             (PipelineState::Starting, Some(since)) => Self::Preparing(since),
             (PipelineState::Starting, None) => Self::Away(None),

@@ -1,4 +1,4 @@
-//! How far it is: a bar on a terminal, now and then a line elsewhere.
+//! Display of progress: a bar on a terminal, otherwise a line every few seconds.
 
 use std::fmt::Display;
 use std::io::IsTerminal;
@@ -8,15 +8,15 @@ use crate::output::complain;
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use peernet_clock::{MonoTime, Span};
 
-/// Between two lines where there is no terminal.
+/// Time between two lines without a terminal.
 const LINE: Span = Span::from_seconds(5);
-/// Steps of the bar.
+/// Number of steps of the bar.
 const STEPS: u64 = 1000;
 
-/// The bar on the terminal, for those who write there without knowing of it: the log is one for the whole program.
+/// The bar on the terminal, for writers that do not know of it: the whole program has one log.
 static BAR: Mutex<Option<ProgressBar>> = Mutex::new(None);
 
-/// Writes to standard error with the bar out of the way, if there is one.
+/// Writes to standard error with the bar hidden, if there is one.
 pub(super) fn above_the_bar<T>(write: impl FnOnce() -> T) -> T {
     let bar = BAR.lock().unwrap_or_else(PoisonError::into_inner).clone();
     match bar {
@@ -25,14 +25,14 @@ pub(super) fn above_the_bar<T>(write: impl FnOnce() -> T) -> T {
     }
 }
 
-/// Shows how far something is on standard error.
+/// Display of progress on standard error.
 pub(crate) struct Progress {
     shown: Shown,
-    said: MonoTime,
-    /// Whether there was trouble at the last look.
+    printed_at: MonoTime,
+    /// `true` if there was trouble at the last update.
     troubled: bool,
-    /// The reason of trouble that was printed last.
-    told: Option<String>,
+    /// Reason of trouble that was printed last.
+    last_reason: Option<String>,
 }
 
 enum Shown {
@@ -42,7 +42,7 @@ enum Shown {
 }
 
 impl Progress {
-    /// Nothing is done yet.
+    /// Makes a display in which nothing is done yet.
     pub(crate) fn new(quiet: bool, now: MonoTime) -> Self {
         let shown = match (quiet, std::io::stderr().is_terminal()) {
             (true, _) => Shown::Nothing,
@@ -55,10 +55,10 @@ impl Progress {
                 Shown::Bar(bar)
             }
         };
-        Self { shown, said: now, troubled: false, told: None }
+        Self { shown, printed_at: now, troubled: false, last_reason: None }
     }
 
-    /// Shows the state at `now` and how much of the whole is done, 0 to 1, or in the state's place what it waits for.
+    /// Shows the state at `now` and the share that is done, 0 to 1, or in its place what is waited for.
     pub(crate) fn show(
         &mut self,
         now: MonoTime,
@@ -74,16 +74,16 @@ impl Progress {
                 bar.set_position((share.clamp(0.0, 1.0) * STEPS as f64) as u64);
                 bar.set_message(trouble.unwrap_or(text));
             }
-            Shown::Lines if now - self.said < LINE && !is_news => {}
+            Shown::Lines if now - self.printed_at < LINE && !is_news => {}
             Shown::Lines => {
-                let trouble = trouble.map(|trouble| without_told_reason(trouble, &mut self.told));
+                let trouble = trouble.map(|trouble| without_repeated_reason(trouble, &mut self.last_reason));
                 complain(trouble.unwrap_or_else(|| state().0));
-                self.said = now;
+                self.printed_at = now;
             }
         }
     }
 
-    /// Says something that stays, above the bar.
+    /// Prints a line that stays, above the bar.
     pub(crate) fn say(&self, text: impl Display) {
         match &self.shown {
             Shown::Bar(bar) => bar.suspend(|| complain(text)),
@@ -91,7 +91,7 @@ impl Progress {
         }
     }
 
-    /// Takes the bar away.
+    /// Removes the bar.
     pub(crate) fn end(&self) {
         if let Shown::Bar(bar) = &self.shown {
             bar.finish_and_clear();
@@ -100,14 +100,14 @@ impl Progress {
     }
 }
 
-/// The text without the reason that stands in it in brackets, if that was printed before: lines stay where they were printed.
-fn without_told_reason(trouble: String, told: &mut Option<String>) -> String {
+/// Removes the reason in brackets from the text if it was printed before: printed lines stay visible.
+fn without_repeated_reason(trouble: String, last_reason: &mut Option<String>) -> String {
     let Some((what, rest)) = trouble.split_once(" (") else { return trouble };
     let Some((reason, wait)) = rest.rsplit_once(");") else { return trouble };
-    if told.as_deref() == Some(reason) {
+    if last_reason.as_deref() == Some(reason) {
         return format!("{what};{wait}");
     }
-    *told = Some(reason.to_owned());
+    *last_reason = Some(reason.to_owned());
     trouble
 }
 
@@ -116,10 +116,10 @@ mod tests {
     use super::*;
 
     #[test]
-    fn lines_repeat_no_reason() {
-        let mut told = None;
+    fn lines_do_not_repeat_reason() {
+        let mut last_reason = None;
         let mut line = |reason: &str, wait: &str| {
-            without_told_reason(format!("cloud is away ({reason}); waiting for {wait}"), &mut told)
+            without_repeated_reason(format!("cloud is away ({reason}); waiting for {wait}"), &mut last_reason)
         };
         assert_eq!(
             line("refused (os error 111)", "it"),
@@ -127,6 +127,6 @@ mod tests {
         );
         assert_eq!(line("refused (os error 111)", "5 s"), "cloud is away; waiting for 5 s");
         assert_eq!(line("no room", "10 s"), "cloud is away (no room); waiting for 10 s");
-        assert_eq!(without_told_reason("no answer".to_owned(), &mut told), "no answer");
+        assert_eq!(without_repeated_reason("no answer".to_owned(), &mut last_reason), "no answer");
     }
 }

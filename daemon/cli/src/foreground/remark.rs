@@ -1,8 +1,8 @@
-//! What spoils measurements, as it is told before or while they are made.
+//! Texts about conditions that impair measurements.
 
 use peernet_stream::Condition;
 
-/// What was found of a host, and what can be done about it.
+/// Describes a condition of a host with the advice.
 pub(crate) fn remark(condition: &Condition) -> String {
     let Condition { host, about, found, advice, .. } = condition;
     let advice = if advice.is_empty() { String::new() } else { format!("; {advice}") };

@@ -1,19 +1,19 @@
-//! Being told to end.
+//! Signals that request the end.
 
 use std::io;
 
-use crate::wish::Wishes;
+use crate::shutdown_request::ShutdownRequests;
 use tokio::signal::unix::{Signal, SignalKind, signal};
 use tokio::time::Instant;
 
-/// Ctrl-C, what service managers send, and the end of the terminal's session.
+/// Listener for Ctrl-C, for the signal of service managers, and for the end of the terminal's session.
 pub(crate) struct Signals {
     interrupt: Signal,
     terminate: Signal,
-    /// `None` when it is not listened to: it was switched off, as `nohup` does, or has come. A shell and the system both
-    /// send it when a session ends, which is one wish to end and not two.
+    /// `None` if it is not listened to: it is ignored, as with `nohup`, or has arrived. A shell and the system both send it at the
+    /// end of a session, which is one request and not two.
     hang_up: Option<Signal>,
-    wishes: Wishes,
+    shutdown_requests: ShutdownRequests,
 }
 
 impl Signals {
@@ -24,11 +24,11 @@ impl Signals {
             interrupt: signal(SignalKind::interrupt())?,
             terminate: signal(SignalKind::terminate())?,
             hang_up,
-            wishes: Wishes::default(),
+            shutdown_requests: ShutdownRequests::default(),
         })
     }
 
-    /// Waits for the next wish to end.
+    /// Waits for the next request to end.
     pub(crate) async fn next(&mut self) {
         loop {
             let kind = tokio::select! {
@@ -39,7 +39,7 @@ impl Signals {
                     SignalKind::hangup()
                 }
             };
-            if self.wishes.is_another(kind, Instant::now()) {
+            if self.shutdown_requests.is_another(kind, Instant::now()) {
                 return;
             }
         }
@@ -55,9 +55,9 @@ async fn hung_up(signal: &mut Option<Signal>) {
     }
 }
 
-/// Whether whoever started this program wants it not to mind a signal.
+/// Returns whether the process was started with this signal ignored.
 fn is_ignored(signal: SignalKind) -> bool {
-    // Without the file the system's usual way stands: a signal is minded.
+    // Without the file the signal counts as not ignored, which is the default.
     let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
     let mask = status.lines().find_map(|line| line.strip_prefix("SigIgn:"));
     let mask = mask.and_then(|mask| u64::from_str_radix(mask.trim(), 16).ok()).unwrap_or_default();

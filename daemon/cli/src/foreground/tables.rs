@@ -1,18 +1,18 @@
-//! What a foreground run takes from an agent's configuration file.
+//! Parts of an agent's configuration file that a foreground run uses.
 
 use std::path::Path;
 
 use crate::exit::{Exit, Failure};
-use crate::expected::told;
+use crate::expected::describe_error;
 use crate::small_file;
 use anyhow::anyhow;
 use peernet_agent::AgentConfig;
 
-/// The tables that hold here, too.
+/// Tables that are used.
 const TABLES: [&str; 4] = ["clock", "probes", "rehearsal", "onnxruntime"];
 
-/// The tables of an agent's configuration that relate the clocks and name the library, with its name and clock.
-/// Nothing without a file.
+/// Reads the tables of an agent's configuration that relate the clocks and name the library, with the agent's name and clock.
+/// Returns the defaults without a file.
 ///
 /// # Errors
 /// When the file cannot be read (66) or its tables are wrong (78).
@@ -25,8 +25,9 @@ pub(crate) fn tables(file: Option<&Path>) -> Result<AgentConfig, Failure> {
 }
 
 fn read(text: &str, file: &Path) -> anyhow::Result<AgentConfig> {
-    let mut document: toml::Table =
-        text.parse().map_err(|error: toml::de::Error| anyhow!("{}: {}", file.display(), told(&error)))?;
+    let mut document: toml::Table = text
+        .parse()
+        .map_err(|error: toml::de::Error| anyhow!("{}: {}", file.display(), describe_error(&error)))?;
     let agent = document.get("agent").and_then(toml::Value::as_table);
     let agent: toml::Table = ["name", "clock_identity"]
         .iter()
@@ -35,7 +36,7 @@ fn read(text: &str, file: &Path) -> anyhow::Result<AgentConfig> {
     document.retain(|key, _| TABLES.contains(&key));
     document.insert("agent".to_owned(), toml::Value::Table(agent));
     serde_path_to_error::deserialize(document)
-        .map_err(|error| anyhow!("{}: {}: {}", file.display(), error.path(), told(error.inner())))
+        .map_err(|error| anyhow!("{}: {}: {}", file.display(), error.path(), describe_error(error.inner())))
 }
 
 #[cfg(test)]
@@ -43,7 +44,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_relates_the_clocks_is_taken_from_a_file_and_nothing_else() {
+    fn only_clock_settings_are_taken_from_file() {
         let folder = tempfile::tempdir().expect("a folder");
         let file = folder.path().join("edge.toml");
         let text = "[agent]\nname = 'edge'\naggregator = 'tcp://a:1'\n[clock]\nmax_drift_ppm = 150\n\

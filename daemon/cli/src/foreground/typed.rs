@@ -1,6 +1,6 @@
-//! The command that was typed.
+//! The command line as it was typed.
 
-/// The command that was typed, in words that a shell takes. It is told, not executed: what is not UTF-8 is replaced.
+/// Returns the command line, quoted for a shell. It is for display only: parts that are not UTF-8 are replaced.
 pub(crate) fn typed() -> String {
     let words = std::env::args_os().map(|word| {
         let word = word.to_string_lossy().into_owned();

@@ -1,14 +1,14 @@
-//! Times of waiting.
+//! Formatting of durations.
 
 const DAY: u64 = 86_400;
-/// From here on nobody counts hours.
+/// Limit from which durations are given in days.
 const FEW_DAYS: u64 = 10 * DAY;
-/// From here on nobody counts days.
+/// Limit from which durations are given in years.
 const FEW_YEARS: u64 = 3 * 365 * DAY;
 
-/// A time of waiting, as people say it.
+/// Formats a duration as people say it.
 pub(crate) fn duration(seconds: f64) -> String {
-    // What would be rounded to nothing.
+    // It would be rounded to zero.
     if seconds > 0.0 && seconds < 0.5 {
         return format!("0.{} s", (seconds * 10.0).round().max(1.0));
     }
@@ -26,7 +26,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_time_of_waiting_is_told_as_people_do() {
+    fn waiting_time_is_described_in_round_units() {
         assert_eq!([90.4, 7199.0, 7300.0].map(duration), ["90 s", "120 min", "2 h 1 min"]);
         let day = 86_400.0;
         assert_eq!(

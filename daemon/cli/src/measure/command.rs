@@ -1,4 +1,4 @@
-//! `peernet measure`: one order in a process of its own.
+//! `peernet measure`: executes one order in a separate process.
 
 use std::io::Read;
 use std::path::{Path, PathBuf};
@@ -9,10 +9,10 @@ use crate::small_file;
 use anyhow::{Context, anyhow};
 use rustix::process::{Signal, set_parent_process_death_signal};
 
-use super::{Order, Seen, Watcher, measure};
-use crate::foreground::{Shows, listen};
+use super::{Order, ProgressDisplay, ProgressReport, measure};
+use crate::foreground::{LogDestination, start_log};
 
-/// What `peernet measure` can be told.
+/// Arguments of `peernet measure`.
 #[derive(Debug, clap::Args)]
 pub(crate) struct Arguments {
     /// File with the order, as JSON; `-` is standard input.
@@ -20,22 +20,23 @@ pub(crate) struct Arguments {
     order: PathBuf,
 }
 
-/// Executes the order; says in lines of JSON how far it is, and in texts what users' own code prints.
+/// Executes the order. Prints its progress as lines of JSON objects, and output of users' code as JSON texts.
 ///
 /// # Errors
-/// Those of [`measure`], and when the order cannot be read (66) or understood (78), `PEERNET_LOG` is no level (78), or iterations have no answer (75).
+/// Those of [`measure`], and when the order cannot be read (66) or parsed (78), `PEERNET_LOG` is no level (78), or iterations have
+/// no answer (75).
 pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
     end_with_parent();
-    listen(Shows::Parent)?;
+    start_log(LogDestination::Parent)?;
     let text = read(&arguments.order).map_err(|error| Failure::new(Exit::NoInput, error))?;
     let order: Order = serde_json::from_str(&text).map_err(|error| {
         Failure::new(Exit::Configuration, anyhow!("cannot understand the order: {error}"))
     })?;
-    let measured = measure(&order, &mut Lines)?;
+    let measured = measure(&order, &mut JsonProgress)?;
     measured.failure().map_or(Ok(()), Err)
 }
 
-/// A run whose experiment was killed must not write into a folder that is given to another run.
+/// Ends this process together with its experiment: otherwise it could write into a folder that is given to another run.
 fn end_with_parent() {
     if let Err(error) = set_parent_process_death_signal(Some(Signal::KILL)) {
         complain(format_args!("this run may outlive its experiment: {error}"));
@@ -52,14 +53,14 @@ fn read(file: &Path) -> anyhow::Result<String> {
         .with_context(|| format!("cannot read the order {}", file.display()))
 }
 
-/// Writes what is seen to standard output.
-struct Lines;
+/// Display that prints the state to standard output.
+struct JsonProgress;
 
-impl Watcher for Lines {
-    fn look(&mut self, seen: &Seen) {
-        match serde_json::to_string(seen) {
+impl ProgressDisplay for JsonProgress {
+    fn show(&mut self, report: &ProgressReport) {
+        match serde_json::to_string(report) {
             Ok(line) => say(line),
-            // Numbers that JSON has no word for; the next look tells more.
+            // JSON cannot represent some numbers. The next update says more.
             Err(error) => tracing::debug!(%error, "a look cannot be written"),
         }
     }

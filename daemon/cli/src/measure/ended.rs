@@ -1,4 +1,4 @@
-//! How a run ended, and what a script is told of it.
+//! End of a run and its report to the caller.
 
 use crate::exit::{Exit, Failure};
 use anyhow::anyhow;
@@ -10,17 +10,17 @@ use super::unavailable;
 use crate::foreground::Ended;
 
 impl Ended {
-    /// As it stands in `run.json`.
+    /// Returns the reason as written to `run.json`.
     pub(super) fn reason(&self) -> EndReason {
         match self {
             Self::Finished => EndReason::Finished,
             Self::Interrupted => EndReason::Stopped,
             Self::Failed(reason) => EndReason::Failed(reason.clone()),
-            Self::Own(never) => match *never {},
+            Self::OwnReason(never) => match *never {},
         }
     }
 
-    /// What is told when there is nothing to write.
+    /// Returns the failure of a run without any rows.
     pub(super) fn without_rows(self) -> Failure {
         match self {
             Self::Finished => unavailable("nothing was measured: the sensor has no samples"),
@@ -31,7 +31,7 @@ impl Ended {
         }
     }
 
-    /// Why the program is not to end well, although there are results; `unseen` iterations have no row.
+    /// Returns the failure of a run with results, if any; `unseen` is the number of iterations without a row.
     pub(super) fn failure(&self, rows: &Rows, unseen: u64) -> Option<Failure> {
         let incomplete = |text: String| Some(Failure::new(Exit::Incomplete, anyhow!("{text}")));
         match self {
@@ -63,15 +63,15 @@ impl Ended {
                 let (bad, all) = (bad.count() as u64, counted(rows.len() as u64, "iteration"));
                 incomplete(format!("{bad} of {all} {} no answer; {text}", has(bad)))
             }
-            Self::Own(never) => match *never {},
+            Self::OwnReason(never) => match *never {},
         }
     }
 }
 
-/// What stands between an exception and where it was raised.
+/// Separator between an exception and its traceback.
 const TRACEBACK: &str = " Traceback (most recent call last):";
 
-/// A traceback ends with the exception that it begins with here.
+/// Removes the repetition of the exception at the end of its traceback.
 fn once(reason: &str) -> &str {
     let exception = reason.split_once(TRACEBACK).map_or("", |(exception, _)| exception.trim_end());
     reason.strip_suffix(exception).map_or(reason, str::trim_end)
@@ -103,7 +103,7 @@ mod tests {
     }
 
     #[test]
-    fn an_exception_is_told_once() {
+    fn exception_is_reported_once() {
         let all = "E: dark Traceback (most recent call last):   File x, line 7     raise E E: dark";
         assert_eq!(once(all), "E: dark Traceback (most recent call last):   File x, line 7     raise E");
         let others = ["it went away", "", "E: a Traceback (most recent call last):  …"];
@@ -111,7 +111,7 @@ mod tests {
     }
 
     #[test]
-    fn a_script_is_told_how_it_went() {
+    fn exit_code_reports_result() {
         let well = Rows::from_iter([row(1, Outcome::Ok)]);
         assert!(Ended::Finished.failure(&well, 0).is_none());
         let code = |ended: Ended| ended.failure(&well, 0).map(|failure| failure.exit);

@@ -1,31 +1,31 @@
 //! One run in the foreground: an agent with one pipeline, and a folder of results that fills while it measures.
 //!
 //! ```text
-//! Order ── Ready ── agent ── events ── Taking ─┬─ data.csv, row by row
-//!                                    │         └─ Seen, for whoever shows the progress (Watcher)
+//! Order ── Ready ── agent ── events ── RunRecorder ─┬─ data.csv, row by row
+//!                                    │              └─ ProgressReport, for the ProgressDisplay
 //!                                    └─ record ── run.json, summary.*
 //! ```
 //!
 //! The published client calls [`measure`] itself; an experiment starts one process for each of its runs
-//! (`peernet measure --order FILE`), so that a crash is one run's.
+//! (`peernet measure --order FILE`), so that a crash affects one run only.
 
-mod aside;
 mod command;
 mod ended;
-mod home;
 mod order;
+mod previous_results;
+mod progress_report;
 mod record;
+mod recorder;
 mod results;
-mod seen;
 mod spools;
-mod taking;
+mod state_dir;
 
-pub(crate) use aside::put_aside;
 pub(crate) use command::{Arguments, run};
-pub(crate) use home::Home;
 pub(crate) use order::Order;
-pub(crate) use seen::{Phase, Seen, Watcher};
+pub(crate) use previous_results::put_aside;
+pub(crate) use progress_report::{Phase, ProgressDisplay, ProgressReport};
 pub(crate) use spools::{OF_AGENT, Waiting, undelivered, undelivered_in};
+pub(crate) use state_dir::AgentStateDir;
 
 use std::path::{Path, PathBuf};
 
@@ -41,27 +41,27 @@ use peernet_figures as figures;
 use peernet_stream::Condition;
 
 use crate::foreground::{Ended, Ready, Watched};
+use recorder::RunRecorder;
 use results::{Results, Written};
-use taking::Taking;
 
-/// A run that has rows.
+/// A run with rows.
 pub(crate) struct Measured {
-    /// How it ended.
+    /// Reason for its end.
     pub(crate) ended: Ended,
-    /// One per iteration.
+    /// Rows, one per iteration.
     pub(crate) rows: Rows,
-    /// Everything else about it.
+    /// Everything else about the run.
     pub(crate) record: RunRecord,
-    /// The folder of its results: the one that was ordered, or a temporary one when that could not be written.
+    /// Folder of its results: the ordered one, or a temporary one if that could not be written.
     pub(crate) folder: PathBuf,
-    /// The files in it.
+    /// Files in the folder.
     pub(crate) files: Vec<PathBuf>,
-    /// Why the results are not where they were to be.
+    /// Reason for which the results are not in the ordered folder.
     trouble: Option<String>,
 }
 
 impl Measured {
-    /// Why the program is not to end well, although there are results.
+    /// Returns the failure of a run with results, if any.
     pub(crate) fn failure(&self) -> Option<Failure> {
         let unwritten = |trouble: &String| Failure::new(Exit::Unwritten, anyhow!("{trouble}"));
         self.trouble
@@ -74,55 +74,64 @@ impl Measured {
 /// Executes an order and writes its results.
 ///
 /// # Errors
-/// When the configuration is wrong (78), the agent cannot start (69), there is nothing to write because the peer or the
-/// agent did not take part (69) or the user ended it before (130), or the folder for the results cannot be had (64, 73).
-pub(crate) fn measure(order: &Order, watcher: &mut dyn Watcher) -> Result<Measured, Failure> {
+/// When the configuration is wrong (78), the agent cannot start (69), there is nothing to write because the peer or the agent
+/// failed (69) or the user ended it before (130), or the folder for the results cannot be used (64, 73).
+pub(crate) fn measure(
+    order: &Order,
+    progress_display: &mut dyn ProgressDisplay,
+) -> Result<Measured, Failure> {
     let pipeline = order.pipeline()?;
-    let home = Home::of(&order.agent.agent)?;
+    let state_dir = AgentStateDir::of(&order.agent.agent)?;
     let mut config = order.agent.clone();
-    home.house(&mut config)?;
+    state_dir.configure(&mut config)?;
     let ready = Ready::new(config)?;
     let mut results = Results::begin(order)?;
     let room = conditions::free_space("results", results.path(), "");
-    let mut taking = Taking::new(pipeline, order.patience(), results.writer()?, ready.clock.clone(), watcher);
-    let watched = ready.watch(&mut taking);
-    let (Watched { ended, name, missed }, taken) = match (watched, taking.finish()) {
-        (Ok(watched), taken) => (watched, taken),
-        (Err(failure), taken) if taken.rows.is_empty() => {
+    let mut recorder = RunRecorder::new(
+        pipeline,
+        order.patience(),
+        results.writer()?,
+        ready.clock.clone(),
+        progress_display,
+    );
+    let watched = ready.watch(&mut recorder);
+    let (Watched { ended, name, missed }, recorded) = match (watched, recorder.finish()) {
+        (Ok(watched), recorded) => (watched, recorded),
+        (Err(failure), recorded) if recorded.rows.is_empty() => {
             results.discard();
             return Err(failure);
         }
-        (Err(failure), taken) => {
-            (Watched { ended: Ended::Failed(failure.to_string()), name: String::new(), missed: 0 }, taken)
+        (Err(failure), recorded) => {
+            (Watched { ended: Ended::Failed(failure.to_string()), name: String::new(), missed: 0 }, recorded)
         }
     };
-    if taken.rows.is_empty() {
+    if recorded.rows.is_empty() {
         results.discard();
         return Err(ended.without_rows());
     }
-    let mut record = record::of(order, &taken, &ended, name, missed);
+    let mut record = record::of(order, &recorded, &ended, name, missed);
     record.edge.conditions.push(Condition { host: record.edge.name.clone(), ..room });
-    record.trust = Some(Report::of(&TrustInput::of_run(&record, &taken.rows)));
-    let Written { folder, mut files, mut trouble } = results.finish(&record, &taken.rows);
+    record.trust = Some(Report::of(&TrustInput::of_run(&record, &recorded.rows)));
+    let Written { folder, mut files, mut trouble } = results.finish(&record, &recorded.rows);
     let is_written = !files.is_empty();
-    // Where the rows found no room, the folder may hold earlier results again.
-    match is_written.then(|| study(&record, &taken.rows, &folder)).transpose() {
+    // If the rows did not fit on the disk, the folder may hold earlier results again.
+    match is_written.then(|| study(&record, &recorded.rows, &folder)).transpose() {
         Ok(written) => files.extend(written.flatten()),
         Err(error) => trouble = trouble.or_else(|| Some(error.to_string())),
     }
     if order.plots && !is_written {
-        // They would take the room that rows did not get.
+        // Figures would use the space that the rows did not get.
         trouble = trouble.map(|trouble| format!("{trouble}; no figure is drawn"));
     } else if order.plots {
-        match figures::of_run(&record, &taken.rows, &folder) {
+        match figures::of_run(&record, &recorded.rows, &folder) {
             Ok(drawn) => files.extend(drawn),
             Err(error) => trouble = trouble.or(Some(format!("not all figures are drawn: {error}"))),
         }
     }
-    Ok(Measured { ended, rows: taken.rows, record, folder, files, trouble })
+    Ok(Measured { ended, rows: recorded.rows, record, folder, files, trouble })
 }
 
-/// Writes what a sensor alone showed of itself.
+/// Writes the study of a run of a sensor alone.
 fn study(record: &RunRecord, rows: &Rows, folder: &Path) -> Result<Option<PathBuf>, WriteError> {
     if !record.is_sensor_alone() {
         return Ok(None);

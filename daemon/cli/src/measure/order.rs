@@ -1,4 +1,4 @@
-//! What is to be measured.
+//! Order: description of one run to be measured.
 
 use std::path::PathBuf;
 
@@ -13,42 +13,42 @@ use serde::{Deserialize, Serialize};
 
 use crate::foreground::PeerWait;
 
-/// One run.
+/// Description of one run.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(crate) struct Order {
     /// The agent, with one pipeline that has a limit.
     pub(crate) agent: AgentConfig,
-    /// For people: the title of figures and tables.
+    /// Title of figures and tables.
     pub(crate) title: String,
-    /// Where the results go.
+    /// Folder for the results.
     #[serde(with = "any_path")]
     pub(crate) folder: PathBuf,
-    /// What becomes of results that are there already.
+    /// Treatment of existing results.
     pub(crate) overwrite: Overwrite,
-    /// Whether to draw the figures.
+    /// `true` if figures are to be drawn.
     #[serde(default)]
     pub(crate) plots: bool,
     /// The command that was typed.
     pub(crate) command: String,
-    /// The file of devices that it names.
+    /// The file of devices that the command names.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(crate) network_config: Option<NetworkConfig>,
-    /// Which edge it is, where several ask at once.
+    /// Number of this edge, if several edges send at once.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(crate) user: Option<User>,
-    /// Which iterations are warm-up, in words.
+    /// Description of the iterations that are warm-up.
     pub(crate) warm_up: String,
-    /// How long a peer that is away is waited for, before the run and during it; seconds. Default: 90.
+    /// Longest wait for an absent peer, before the run and during it; seconds. Default: 90.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(crate) patience_s: Option<f64>,
 }
 
 impl Order {
-    /// The pipeline.
+    /// Returns the pipeline.
     ///
     /// # Errors
-    /// When there is not exactly one, or it would run for ever (78).
+    /// When there is not exactly one, or it has no limit (78).
     pub(super) fn pipeline(&self) -> Result<&PipelineConfig, Failure> {
         let wrong = |text: &str| Failure::new(Exit::Configuration, anyhow!("{text}"));
         match self.agent.pipelines.as_slice() {
@@ -58,13 +58,13 @@ impl Order {
         }
     }
 
-    /// How long a peer that is away is waited for.
+    /// Returns the longest wait for an absent peer.
     pub(super) fn patience(&self) -> Span {
         self.patience_s.map_or(PeerWait::USUAL, Span::from_seconds_f64)
     }
 }
 
-/// A path as text, or as its bytes where it is none: JSON has only text, and Linux takes any bytes.
+/// Serialisation of a path as text, or as its bytes if it is not UTF-8: JSON has only text, and Linux allows any bytes.
 mod any_path {
     use std::ffi::OsString;
     use std::path::{Path, PathBuf};
@@ -102,7 +102,7 @@ mod any_path {
         struct Holder(#[serde(with = "super")] PathBuf);
 
         #[test]
-        fn any_path_is_understood_by_the_process_that_measures() {
+        fn paths_of_any_bytes_survive_order() {
             for bytes in [&b"results/a"[..], b"res\xff\xfe"] {
                 let path = Holder(OsString::from_vec(bytes.to_vec()).into());
                 let text = serde_json::to_string(&path).expect("can be written");

@@ -1,4 +1,4 @@
-//! `run.json`: everything that is needed to do the run again.
+//! `run.json`: everything that is needed to repeat the run.
 
 use std::collections::BTreeMap;
 
@@ -13,25 +13,31 @@ use peernet_analysis::record::{
 use peernet_external::environment;
 use peernet_external::exec::with_arguments;
 use peernet_inference::MODEL_HASH;
-use peernet_stream::{Placement as Told, PlacementKind};
+use peernet_stream::{Placement as ReportedPlacement, PlacementKind};
 use serde_json::{Map, Value};
 
 use super::Order;
-use super::taking::Taken;
+use super::recorder::RecordedRun;
 use crate::foreground::Ended;
 
-/// The record of a run that has rows.
-pub(super) fn of(order: &Order, taken: &Taken, ended: &Ended, edge: String, missed: u64) -> RunRecord {
-    let description = taken.description.as_ref();
+/// Makes the record of a run with rows.
+pub(super) fn of(
+    order: &Order,
+    recorded: &RecordedRun,
+    ended: &Ended,
+    edge: String,
+    missed: u64,
+) -> RunRecord {
+    let description = recorded.description.as_ref();
     let facts = description.map(|run| run.facts.clone()).unwrap_or_default();
     let conditions = description.map(|run| run.conditions.clone()).unwrap_or_default();
     let placement = description.map(|run| &run.placement);
     let cloud = placement.and_then(|placement| placement.peer.as_ref()).map(|name| HostRecord {
         name: name.to_string(),
-        id: taken.cloud.as_ref().map(|cloud| cloud.id),
-        version: taken.cloud.as_ref().map(|cloud| cloud.version.clone()).unwrap_or_default(),
-        hardware: taken.cloud.as_ref().map(|cloud| cloud.hardware.clone()),
-        clock: taken.cloud_clock.clone().unwrap_or_default(),
+        id: recorded.cloud.as_ref().map(|cloud| cloud.id),
+        version: recorded.cloud.as_ref().map(|cloud| cloud.version.clone()).unwrap_or_default(),
+        hardware: recorded.cloud.as_ref().map(|cloud| cloud.hardware.clone()),
+        clock: recorded.cloud_clock.clone().unwrap_or_default(),
         conditions: conditions.iter().filter(|found| found.host == *name.as_str()).cloned().collect(),
     });
     let conditions =
@@ -44,7 +50,7 @@ pub(super) fn of(order: &Order, taken: &Taken, ended: &Ended, edge: String, miss
         title: order.title.clone(),
         run: description.map(|run| run.run),
         started: description.map(|run| instant(run.started)),
-        ended: taken.ended.map(instant),
+        ended: recorded.ended.map(instant),
         reason: ended.reason(),
         version: VERSION.to_owned(),
         command: order.command.clone(),
@@ -53,14 +59,14 @@ pub(super) fn of(order: &Order, taken: &Taken, ended: &Ended, edge: String, miss
         network_config: order.network_config.clone(),
         edge: HostRecord {
             name: edge,
-            id: taken.edge.as_ref().map(|edge| edge.id),
+            id: recorded.edge.as_ref().map(|edge| edge.id),
             version: VERSION.to_owned(),
-            hardware: taken.edge.as_ref().map(|edge| edge.hardware.clone()),
-            clock: taken.edge_clock.clone().unwrap_or_default(),
+            hardware: recorded.edge.as_ref().map(|edge| edge.hardware.clone()),
+            clock: recorded.edge_clock.clone().unwrap_or_default(),
             conditions: conditions.collect(),
         },
         cloud,
-        placement: placement.map(where_it_computed).unwrap_or_default(),
+        placement: placement.map(placement_record).unwrap_or_default(),
         model: placement.filter(|placement| placement.kind != PlacementKind::None).map(|placement| {
             ModelRecord {
                 name: placement.model.to_string(),
@@ -76,31 +82,31 @@ pub(super) fn of(order: &Order, taken: &Taken, ended: &Ended, edge: String, miss
         patience_s: Some(order.patience().seconds()),
         seeds: pipeline.map(|pipeline| seeds(&json(pipeline))).unwrap_or_default(),
         warm_up: order.warm_up.clone(),
-        counts: Counts::of(&taken.rows, missed),
+        counts: Counts::of(&recorded.rows, missed),
         deadline_s: pipeline.and_then(PipelineConfig::deadline).map(|deadline| deadline.as_secs_f64()),
-        misses: Misses::of_rows(&taken.rows),
-        clocks: Clocks::of(&taken.rows),
-        accuracy: Accuracy::of_each(&taken.rows),
-        units: taken.units.clone(),
+        misses: Misses::of_rows(&recorded.rows),
+        clocks: Clocks::of(&recorded.rows),
+        accuracy: Accuracy::of_each(&recorded.rows),
+        units: recorded.units.clone(),
         trust: None,
     }
 }
 
-fn where_it_computed(told: &Told) -> Placement {
+fn placement_record(reported: &ReportedPlacement) -> Placement {
     Placement {
-        kind: told.kind.name().to_owned(),
-        network: told.network.clone(),
-        address: told.address.clone(),
+        kind: reported.kind.name().to_owned(),
+        network: reported.network.clone(),
+        address: reported.address.clone(),
     }
 }
 
-/// The hash of the model's file, as its host tells it.
+/// Returns the hash of the model's file as reported by its host.
 fn sha256(facts: &[(String, String)]) -> Option<String> {
-    let told = facts.iter().find(|(name, _)| name == MODEL_HASH);
-    told.map(|(_, hash)| hash.clone())
+    let reported = facts.iter().find(|(name, _)| name == MODEL_HASH);
+    reported.map(|(_, hash)| hash.clone())
 }
 
-/// The agent's tables without the pipeline, which stands beside them, and without where this one run kept its state.
+/// Returns the agent's tables without the pipeline, which is recorded separately, and without the folder of this run's state.
 fn agent(config: &AgentConfig) -> Value {
     let mut tables = json(config);
     if let Value::Object(tables) = &mut tables {
@@ -112,7 +118,7 @@ fn agent(config: &AgentConfig) -> Value {
     tables
 }
 
-/// Every number called `seed`, by the path of its table.
+/// Collects every number called `seed`, by the path of its table.
 fn seeds(pipeline: &Value) -> BTreeMap<String, u64> {
     fn gather(path: &str, table: &Map<String, Value>, seeds: &mut BTreeMap<String, u64>) {
         for (key, value) in table {
@@ -132,7 +138,7 @@ fn seeds(pipeline: &Value) -> BTreeMap<String, u64> {
     seeds
 }
 
-/// The arguments of programs are in it: the file is not readable by others.
+/// Serialises with the arguments of programs: other users cannot read the file.
 fn json(what: &impl serde::Serialize) -> Value {
     with_arguments(|| serde_json::to_value(what))
         .unwrap_or_else(|error| Value::String(format!("cannot be written down: {error}")))

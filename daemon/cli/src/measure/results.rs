@@ -1,4 +1,4 @@
-//! The folder of results of a run.
+//! Folder of a run's results.
 
 use std::path::{Path, PathBuf};
 
@@ -8,51 +8,51 @@ use peernet_analysis::rows::Rows;
 use peernet_results::{Finished, FolderError, Overwrite, ResultFolder, RowWriter};
 
 use super::Order;
-use super::aside::Aside;
+use super::previous_results::PreviousResultsGuard;
 
-/// A folder that is there and can be written to before anything is measured.
+/// A folder that exists and is known to be writable before anything is measured.
 pub(super) struct Results {
-    /// The results that are to be replaced. They come back before others may use the folder.
-    earlier: Option<Aside>,
+    /// Earlier results to be replaced. They are restored before other programs may use the folder.
+    earlier: Option<PreviousResultsGuard>,
     folder: ResultFolder,
-    /// Whether it was made for this run.
+    /// `true` if the folder was created for this run.
     made: bool,
 }
 
-/// Where the results are.
+/// Place of the written results.
 pub(super) struct Written {
     pub(super) folder: PathBuf,
     pub(super) files: Vec<PathBuf>,
-    /// Why they are not where they were to be, and where they are.
+    /// Reason for which they are not in the ordered folder, and their place.
     pub(super) trouble: Option<String>,
 }
 
 impl Results {
-    /// Makes the folder that the order names.
+    /// Creates and locks the folder that the order names.
     ///
     /// # Errors
-    /// When it holds results that may not be replaced (64), another program writes there (69), or it cannot be made (73).
+    /// When it holds results that may not be replaced (64), another program writes there (69), or it cannot be created (73).
     pub(super) fn begin(order: &Order) -> Result<Self, Failure> {
-        // The lock says that no run is under way there; nothing is touched by it.
-        if Aside::is_left(&order.folder)
+        // The lock shows that no run is active there; taking it changes nothing.
+        if PreviousResultsGuard::is_left(&order.folder)
             && let Ok(folder) = ResultFolder::take(&order.folder, Overwrite::Replace)
         {
-            Aside::recover(folder.path())?;
+            PreviousResultsGuard::recover(folder.path())?;
         }
         let was_there = order.folder.exists();
         let folder = ResultFolder::take(&order.folder, order.overwrite).map_err(failure)?;
         let replaces = was_there && order.overwrite == Overwrite::Replace;
-        let earlier = replaces.then(|| Aside::put(folder.path())).transpose()?;
+        let earlier = replaces.then(|| PreviousResultsGuard::move_away(folder.path())).transpose()?;
         let made = !was_there || folder.path() != order.folder;
         Ok(Self { folder, made, earlier })
     }
 
-    /// Where it is.
+    /// Returns the path of the folder.
     pub(super) fn path(&self) -> &Path {
         self.folder.path()
     }
 
-    /// What takes the rows.
+    /// Returns the writer of the rows.
     ///
     /// # Errors
     /// When the file cannot be written (73).
@@ -60,9 +60,9 @@ impl Results {
         self.folder.writer().map_err(failure)
     }
 
-    /// Takes away what was made: there is nothing to keep. What was to be replaced comes back.
+    /// Removes what was created, because there is nothing to keep. Earlier results are restored.
     pub(super) fn discard(self) {
-        // A file that stays does no harm.
+        // A file that remains does no harm.
         let _ = std::fs::remove_file(self.path().join("data.csv"));
         if self.made {
             let _ = std::fs::remove_dir(self.path());
@@ -70,7 +70,7 @@ impl Results {
         drop(self.earlier);
     }
 
-    /// Writes everything, elsewhere if it must be.
+    /// Writes all results, to another folder if necessary.
     pub(super) fn finish(&mut self, record: &RunRecord, rows: &Rows) -> Written {
         let mut earlier = self.earlier.take();
         match self.folder.finish(record, rows) {
@@ -81,14 +81,14 @@ impl Results {
                 Written { folder, files, trouble: None }
             }
             Ok(Finished { folder, files, trouble: Some(trouble) }) => {
-                let back = earlier.map_or_else(String::new, Aside::give_back);
+                let back = earlier.map_or_else(String::new, PreviousResultsGuard::restore);
                 let trouble =
                     format!("{trouble}; all that was measured is in {} instead{back}", folder.display());
                 Written { folder, files, trouble: Some(trouble) }
             }
             Err(error) => {
-                let rows = earlier.as_ref().and_then(Aside::keep_rows);
-                let back = earlier.map_or_else(String::new, Aside::give_back);
+                let rows = earlier.as_ref().and_then(PreviousResultsGuard::keep_rows);
+                let back = earlier.map_or_else(String::new, PreviousResultsGuard::restore);
                 let rows = rows.as_deref().unwrap_or("data.csv");
                 let trouble = format!("{error}; {rows} holds what there was room for{back}");
                 Written { folder: self.path().to_owned(), files: Vec::new(), trouble: Some(trouble) }

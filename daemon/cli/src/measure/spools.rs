@@ -1,6 +1,6 @@
-//! The spools of a host that is there for some runs only: one for each aggregator that it was told to stream to.
+//! Spools of a host that exists for some runs only: one for each aggregator to which it streams.
 //!
-//! With one for all of them, an aggregator would lack the batches that another one has acknowledged, and take them for lost.
+//! With a common spool, an aggregator would lack the batches that another one has acknowledged, and count them as lost.
 
 use std::fmt;
 use std::fs::{self, File, TryLockError};
@@ -11,34 +11,34 @@ use peernet_agent::spool::{SpoolReadError, waiting_events};
 use peernet_networks::Address;
 use peernet_statistics::number::counted;
 
-/// The one spool of versions that had no others.
+/// The single spool of earlier versions.
 const OLD: &str = "spool.sqlite";
-/// Held by an agent while it runs.
+/// File that an agent locks while it runs.
 pub(crate) const OF_AGENT: &str = "lock";
-/// What stands before and after an aggregator's address in the name of its spool.
+/// Parts of a spool's file name before and after the aggregator's address.
 const NAME: (&str, &str) = ("spool-", ".sqlite");
 
-/// The spool of the host in this folder for an aggregator.
+/// Returns the spool of the host in this folder for an aggregator.
 ///
 /// # Errors
-/// When there is the one of an older version and it cannot be taken over.
+/// When a spool of an earlier version exists and cannot be taken over.
 pub(super) fn of(folder: &Path, aggregator: &Address) -> io::Result<PathBuf> {
     let spool = folder.join(format!("{}{}{}", NAME.0, name_of(aggregator), NAME.1));
     take_over(folder, &spool)?;
     Ok(spool)
 }
 
-/// An aggregator's address as it stands in the name of its spool.
+/// Returns an aggregator's address as part of a spool's file name.
 fn name_of(aggregator: &Address) -> String {
-    // Names of one machine that everybody mixes.
+    // Users mix these names of one machine.
     match aggregator.host().as_str() {
         "127.0.0.1" | "::1" => format!("localhost:{}", aggregator.port()),
         _ => aggregator.authority().to_ascii_lowercase(),
     }
 }
 
-/// Lets the spool of an older version go on as that of the first aggregator that is named. What waits in it goes there, as
-/// it would have with that version.
+/// Makes the spool of an earlier version that of the first named aggregator: the events that wait in it go there, as with the
+/// earlier version.
 fn take_over(folder: &Path, spool: &Path) -> io::Result<()> {
     let old = folder.join(OLD);
     if spool.exists() || !old.exists() {
@@ -47,11 +47,11 @@ fn take_over(folder: &Path, spool: &Path) -> io::Result<()> {
     let lock = File::options().create(true).append(true).open(folder.join(OF_AGENT))?;
     match lock.try_lock() {
         Ok(()) => {}
-        // An agent is at work here: this one will be refused for it.
+        // An agent is active here: this one will be refused for it.
         Err(TryLockError::WouldBlock) => return Ok(()),
         Err(TryLockError::Error(error)) => return Err(error),
     }
-    // The file itself comes last: whoever is killed before it goes on from there.
+    // The file itself is renamed last: after a kill before that, the next start continues.
     for end in ["-wal", "-reserve", ""] {
         match fs::rename(with_end(&old, end), with_end(spool, end)) {
             Err(error) if error.kind() != ErrorKind::NotFound => return Err(error),
@@ -59,7 +59,7 @@ fn take_over(folder: &Path, spool: &Path) -> io::Result<()> {
         }
     }
     for end in ["-shm", "-lock"] {
-        // What is of no use any more does no harm.
+        // An obsolete file that remains does no harm.
         let _ = fs::remove_file(with_end(&old, end));
     }
     Ok(())
@@ -71,7 +71,7 @@ fn with_end(path: &Path, end: &str) -> PathBuf {
     path.into()
 }
 
-/// What waits on a host for one of its aggregators, or that nobody can tell.
+/// Events of a host that wait for one of its aggregators, or the error of reading them.
 pub(crate) struct Waiting {
     at: String,
     file: PathBuf,
@@ -79,13 +79,13 @@ pub(crate) struct Waiting {
 }
 
 impl Waiting {
-    /// Whether it waits for this aggregator.
+    /// Returns whether they wait for this aggregator.
     pub(crate) fn is_for(&self, aggregator: &Address) -> bool {
         self.at == name_of(aggregator)
     }
 
-    /// What waits in a file; `None` when nothing does.
-    async fn look(at: String, file: PathBuf) -> Option<Self> {
+    /// Reads the waiting events of a file; `None` if there are none.
+    async fn read(at: String, file: PathBuf) -> Option<Self> {
         let events = waiting_events(&file).await;
         let waits = !matches!(events, Ok(0));
         waits.then_some(Self { at, file, events })
@@ -93,7 +93,7 @@ impl Waiting {
 }
 
 impl fmt::Display for Waiting {
-    /// A sentence.
+    /// Writes a sentence.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Self { at, file, events } = self;
         let file = file.display();
@@ -114,7 +114,7 @@ impl fmt::Display for Waiting {
     }
 }
 
-/// What waits on the host in this folder, one for each aggregator that something waits for. Its agent does not run.
+/// Returns the waiting events of the host in this folder, by aggregator. Its agent must not be running.
 pub(crate) async fn undelivered(folder: &Path) -> Vec<Waiting> {
     let entries = fs::read_dir(folder).into_iter().flatten().filter_map(Result::ok);
     let mut names: Vec<String> = entries.filter_map(|entry| entry.file_name().into_string().ok()).collect();
@@ -123,14 +123,14 @@ pub(crate) async fn undelivered(folder: &Path) -> Vec<Waiting> {
     for name in names {
         let at = name.strip_prefix(NAME.0).and_then(|name| name.strip_suffix(NAME.1));
         let Some(at) = at else { continue };
-        waiting.extend(Waiting::look(at.to_owned(), folder.join(&name)).await);
+        waiting.extend(Waiting::read(at.to_owned(), folder.join(&name)).await);
     }
     waiting
 }
 
-/// What waits for an aggregator in a file that was named, rather than in one of a host's own. Its agent does not run.
+/// Returns the waiting events for an aggregator in a given file. Its agent must not be running.
 pub(crate) async fn undelivered_in(file: &Path, aggregator: &Address) -> Option<Waiting> {
-    if file.exists() { Waiting::look(name_of(aggregator), file.to_owned()).await } else { None }
+    if file.exists() { Waiting::read(name_of(aggregator), file.to_owned()).await } else { None }
 }
 
 #[cfg(test)]
@@ -145,7 +145,7 @@ mod tests {
     }
 
     #[test]
-    fn each_aggregator_has_one_and_two_names_of_this_machine_are_one() {
+    fn aggregator_has_one_spool_under_any_local_name() {
         let folder = tempfile::tempdir().expect("a folder");
         let name = |address: &str| {
             spool(folder.path(), address).file_name().expect("a name").to_string_lossy().into_owned()
@@ -158,19 +158,19 @@ mod tests {
         assert_ne!(name("tcp://localhost:5550"), name("tcp://localhost:5551"));
     }
 
-    async fn told(folder: &Path) -> Vec<String> {
+    async fn describe_undelivered(folder: &Path) -> Vec<String> {
         undelivered(folder).await.iter().map(Waiting::to_string).collect()
     }
 
     #[test]
-    fn what_waits_is_for_one_aggregator() {
+    fn waiting_events_belong_to_one_aggregator() {
         let waiting = |at: &str| Waiting { at: at.to_owned(), file: PathBuf::new(), events: Ok(1) };
         let is_for = |at: &str, address: &str| waiting(at).is_for(&address.parse().expect("an address"));
         assert!(is_for("localhost:5550", "tcp://127.0.0.1:5550") && is_for("lab:5550", "tcp://Lab:5550"));
         assert!(!is_for("lab:5550", "tcp://lab:5551") && !is_for("lab:5550", "tcp://localhost:5550"));
     }
 
-    /// A spool as a program leaves it that is killed: some of it in the log.
+    /// Leaves a spool as a killed program does: a part of it is in the log.
     async fn killed(folder: &Path) {
         let elsewhere = tempfile::tempdir().expect("a folder");
         let file = elsewhere.path().join(OLD);
@@ -187,7 +187,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn that_of_an_older_version_goes_on_with_all_that_waits_in_it() {
+    async fn spool_of_older_version_keeps_waiting_events() {
         let folder = tempfile::tempdir().expect("a folder");
         killed(folder.path()).await;
         let agent = File::create(folder.path().join(OF_AGENT)).expect("writable");
@@ -195,12 +195,15 @@ mod tests {
         spool(folder.path(), "tcp://lab:5550");
         assert!(folder.path().join(OLD).exists(), "an agent is at work with it");
         agent.unlock().expect("let go");
-        // Another program was killed when it had begun.
+        // Another program was killed after it had begun the takeover.
         let taken = folder.path().join("spool-lab:5550.sqlite");
         fs::rename(with_end(&folder.path().join(OLD), "-wal"), with_end(&taken, "-wal")).expect("movable");
         assert_eq!(spool(folder.path(), "tcp://lab:5550"), taken);
-        let told = told(folder.path()).await;
-        assert!(told.len() == 1 && told[0].starts_with("42 events wait for the aggregator at lab:5550, in "));
+        let descriptions = describe_undelivered(folder.path()).await;
+        assert!(
+            descriptions.len() == 1
+                && descriptions[0].starts_with("42 events wait for the aggregator at lab:5550, in ")
+        );
         let here = "tcp://127.0.0.1:5550".parse().expect("an address");
         let named = undelivered_in(&taken, &here).await.expect("it waits there");
         assert!(named.is_for(&here) && named.to_string().starts_with("42 events wait"), "{named}");
@@ -211,10 +214,13 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn what_cannot_be_read_is_told() {
+    async fn unreadable_spool_is_reported() {
         let folder = tempfile::tempdir().expect("a folder");
         fs::write(spool(folder.path(), "tcp://lab:5550"), "no database").expect("writable");
-        let told = told(folder.path()).await;
-        assert!(told.len() == 1 && told[0].contains("aggregator at lab:5550: cannot read"), "{told:?}");
+        let descriptions = describe_undelivered(folder.path()).await;
+        assert!(
+            descriptions.len() == 1 && descriptions[0].contains("aggregator at lab:5550: cannot read"),
+            "{descriptions:?}"
+        );
     }
 }

@@ -16,13 +16,13 @@ use super::input::Input;
 use super::running::{Options, Running};
 use crate::foreground::Progress;
 
-/// The stages of a model, in their order.
+/// Stages of a model, in their order.
 const STAGES: [&str; 3] = ["preprocessing", "inference", "postprocessing"];
-/// The quantiles that are told, with the fewest samples that each needs.
+/// Reported quantiles, with the minimum number of samples of each.
 const QUANTILES: [(&str, f64, usize); 3] =
     [("p50", 0.5, 1), ("p95", 0.95, ENOUGH_FOR_P95), ("p99", 0.99, ENOUGH_FOR_P99)];
 
-/// What `peernet models bench` can be told.
+/// Arguments of `peernet models bench`.
 #[derive(Debug, clap::Args)]
 pub(super) struct Arguments {
     #[command(flatten)]
@@ -46,13 +46,13 @@ pub(super) struct Arguments {
     quiet: bool,
 }
 
-/// What was measured. Seconds and bytes.
+/// Measurements, in seconds and bytes.
 struct Measured {
     device: String,
     input: String,
     loaded_in: f64,
     stages: Vec<(&'static str, Ordered)>,
-    /// Of the whole process when the model was not there yet, and at the end.
+    /// Memory of the whole process before the model was loaded, and at the end.
     memory: [Option<u64>; 2],
     peak: Option<u64>,
 }
@@ -88,7 +88,7 @@ fn measure(
     let all = arguments.warm_up.saturating_add(arguments.iterations.get());
     let mut progress = Progress::new(arguments.quiet, running.clock().mono());
     let mut taken: [Vec<f64>; 4] = Default::default();
-    // Taken in turn, for as long as it lasts; there is at least one.
+    // Samples are used in turn; there is at least one.
     for (done, sample) in (0..all).zip(input.samples.iter().cycle()) {
         let begun = running.clock().mono();
         let (answer, tree) = running.infer(sample.clone());
@@ -134,13 +134,14 @@ fn show(name: &str, arguments: &Arguments, measured: &Measured) {
     };
     let header = ["stage", "p50 ms", "p95 ms", "p99 ms"];
     say(text(&header, &measured.stages.iter().map(row).collect::<Vec<_>>()));
-    let told = |bytes_of: Option<u64>| bytes_of.map_or_else(|| "?".to_owned(), |of| bytes(of as f64).plain());
+    let size_text =
+        |bytes_of: Option<u64>| bytes_of.map_or_else(|| "?".to_owned(), |of| bytes(of as f64).plain());
     say(format_args!("loaded in {} ms", milliseconds(measured.loaded_in)));
     say(format_args!(
         "memory of this process: {} before, {} with the model, {} at most; an accelerator's own is not in it",
-        told(measured.memory[0]),
-        told(measured.memory[1]),
-        told(measured.peak)
+        size_text(measured.memory[0]),
+        size_text(measured.memory[1]),
+        size_text(measured.peak)
     ));
 }
 
@@ -163,7 +164,7 @@ fn object(name: &str, measured: &Measured) -> Value {
     })
 }
 
-/// A figure of this process' memory, bytes; see proc(5).
+/// Reads a figure of this process's memory in bytes; see proc(5).
 fn memory(key: &str) -> Option<u64> {
     let status = std::fs::read_to_string("/proc/self/status").ok()?;
     let line = status.lines().find_map(|line| line.strip_prefix(key))?;
@@ -175,7 +176,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn memory_is_read_and_a_tail_needs_enough_samples() {
+    fn memory_is_read_and_tail_needs_samples() {
         assert!(memory("VmRSS:").is_some_and(|bytes| bytes > 1 << 20));
         let few: Ordered = (0..100).map(f64::from).collect();
         assert_eq!(QUANTILES.map(|one| quantile(&few, one).is_some()), [true, true, false]);

@@ -15,7 +15,7 @@ use super::input::Input;
 use super::running::{Options, Running};
 use super::{Wanted, failure, other_file};
 
-/// What `peernet models check` can be told.
+/// Arguments of `peernet models check`.
 #[derive(Debug, clap::Args)]
 pub(super) struct Arguments {
     #[command(flatten)]
@@ -27,7 +27,7 @@ pub(super) struct Arguments {
     pictures: Option<PathBuf>,
 }
 
-/// A classifier's answer, as far as it matters here.
+/// Parts of a classifier's answer that the check needs.
 #[derive(Deserialize)]
 struct Answer {
     label: String,
@@ -71,7 +71,7 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
                         labelled += 1;
                         right += usize::from(label == plain_label(&answer.label));
                     }
-                    // No answer could be right.
+                    // With such a label no answer could be right.
                     Some(_) => foreign += 1,
                     None => {}
                 }

@@ -1,4 +1,4 @@
-//! What a model is tried on.
+//! Input for trying a model.
 
 use std::path::{Path, PathBuf};
 
@@ -9,19 +9,19 @@ use peernet_logger::{HostId, Recorder};
 use peernet_sample::{Description, PixelFormat, Sample};
 use peernet_sensors::{SensorConfig, SensorKind};
 
-/// The folder of test pictures in a model's folder.
+/// Name of the folder of test pictures in a model's folder.
 const PICTURES: &str = "pictures";
-/// Pixels of the made-up picture, a usual camera's.
+/// Size of the synthetic picture in pixels, that of a usual camera.
 const SIZE: (u32, u32) = (1280, 720);
 
-/// Samples and what they are.
+/// Samples with their description.
 pub(super) struct Input {
     pub(super) samples: Vec<Sample>,
     pub(super) what: String,
 }
 
 impl Input {
-    /// The pictures of a file or folder, else the model's own, with their labels; `None` when it has none.
+    /// Reads the pictures of a file or folder, or the model's own, with their labels; `None` if the model has none.
     pub(super) fn pictures(
         found: &ModelOnDisk,
         given: Option<&Path>,
@@ -35,7 +35,7 @@ impl Input {
         }
     }
 
-    /// A picture that is made up: pixels, so that nothing is decoded.
+    /// Makes a synthetic picture of pixels, so that nothing is decoded.
     pub(super) fn made_up() -> Self {
         let (width, height) = SIZE;
         let pixels: Vec<u8> =

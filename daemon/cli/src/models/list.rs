@@ -9,7 +9,7 @@ use serde_json::{Value, json};
 
 use super::Places;
 
-/// What `peernet models list` can be told.
+/// Arguments of `peernet models list`.
 #[derive(Debug, clap::Args)]
 pub(super) struct Arguments {
     #[command(flatten)]
@@ -51,21 +51,21 @@ fn row(found: &ModelOnDisk) -> Vec<String> {
         size(found).map(|bytes| peernet_statistics::number::bytes(bytes as f64).plain()).unwrap_or_default();
     let folder = found.folder.display().to_string();
     let cells =
-        [found.name.to_string(), task, input, size, version, folder, wrong(found).unwrap_or_default()];
+        [found.name.to_string(), task, input, size, version, folder, problem(found).unwrap_or_default()];
     cells.map(|cell| printable_line(&cell).into_owned()).to_vec()
 }
 
-/// What keeps the model from being used.
-fn wrong(found: &ModelOnDisk) -> Option<String> {
+/// Returns the reason why the model cannot be used, if there is one.
+fn problem(found: &ModelOnDisk) -> Option<String> {
     match (&found.card, &found.hidden_by) {
-        // The parser of TOML speaks in several lines.
+        // Errors of the TOML parser have several lines.
         (Err(error), _) => Some(error.to_string().split_whitespace().collect::<Vec<_>>().join(" ")),
         (Ok(_), Some(other)) => Some(format!("hidden by {}", other.display())),
         (Ok(_), None) => None,
     }
 }
 
-/// Bytes of `model.onnx`.
+/// Returns the size of `model.onnx` in bytes.
 fn size(found: &ModelOnDisk) -> Option<u64> {
     std::fs::metadata(found.folder.join("model.onnx")).ok().map(|known| known.len())
 }
@@ -76,7 +76,7 @@ fn object(found: &ModelOnDisk) -> Value {
         "folder": found.folder.display().to_string(),
         "bytes": size(found),
         "card": found.card.as_ref().ok(),
-        "wrong": wrong(found),
+        "wrong": problem(found),
     })
 }
 
@@ -87,7 +87,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_broken_model_is_listed_in_one_line_with_its_reason() {
+    fn broken_model_is_listed_in_one_line_with_reason() {
         let models = tempfile::tempdir().expect("a folder");
         std::fs::create_dir(models.path().join("torn_card")).expect("made");
         std::fs::write(models.path().join("torn_card/model.toml"), "name = 'x'\ntask = 7\n")

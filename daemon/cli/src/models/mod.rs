@@ -1,4 +1,4 @@
-//! `peernet models`: the models on this machine, and how they fare.
+//! `peernet models`: listing, checking and measuring the models on this machine.
 
 mod bench;
 mod check;
@@ -14,7 +14,7 @@ use anyhow::anyhow;
 use peernet_inference::bank::{ModelFolders, ModelOnDisk};
 use peernet_inference::{CardSummary, LoadError};
 
-/// What `peernet models` can be told.
+/// Arguments of `peernet models`.
 #[derive(Debug, clap::Args)]
 pub(crate) struct Arguments {
     #[command(subcommand)]
@@ -33,10 +33,10 @@ enum Command {
     Bench(bench::Arguments),
 }
 
-/// Does as told.
+/// Executes the subcommand.
 ///
 /// # Errors
-/// When there is no such model (66), or it cannot be used (69).
+/// When the model does not exist (66), or cannot be used (69).
 pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
     match &arguments.command {
         Command::List(arguments) => list::run(arguments),
@@ -46,7 +46,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
     }
 }
 
-/// Where to look for models.
+/// Folders that are searched for models.
 #[derive(Debug, clap::Args)]
 struct Places {
     /// A folder of models to be searched before PEERNET_MODELS, /var/lib/peernet/models and models; may be given several
@@ -83,7 +83,7 @@ impl Wanted {
     }
 }
 
-/// What is to be said when the card's own hash is that of another file than this one.
+/// Describes the mismatch if the hash in the card is that of another file.
 fn other_file(card: &CardSummary, hash: &str) -> Option<String> {
     let (_, theirs) = card.provenance.iter().find(|(key, _)| key == "sha256")?;
     (theirs != hash).then(|| format!("the card was written for another model.onnx, of SHA-256 {theirs}"))

@@ -1,4 +1,4 @@
-//! A loaded model and its stages, timed as an agent times them.
+//! A loaded model with its stages, timed as by an agent.
 
 use std::sync::Arc;
 use std::sync::mpsc::sync_channel;
@@ -13,7 +13,7 @@ use peernet_sample::Sample;
 
 use super::failure;
 
-/// How a model is to be loaded.
+/// Options for loading a model.
 #[derive(Debug, clap::Args)]
 pub(super) struct Options {
     /// The device: cpu, cuda:N, tensorrt:N or openvino:DEVICE.
@@ -32,7 +32,7 @@ pub(super) struct Running {
 }
 
 impl Running {
-    /// Loads the model, which runs it on zeros once.
+    /// Loads the model, which also runs it on zeros once.
     pub(super) fn load(found: &ModelOnDisk, options: &Options) -> Result<Self, Failure> {
         let clock =
             clock::system(ClockIdentity::SYSTEM).map_err(|error| Failure::new(Exit::Unavailable, error))?;
@@ -46,20 +46,20 @@ impl Running {
         Ok(Self { pool, clock, host: HostId::random() })
     }
 
-    /// The model.
+    /// Returns the model.
     pub(super) fn pool(&self) -> &Pool {
         &self.pool
     }
 
-    /// This machine's clock.
+    /// Returns this machine's clock.
     pub(super) fn clock(&self) -> &SharedClock {
         &self.clock
     }
 
-    /// The answer to a sample and what was timed on the way.
+    /// Returns the answer to a sample with its measurements.
     pub(super) fn infer(&self, sample: Sample) -> (Result<Sample, InferenceError>, Tree) {
         let (sender, receiver) = sync_channel(1);
-        // Nobody listens any more only when this function has ended by a panic.
+        // Sending fails only if this function has panicked.
         let reply = Box::new(move |done| drop(sender.send(done)));
         let log = Recorder::begin(Arc::clone(&self.clock), self.host);
         let received = self.clock.mono();

@@ -8,10 +8,10 @@ use serde_json::json;
 
 use super::{Wanted, failure, other_file};
 
-/// Labels that are shown of many.
+/// Maximum number of labels that are shown.
 const LABELS: usize = 8;
 
-/// What `peernet models show` can be told.
+/// Arguments of `peernet models show`.
 #[derive(Debug, clap::Args)]
 pub(super) struct Arguments {
     #[command(flatten)]
@@ -51,7 +51,7 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
         ("model.onnx".to_owned(), number::bytes(size as f64).plain()),
         ("SHA-256".to_owned(), hash),
     ]);
-    // Of the hash only what is wrong with it.
+    // The hash of the card is shown only if it does not match.
     lines.extend(card.provenance.into_iter().filter(|(key, _)| key != "sha256").map(explained));
     lines.extend(other_file.map(|text| ("but".to_owned(), text)));
     for (key, value) in lines.iter().filter(|(_, value)| !value.trim().is_empty()) {
@@ -61,7 +61,7 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
     Ok(())
 }
 
-/// Says what the card's accuracy is of.
+/// Completes the card's accuracy by what it refers to.
 fn explained((key, value): (String, String)) -> (String, String) {
     if key != "accuracy" {
         return (key, value);

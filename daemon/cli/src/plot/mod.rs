@@ -15,7 +15,7 @@ use peernet_statistics::number::counted;
 use crate::compare::{Collected, collect, distinct};
 use places::Places;
 
-/// What `peernet plot` can be told.
+/// Arguments of `peernet plot`.
 #[derive(Debug, clap::Args)]
 pub(crate) struct Arguments {
     /// Folders of results; folders that hold some, at any depth, such as an experiment's; or files of rows (data.csv),
@@ -39,7 +39,7 @@ pub(crate) struct Arguments {
     y: Option<String>,
 }
 
-/// Which figures.
+/// Kinds of figures.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 enum Kind {
     /// All for which there is data.
@@ -78,7 +78,7 @@ impl Kind {
     }
 }
 
-/// Draws the figures and says where they are.
+/// Draws the figures and prints their paths.
 ///
 /// # Errors
 /// When there are no results (66), they cannot be read or lack what the kind shows (65), an option has no meaning for the
@@ -112,10 +112,10 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
         }
     }
     if arguments.kind == Kind::All {
-        // Of all kinds some never are.
+        // With all kinds, some usually lack their data.
         lacking.retain(|(_, error)| matches!(error, PlotError::Lacking(kind, _) if kind.is_expected()));
     } else if let (true, Some(reasons)) = (files.is_empty(), reasons(&lacking)) {
-        // One kind was asked for and is not there: a failure.
+        // A single kind that cannot be drawn is a failure.
         return Err(Failure::new(Exit::Data, anyhow!("{reasons}")));
     }
     lacking.iter().for_each(|(folder, error)| complain(format_args!("{}: {error}", folder.display())));
@@ -123,7 +123,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
     Ok(())
 }
 
-/// Why nothing was drawn: of several runs each reason once, with how many have it. `None` where there is none.
+/// Describes why nothing was drawn: each reason once, with the number of runs. `None` if there is none.
 fn reasons(lacking: &[(PathBuf, PlotError)]) -> Option<String> {
     let mut reasons: Vec<(String, usize)> = Vec::new();
     for (_, error) in lacking {
@@ -136,11 +136,12 @@ fn reasons(lacking: &[(PathBuf, PlotError)]) -> Option<String> {
     if let [(reason, _)] = reasons.as_slice() {
         return Some(reason.clone());
     }
-    let told = reasons.iter().map(|(reason, count)| format!("{}: {reason}", counted(*count as u64, "run")));
-    (!reasons.is_empty()).then(|| told.collect::<Vec<_>>().join("; "))
+    let descriptions =
+        reasons.iter().map(|(reason, count)| format!("{}: {reason}", counted(*count as u64, "run")));
+    (!reasons.is_empty()).then(|| descriptions.collect::<Vec<_>>().join("; "))
 }
 
-/// Whether the options have a meaning together.
+/// Checks that the options have a meaning together.
 fn check(arguments: &Arguments) -> Result<(), Failure> {
     let usage = |text: &str| Err(Failure::new(Exit::Usage, anyhow!("{text}")));
     match arguments.kind {
@@ -161,7 +162,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn where_nothing_can_be_drawn_nothing_is_made() {
+    fn no_folder_is_made_if_nothing_can_be_drawn() {
         let folder = tempfile::tempdir().expect("a folder");
         std::fs::write(folder.path().join("data.csv"), "iteration,sensing\n1,0.5\n2,0.5\n")
             .expect("writable");
@@ -175,7 +176,7 @@ mod tests {
     }
 
     #[test]
-    fn of_several_runs_each_reason_is_told() {
+    fn each_reason_is_reported_once() {
         let lacking = |reasons: &[MissingData]| -> Vec<(PathBuf, PlotError)> {
             let error = |reason: &MissingData| PlotError::Lacking(figures::Kind::Length, reason.clone());
             reasons.iter().map(|reason| (PathBuf::new(), error(reason))).collect()

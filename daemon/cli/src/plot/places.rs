@@ -1,4 +1,4 @@
-//! Where figures go.
+//! Folders for figures.
 
 use std::path::{Path, PathBuf};
 
@@ -7,14 +7,14 @@ use peernet_analysis::loaded::Loaded;
 /// Folders for the figures.
 #[derive(Debug, PartialEq, Eq)]
 pub(super) struct Places {
-    /// For those of each run.
+    /// Folder for the figures of each run.
     pub(super) runs: Vec<PathBuf>,
-    /// For those of all runs together.
+    /// Folder for the figures over all runs.
     pub(super) together: PathBuf,
 }
 
 impl Places {
-    /// Beside the results, or in the folder that was asked for: then with one folder for each of several runs.
+    /// Chooses the folders of the results, or the given folder: then with one subfolder for each of several runs.
     pub(super) fn of(named: &[PathBuf], runs: &[Loaded], out: Option<&Path>) -> Self {
         let folders = || runs.iter().map(|run| run.folder.clone());
         match (out, named) {
@@ -27,7 +27,7 @@ impl Places {
             },
             (None, [one]) if one.is_dir() => Self { runs: folders().collect(), together: one.clone() },
             (None, _) => {
-                // Of several places none is better than where the user is.
+                // With several places, the current folder is used.
                 let together = if runs.len() == 1 { folders().next() } else { None };
                 Self { runs: folders().collect(), together: here(together.unwrap_or_default()) }
             }
@@ -39,7 +39,7 @@ fn here(path: PathBuf) -> PathBuf {
     if path == Path::new("") { PathBuf::from(".") } else { path }
 }
 
-/// Each folder's path without what all have in front, as one name.
+/// Returns the path of each folder without the common beginning, as one name.
 fn names(folders: &[PathBuf]) -> Vec<String> {
     let parts = |folder: &PathBuf| -> Vec<String> {
         let parts = folder.components().map(|part| part.as_os_str().to_string_lossy().into_owned());
@@ -82,7 +82,7 @@ mod tests {
     }
 
     #[test]
-    fn figures_stand_beside_the_results() {
+    fn figures_are_placed_in_result_folders() {
         let runs = |folders: &[&str]| folders.iter().map(|folder| (*folder).to_owned()).collect::<Vec<_>>();
         assert_eq!(
             places(&["/tmp"], &["/tmp/a", "/tmp/b"], None),
@@ -93,7 +93,7 @@ mod tests {
     }
 
     #[test]
-    fn elsewhere_each_of_several_runs_has_a_folder() {
+    fn given_folder_has_subfolder_per_run() {
         let runs = |folders: &[&str]| folders.iter().map(|folder| (*folder).to_owned()).collect::<Vec<_>>();
         assert_eq!(places(&["x"], &["x/a"], Some("out")), (runs(&["out"]), "out".into()));
         let several = places(&["x"], &["x/m/a", "x/n/a"], Some("out"));

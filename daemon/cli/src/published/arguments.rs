@@ -121,15 +121,15 @@ mod tests {
     use clap::Parser;
 
     use super::*;
-    use crate::Line;
+    use crate::Cli;
 
     fn read(line: &str) -> Arguments {
-        let line = Line::try_parse_from(line.split_whitespace()).expect("a published command line");
+        let line = Cli::try_parse_from(line.split_whitespace()).expect("a published command line");
         line.published.expect("its options stand on the top level")
     }
 
     #[test]
-    fn what_is_not_said_is_as_published() {
+    fn omitted_options_have_published_defaults() {
         let read = read("peernet --name a --network-config b.yaml --iterations 7");
         assert!(!read.client && !read.generate_plots && !read.overwrite && !read.pickle && !read.quiet);
         assert_eq!((read.network, read.sensor_type), (None, SensorType::Image));
@@ -138,7 +138,7 @@ mod tests {
     }
 
     #[test]
-    fn both_commands_of_the_paper_are_read() {
+    fn commands_of_paper_are_parsed() {
         let server = read(
             "PEERNet --server --name cluster --network zmq-tcp --network-config net_config.yaml \
              --model-name efficientnet_v2_s --device cuda:6 --iterations 10005",
@@ -152,9 +152,9 @@ mod tests {
     }
 
     #[test]
-    fn a_command_needs_none_of_them() {
-        let line = Line::try_parse_from(["peernet", "status"]).expect("a command");
+    fn subcommand_needs_no_published_option() {
+        let line = Cli::try_parse_from(["peernet", "status"]).expect("a command");
         assert!(line.command.is_some() && line.published.is_none());
-        assert!(Line::try_parse_from(["peernet", "--client", "status"]).is_err());
+        assert!(Cli::try_parse_from(["peernet", "--client", "status"]).is_err());
     }
 }

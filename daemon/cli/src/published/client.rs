@@ -1,4 +1,4 @@
-//! `peernet --client`: senses, asks the server, writes the results.
+//! `peernet --client`: senses, sends samples to the server, writes the results.
 
 use std::path::PathBuf;
 
@@ -15,39 +15,39 @@ use peernet_results::{Overwrite, summary};
 use peernet_sample::printable_line;
 use serde_json::json;
 
-use super::bar::Bar;
+use super::client_progress::ClientProgress;
 use super::devices::Devices;
 use super::{Arguments, sensor};
 use crate::foreground::{tables, typed, where_seen};
-use crate::measure::{Home, Measured, Order, measure, undelivered};
+use crate::measure::{AgentStateDir, Measured, Order, measure, undelivered};
 
-/// Iterations that the published plots drop.
+/// Number of first iterations that the published plots drop.
 const WARM_UP: u64 = 5;
-/// How long to wait for an answer: the largest model on a slow processor takes its time. Milliseconds.
+/// Timeout of an answer in milliseconds: the largest model on a slow processor takes long.
 const TIMEOUT_MS: u64 = 60_000;
-/// How long connecting may take, in which the server may load its model. Milliseconds.
+/// Timeout of connecting in milliseconds, in which the server may load its model.
 const OPEN_TIMEOUT_MS: u64 = 60_000;
-/// Where results go that nobody gave a place.
+/// Folder for results without a given place.
 const RESULTS: &str = "results";
 
 /// Measures and writes the results.
 ///
 /// # Errors
-/// Those of [`measure`]; when the data set is not there (66); when some iterations have no answer (75) or the user ended
-/// it early (130).
+/// Those of [`measure`]; when the data set does not exist (66); when some iterations have no answer (75) or the user ended it
+/// early (130).
 pub(super) fn run(arguments: &Arguments, devices: &Devices) -> Result<(), Failure> {
     let order = order(arguments, devices)?;
     let clock =
         clock::system(ClockIdentity::SYSTEM).map_err(|error| Failure::new(Exit::Unavailable, error))?;
-    let measured = measure(&order, &mut Bar::new(arguments.quiet, clock))?;
-    tell(&measured);
+    let measured = measure(&order, &mut ClientProgress::new(arguments.quiet, clock))?;
+    print_results(&measured);
     if let Some(aggregator) = &arguments.aggregator {
-        tell_streamed(&order.agent.agent, arguments, aggregator)?;
+        print_streaming_state(&order.agent.agent, arguments, aggregator)?;
     }
     measured.failure().map_or(Ok(()), Err)
 }
 
-/// What is to be measured.
+/// Makes the order of the measurement.
 fn order(arguments: &Arguments, devices: &Devices) -> Result<Order, Failure> {
     let (sensor, transforms) = sensor::of(arguments)?;
     let pipeline = || {
@@ -92,8 +92,8 @@ fn order(arguments: &Arguments, devices: &Devices) -> Result<Order, Failure> {
     })
 }
 
-/// Says what came of it, and where it is.
-fn tell(measured: &Measured) {
+/// Prints the results and their place.
+fn print_results(measured: &Measured) {
     say(summary::text(&Summary::of(&measured.rows).about(&measured.record)));
     if let Some(trust) = &measured.record.trust {
         say(format_args!("\n{}", trust.text()));
@@ -103,14 +103,18 @@ fn tell(measured: &Measured) {
     say(format_args!("\n{}: {}", printable_line(&folder), files.join(", ")));
 }
 
-/// Says where the run is seen that was streamed as well, and what aggregators have not taken, of this run or of others.
-fn tell_streamed(agent: &HostConfig, arguments: &Arguments, aggregator: &Address) -> Result<(), Failure> {
-    let home = Home::of(agent)?;
+/// Prints where the streamed run can be seen, and which events still wait for an aggregator, of this run or of others.
+fn print_streaming_state(
+    agent: &HostConfig,
+    arguments: &Arguments,
+    aggregator: &Address,
+) -> Result<(), Failure> {
+    let state_dir = AgentStateDir::of(agent)?;
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build();
     let runtime = runtime
         .context("cannot start the runtime")
         .map_err(|error| Failure::new(Exit::Unavailable, error))?;
-    let waiting = runtime.block_on(undelivered(home.folder()));
+    let waiting = runtime.block_on(undelivered(state_dir.folder()));
     let name = &arguments.name;
     let has_all = !waiting.iter().any(|waiting| waiting.is_for(aggregator));
     say(where_seen(format_args!("host {name}, pipeline {name},"), aggregator, has_all));
@@ -124,7 +128,7 @@ mod tests {
     use peernet_sensors::SensorConfig;
 
     use super::*;
-    use crate::Line;
+    use crate::Cli;
 
     #[test]
     fn sensor_program_keeps_its_arguments() {
@@ -137,7 +141,7 @@ mod tests {
             file.display()
         );
         let words = line.split(' ').map(|word| word.replace("exec:cat", "exec:cat -u"));
-        let arguments = Line::try_parse_from(words).expect("a published command line").published;
+        let arguments = Cli::try_parse_from(words).expect("a published command line").published;
         let arguments = arguments.expect("its options stand on the top level");
         let devices = Devices::read(&arguments.network_config, None).expect("a file of devices");
         let order = order(&arguments, &devices).expect("a pipeline");

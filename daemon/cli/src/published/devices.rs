@@ -1,4 +1,4 @@
-//! The network configuration: who is where, and who serves.
+//! The network configuration: addresses of the devices, and which one serves.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -15,13 +15,13 @@ use serde::de::IgnoredAny;
 
 use crate::address::{AddressError, DEFAULT_PORT, address};
 
-/// The file, as published.
+/// The file in its published form.
 #[derive(Debug, Deserialize)]
 struct File {
     devices: BTreeMap<String, String>,
     server: Option<String>,
     start_port: Option<u16>,
-    /// 1 or 2, for the network `ros`.
+    /// Version of ROS, 1 or 2, for the network `ros`.
     ros_version: Option<u64>,
     /// QoS and interfaces of the topics of ROS 2.
     #[serde(default)]
@@ -30,7 +30,7 @@ struct File {
     other: BTreeMap<String, IgnoredAny>,
 }
 
-/// A device that cannot be reached at what the file says.
+/// A device without a usable address.
 #[derive(Debug, thiserror::Error)]
 enum DeviceError {
     #[error("{at:?} is no address of the device {name}: {source}")]
@@ -54,9 +54,9 @@ impl File {
         Ok(read)
     }
 
-    /// Where the device `name` listens, which is said to be `at`: on this network if that is not an address.
+    /// Returns the address of the device `name`; `at` is its text in the file. If that is not an address, it is on this network.
     fn address(&self, name: &str, at: &str, network: NetworkKind) -> Result<Address, DeviceError> {
-        // Where names are looked up, a host alone says nothing.
+        // On a network that finds listeners by name, a host alone is no address.
         let found = if at.contains("://") { None } else { network.find_listener(name, self.ros_version) };
         if let Some(found) = found {
             return found.map_err(|source| DeviceError::Unknown { name: name.to_owned(), source });
@@ -71,10 +71,10 @@ impl File {
     }
 }
 
-/// What a network configuration says of all devices, whoever serves.
+/// Addresses of all devices in a network configuration, whichever serves.
 #[derive(Debug)]
 pub(crate) struct DeviceAddresses {
-    /// Where each device listens.
+    /// Address of each device.
     pub(crate) addresses: BTreeMap<String, Address>,
     /// QoS and interfaces of the topics of ROS 2.
     pub(crate) ros2: Ros2SessionSettings,
@@ -82,10 +82,10 @@ pub(crate) struct DeviceAddresses {
     pub(crate) config: NetworkConfig,
 }
 
-/// Reads the addresses of all devices, on this network where the file names none.
+/// Reads the addresses of all devices, on this network if the file names none.
 ///
 /// # Errors
-/// When the file cannot be read (66) or does not say what it must (78).
+/// When the file cannot be read (66) or is incomplete or invalid (78).
 pub(crate) fn addresses(path: &Path, network: NetworkKind) -> Result<DeviceAddresses, Failure> {
     let (file, text) = (path.display().to_string(), text(path)?);
     let wrong = |error: anyhow::Error| Failure::new(Exit::Configuration, error);
@@ -103,10 +103,10 @@ fn text(path: &Path) -> Result<String, Failure> {
         .map_err(|error| Failure::new(Exit::NoInput, error))
 }
 
-/// Who is where, and who serves.
+/// Devices of a network configuration, and the server.
 #[derive(Debug)]
 pub(super) struct Devices {
-    /// The one that serves.
+    /// Name of the device that serves.
     pub(super) server: String,
     /// Its address.
     pub(super) address: Address,
@@ -118,10 +118,10 @@ pub(super) struct Devices {
 }
 
 impl Devices {
-    /// Reads the file. A network that was named is that of the server.
+    /// Reads the file. A named network is that of the server.
     ///
     /// # Errors
-    /// When it cannot be read (66), does not say what it must (78), or has the server on another network (78).
+    /// When it cannot be read (66), is incomplete or invalid (78), or has the server on another network (78).
     pub(super) fn read(path: &Path, network: Option<NetworkKind>) -> Result<Self, Failure> {
         let file = path.display().to_string();
         let text = text(path)?;
@@ -148,7 +148,7 @@ impl Devices {
     /// Checks that this device may be started in this role.
     ///
     /// # Errors
-    /// When it is not in the file, the file has the roles the other way round, or this build lacks the network (78).
+    /// When it is not in the file, the file has the roles reversed, or this build lacks the network (78).
     pub(super) fn check(&self, name: &Slug, serves: bool) -> Result<(), Failure> {
         let (file, server) = (&self.config.file, &self.server);
         let wrong = |text: String| Err(Failure::new(Exit::Configuration, anyhow!("{text}")));
@@ -182,7 +182,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn network_that_the_build_lacks_is_told_in_words_of_the_file() {
+    fn network_missing_in_build_is_reported_in_terms_of_file() {
         let text = "devices: { edge: 127.0.0.1, cluster: 'ros2://0/cluster' }\nserver: cluster\n";
         let devices = Devices::parse(text, "net.yaml", None).expect("reads");
         let checked = devices.check(&"cluster".parse().expect("a name"), true);
@@ -211,7 +211,7 @@ server: cluster
     }
 
     #[test]
-    fn the_published_file_is_read() {
+    fn published_file_is_parsed() {
         let devices = Devices::parse(PUBLISHED, "net.yaml", None).expect("reads");
         assert_eq!(devices.address.to_string(), "tcp://cluster.lab.example:5551");
         let text = format!("{PUBLISHED}start_port: 6000\nsomething: [1, 2]\n");
@@ -220,7 +220,7 @@ server: cluster
     }
 
     #[test]
-    fn listeners_with_names_are_those_of_devices() {
+    fn named_listeners_have_names_of_devices() {
         let network = NetworkKind::ALL.iter().copied().find(|kind| kind.has_named_listeners());
         let text = format!("{PUBLISHED}ros_version: 1\n");
         let devices = Devices::parse(&text, "net.yaml", network).expect("reads");
@@ -242,7 +242,7 @@ server: cluster
     }
 
     #[test]
-    fn who_may_be_started_how() {
+    fn device_starts_only_in_its_role() {
         let devices = Devices::parse(PUBLISHED, "net.yaml", None).expect("reads");
         let check = |name: &str, serves| {
             let name = name.parse().expect("a name");
@@ -259,7 +259,7 @@ server: cluster
     }
 
     #[test]
-    fn what_is_missing_is_told() {
+    fn missing_keys_are_reported() {
         assert!(wrong("devices: {a: 10.0.0.1}").contains("server:"));
         assert!(wrong("devices: {a: 10.0.0.1}\nserver: b").contains("there is a"));
         assert!(wrong("server: b").contains("devices"));

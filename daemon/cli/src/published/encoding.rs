@@ -1,19 +1,19 @@
-//! How pictures are sent.
+//! Encoding of pictures.
 
 use peernet_sensors::TransformConfig;
 
-/// How pictures are sent.
+/// Encoding in which pictures are sent.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Encoding {
-    /// Decoded: what the published program sends, which pickles the picture that its sensor opened.
+    /// Decoded pixels, as in the published program, which pickles the picture that its sensor opened.
     Pixels,
     /// The file as it is.
     File,
-    /// Compressed anew, at this quality.
+    /// Compressed again, at this quality.
     Jpeg(u8),
 }
 
-/// A text that says of no picture how it is sent.
+/// A text that is no encoding.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub(super) enum EncodingError {
     #[error("the quality of a JPEG is a number from 1 to 100")]
@@ -33,7 +33,7 @@ impl Encoding {
         }
     }
 
-    /// What is done with each picture.
+    /// Returns the transforms of each picture.
     pub(super) fn transforms(self) -> Vec<TransformConfig> {
         match self {
             Self::Pixels => vec![TransformConfig::to_pixels()],
@@ -48,7 +48,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn pixels_are_the_published_way() {
+    fn encodings_are_parsed() {
         assert_eq!(
             Encoding::read("pixels").map(Encoding::transforms),
             Ok(vec![TransformConfig::to_pixels()])

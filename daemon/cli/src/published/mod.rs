@@ -1,10 +1,10 @@
 //! The published commands: `peernet --server …` on the device that serves, `peernet --client …` on the one that senses.
 //!
-//! The same pipeline code as the daemon's, in the foreground, set up by the published options.
+//! They run the daemon's pipeline code in the foreground, configured by the published options.
 
 mod arguments;
-mod bar;
 mod client;
+mod client_progress;
 mod devices;
 mod encoding;
 mod model;
@@ -21,12 +21,12 @@ use anyhow::anyhow;
 
 use devices::Devices;
 
-use crate::foreground::{Shows, listen};
+use crate::foreground::{LogDestination, start_log};
 
-/// Serves or measures, as the options say.
+/// Serves or measures, depending on the options.
 ///
 /// # Errors
-/// Each kind with its exit code: `docs/cli.md`.
+/// Each kind of error has its exit code: `docs/cli.md`.
 pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
     let devices = Devices::read(&arguments.network_config, arguments.network)?;
     let serves = !arguments.client;
@@ -34,11 +34,11 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
     complain(
         "plain mode: nothing is encrypted and nobody is asked for a password; use it in networks that you trust",
     );
-    listen(Shows::Itself)?;
+    start_log(LogDestination::StandardError)?;
     if serves { server::run(arguments, &devices) } else { client::run(arguments, &devices) }
 }
 
-/// The command of `exec:COMMAND`; `None` of what is not written so.
+/// Returns the command of `exec:COMMAND`, or `None` for another form.
 fn program(wanted: &str) -> Result<Option<&str>, Failure> {
     match wanted.strip_prefix("exec:") {
         Some(command) if command.trim().is_empty() => {

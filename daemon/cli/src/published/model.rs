@@ -1,4 +1,4 @@
-//! What the server serves.
+//! The model of the server.
 
 use crate::clock;
 use crate::exit::{Exit, Failure};
@@ -10,13 +10,13 @@ use peernet_logger::Slug;
 
 use super::Arguments;
 
-/// What a model of the bank runs on unless something else is said: the published default.
+/// Device of a model of the bank unless another is given: the published default.
 const DEVICE: &str = "cuda:0";
 
-/// The model, with its files and its device checked.
+/// Returns the model's configuration after checking its files and its device.
 ///
 /// # Errors
-/// When it is not there (66), or cannot run on this device (69).
+/// When the model does not exist (66), or cannot run on this device (69).
 pub(super) fn of(arguments: &Arguments, runtime: &OnnxRuntimeConfig) -> Result<ModelConfig, Failure> {
     let config = configuration(arguments)?;
     let clock =
@@ -36,7 +36,7 @@ fn configuration(arguments: &Arguments) -> Result<ModelConfig, Failure> {
         return Ok(ModelConfig::echo(slug(wanted)));
     }
     let device = device(given.unwrap_or(DEVICE));
-    // A user's own program or object is run because this very command line names it.
+    // A user's program or object may be run because this command line names it.
     let shared = |name| {
         let shared = SharedKeys::of(slug(name));
         if given.is_some() { SharedKeys { device: device.to_owned(), ..shared } } else { shared }
@@ -52,7 +52,7 @@ fn configuration(arguments: &Arguments) -> Result<ModelConfig, Failure> {
     })
 }
 
-/// The name of a device, as the bank has it.
+/// Returns the name of a device in the form of the bank.
 fn device(given: &str) -> &str {
     match given {
         "cuda" => "cuda:0",
@@ -66,7 +66,7 @@ fn check(config: &ModelConfig, runtime: &OnnxRuntimeConfig, clock: SharedClock) 
     bank.check().into_iter().next().map(|(_, error)| error)
 }
 
-/// What went wrong, with the way out that the published default often needs.
+/// Makes the failure, with advice that the published default often needs.
 pub(super) fn failure(error: LoadError) -> Failure {
     let exit = match &error {
         error if error.is_missing() => Exit::NoInput,
@@ -82,13 +82,13 @@ pub(super) fn failure(error: LoadError) -> Failure {
     Failure::new(exit, error)
 }
 
-/// The program of a command, whose arguments may be secret and so stand in no name.
+/// Returns the program of a command. Its arguments may be secret and must not be part of a name.
 fn program_of(command: &str) -> &str {
     let program = command.split_ascii_whitespace().next().unwrap_or(command);
     if program.contains('=') { "sh" } else { program }
 }
 
-/// A name that can stand in results and on pages: `my_model::Net` becomes `my_model-Net`.
+/// Converts a text to a name for results and pages: `my_model::Net` becomes `my_model-Net`.
 fn slug(text: &str) -> Slug {
     let mut name = String::new();
     for char in text.chars() {
@@ -107,7 +107,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn names_of_objects_and_commands_become_names_of_models() {
+    fn object_and_command_names_become_model_names() {
         let text = ["my_model::Net", program_of("./infer --token x"), "::", &"x".repeat(80)]
             .map(slug)
             .map(|name| name.to_string());
@@ -116,7 +116,7 @@ mod tests {
     }
 
     #[test]
-    fn devices_have_numbers() {
+    fn device_without_number_is_first() {
         assert_eq!(
             ["cpu", "cuda", "cuda:6", "tensorrt"].map(device),
             ["cpu", "cuda:0", "cuda:6", "tensorrt:0"]

@@ -1,4 +1,4 @@
-//! What the client senses.
+//! The sensor of the client.
 
 use crate::clock;
 use crate::exit::{Exit, Failure};
@@ -8,20 +8,20 @@ use peernet_sensors::{SensorConfig, SensorError, SensorKind, TransformConfig};
 
 use super::Arguments;
 
-/// What the client senses.
+/// Type of the client's sensor.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum SensorType {
-    /// A picture, or those of a folder.
+    /// A picture, or the pictures of a folder.
     Image,
     /// Random text.
     Text,
-    /// The user's own object or program.
+    /// An object or program of the user.
     External,
     /// Random bytes.
     Synthetic,
 }
 
-/// A name that no sensor has.
+/// A name of no sensor type.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("there is image, \"random string\", external and synthetic")]
 pub(super) struct UnknownSensorType;
@@ -38,13 +38,13 @@ impl SensorType {
     }
 }
 
-/// The sensor and what is done with its samples.
+/// Returns the sensor and the transforms of its samples.
 ///
 /// # Errors
-/// When an option is missing (64), or the data set is not there (66).
+/// When an option is missing (64), or the data set does not exist (66).
 pub(super) fn of(arguments: &Arguments) -> Result<(SensorConfig, Vec<TransformConfig>), Failure> {
     let missing = |text: &str| Failure::new(Exit::Usage, anyhow!("{text}"));
-    // Naming an object is asking for it.
+    // An object that is named is also wanted.
     let kind = match (&arguments.sensor_object, arguments.sensor_type) {
         (Some(_), SensorType::Image) => SensorType::External,
         (_, kind) => kind,
@@ -73,7 +73,7 @@ pub(super) fn of(arguments: &Arguments) -> Result<(SensorConfig, Vec<TransformCo
     Ok((checked(config)?, transforms))
 }
 
-/// A sensor that is there.
+/// Checks that the sensor can be used.
 fn checked(config: SensorConfig) -> Result<SensorConfig, Failure> {
     let clock =
         clock::system(ClockIdentity::SYSTEM).map_err(|error| Failure::new(Exit::Unavailable, error))?;
@@ -85,7 +85,7 @@ fn checked(config: SensorConfig) -> Result<SensorConfig, Failure> {
     Ok(config)
 }
 
-/// A user's own object or program, which is to be run because this very command line names it.
+/// Makes the sensor of a user's object or program, which may be run because this command line names it.
 fn external(object: &str, pickle: bool) -> Result<SensorConfig, Failure> {
     Ok(match super::program(object)? {
         Some(command) => SensorConfig::program(command),
@@ -101,22 +101,22 @@ mod tests {
     use clap::Parser;
 
     use super::*;
-    use crate::Line;
+    use crate::Cli;
 
     #[test]
-    fn what_cannot_be_a_sensor_by_its_options_alone_is_a_wrong_command_line() {
+    fn invalid_sensor_options_are_usage_errors() {
         let refused = |words: [OsString; 2]| {
             let line = "peernet --client --name a --network-config b.yaml --iterations 7 --sensor-type";
             let kind = if words[0] == "--text-size" { "random string" } else { "image" };
             let words = line.split(' ').map(OsString::from).chain([kind.into()]).chain(words);
-            let line = Line::try_parse_from(words).expect("a published command line");
+            let line = Cli::try_parse_from(words).expect("a published command line");
             let failure = of(&line.published.expect("its options")).expect_err("refused");
             (failure.exit, failure.to_string())
         };
-        let (exit, told) = refused(["--dataset-loc".into(), OsString::from_vec(b"pic\xff".to_vec())]);
-        assert!(exit == Exit::Usage && told.contains("not UTF-8"), "{told}");
-        let (exit, told) = refused(["--text-size".into(), "99999999999999".into()]);
-        assert!(exit == Exit::Usage && told.contains("lower its length"), "{told}");
+        let (exit, message) = refused(["--dataset-loc".into(), OsString::from_vec(b"pic\xff".to_vec())]);
+        assert!(exit == Exit::Usage && message.contains("not UTF-8"), "{message}");
+        let (exit, message) = refused(["--text-size".into(), "99999999999999".into()]);
+        assert!(exit == Exit::Usage && message.contains("lower its length"), "{message}");
         assert_eq!(refused(["--dataset-loc".into(), "nowhere".into()]).0, Exit::NoInput);
     }
 }

@@ -1,4 +1,4 @@
-//! `peernet --server`: serves one model, and ends after so many answers.
+//! `peernet --server`: serves one model, and ends after a number of answers.
 
 use std::net::{IpAddr, Ipv4Addr, Ipv6Addr};
 
@@ -12,32 +12,35 @@ use super::devices::Devices;
 use super::serving::Serving;
 use super::{Arguments, model};
 use crate::foreground::{Ended, Ready, tables};
-use crate::measure::Home;
+use crate::measure::AgentStateDir;
 
-/// Serves until there were so many answers or no more will be asked for, or Ctrl-C.
+/// Serves until enough answers are given, no more requests will come, or Ctrl-C.
 ///
 /// # Errors
-/// When the model is not there (66), cannot run (69), or the port is taken (69); when clients have ended their runs and
-/// not asked for all (75); when the user ended it early (130).
+/// When the model does not exist (66), cannot run (69), or the port is in use (69); when clients have ended their runs without
+/// all iterations (75); when the user ended it early (130).
 pub(super) fn run(arguments: &Arguments, devices: &Devices) -> Result<(), Failure> {
     let mut config = tables(arguments.config.as_deref())?;
     let model = model::of(arguments, &config.onnxruntime)?;
     let name = model.name().clone();
     config.agent.name = Some(arguments.name.clone());
     let session = SessionSettings { ros2: devices.ros2.clone(), ..SessionSettings::default() };
-    config.serve =
-        Some(ServeConfig { listen: everywhere(&devices.address).into(), session, ..ServeConfig::default() });
+    config.serve = Some(ServeConfig {
+        listen: all_interfaces(&devices.address).into(),
+        session,
+        ..ServeConfig::default()
+    });
     config.bank.folders.clear();
     config.models = vec![model];
-    let home = Home::of(&config.agent)?;
-    home.house(&mut config)?;
+    let state_dir = AgentStateDir::of(&config.agent)?;
+    state_dir.configure(&mut config)?;
     let ready = Ready::new(config)?;
     let mut serving = Serving::new(name, arguments, ready.clock.clone());
     let watched = ready.watch(&mut serving).map_err(|Failure { exit, error }| {
         let file = arguments.network_config.display();
         Failure::new(exit, error.context(format!("cannot serve at {}", place(&devices.address, &file))))
     })?;
-    if serving.answered() || matches!(watched.ended, Ended::Finished | Ended::Interrupted) {
+    if serving.has_answers() || matches!(watched.ended, Ended::Finished | Ended::Interrupted) {
         complain(serving.summary());
     }
     match watched.ended {
@@ -48,12 +51,12 @@ pub(super) fn run(arguments: &Arguments, devices: &Devices) -> Result<(), Failur
         Ended::Interrupted => {
             Err(Failure::new(Exit::Interrupted, anyhow!("ended before all answers were given")))
         }
-        Ended::Own(error) => Err(model::failure(error)),
+        Ended::OwnReason(error) => Err(model::failure(error)),
         Ended::Failed(reason) => Err(Failure::new(Exit::Software, anyhow!("{reason}"))),
     }
 }
 
-/// What of the network configuration says where to serve.
+/// Describes the part of the network configuration that sets the address.
 fn place(address: &Address, file: &impl std::fmt::Display) -> String {
     match address.listener_name() {
         None => format!("port {}, the start_port of {file}", address.port()),
@@ -61,11 +64,11 @@ fn place(address: &Address, file: &impl std::fmt::Display) -> String {
     }
 }
 
-/// All interfaces of this machine, at the port of the network configuration: its name for this device may be one that
-/// only the others know it by.
-fn everywhere(address: &Address) -> Address {
+/// Returns the address of all interfaces of this machine, at the port of the network configuration: the configured name of this
+/// device may be known to other devices only.
+fn all_interfaces(address: &Address) -> Address {
     if address.listener_name().is_some() {
-        // Host and port are those of a program that knows the name.
+        // Host and port belong to a program that resolves the name.
         return address.clone();
     }
     let ip = match address.host().trim_matches(['[', ']']).parse() {

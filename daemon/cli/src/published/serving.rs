@@ -1,4 +1,4 @@
-//! Watching a server: who is there, how many answers there were.
+//! Observation of a server: its sessions and its answers.
 
 use futures::FutureExt;
 use peernet_agent::Running;
@@ -10,7 +10,7 @@ use peernet_stream::Event;
 use tokio::task::JoinHandle;
 
 use super::Arguments;
-use crate::foreground::{Ended, Progress, RunObserver, p99, told};
+use crate::foreground::{Ended, Progress, RunObserver, describe_quantiles, p99};
 
 /// Observer of the agent.
 pub(super) struct Serving {
@@ -18,27 +18,27 @@ pub(super) struct Serving {
     answers: AnswerCounts,
     clock: SharedClock,
     progress: Progress,
-    /// How long `inference` took.
+    /// Description of the durations of `inference`.
     inference: String,
     sessions: usize,
     loading: Loading,
 }
 
-/// Answers of the server, and how many there are to be.
+/// Number of answers of the server, given and wanted.
 struct AnswerCounts {
     wanted: u64,
     answered: u64,
     /// Answers that report an error.
     errors: u64,
-    /// Iterations of runs that are over and never came here.
+    /// Iterations of ended runs that never arrived here.
     missed: u64,
-    /// When the first answer was seen, and how many there were by then.
+    /// Time of the first observed answer, and the number of answers by then.
     first: Option<(MonoTime, u64)>,
-    /// When the last answer was seen.
+    /// Time of the last observed answer.
     last: Option<MonoTime>,
 }
 
-/// The model on its way into memory.
+/// State of loading the model.
 enum Loading {
     NotBegun,
     UnderWay(JoinHandle<Result<(), LoadError>>),
@@ -50,7 +50,7 @@ impl AnswerCounts {
         Self { wanted, answered: 0, errors: 0, missed: 0, first: None, last: None }
     }
 
-    /// Takes the counts of the agent, which only grow.
+    /// Updates the counts from those of the agent, which only grow.
     fn update(&mut self, answers: u64, errors: u64, missed: u64, now: MonoTime) {
         (self.errors, self.missed) = (errors, missed);
         if answers > self.answered {
@@ -64,8 +64,8 @@ impl AnswerCounts {
         self.answered.saturating_add(self.missed) >= self.wanted
     }
 
-    /// How many of the answers are errors, if any.
-    fn failed(&self) -> String {
+    /// Describes the number of errors among the answers, if there are any.
+    fn describe_errors(&self) -> String {
         match self.errors {
             0 => String::new(),
             1 => ", 1 of them an error".to_owned(),
@@ -73,15 +73,15 @@ impl AnswerCounts {
         }
     }
 
-    /// How many iterations clients have ended without asking, if any.
-    fn without(&self) -> String {
+    /// Describes the number of iterations that ended without arriving here, if there are any.
+    fn describe_missed(&self) -> String {
         match self.missed {
             0 => String::new(),
             missed => format!(", {} never came here", counted(missed, "iteration")),
         }
     }
 
-    /// Answers per second, from the first to the last.
+    /// Returns the answers per second, from the first to the last.
     fn rate(&self) -> Option<f64> {
         let ((from, before), to) = (self.first?, self.last?);
         let seconds = (to - from).seconds();
@@ -102,28 +102,28 @@ impl Serving {
         }
     }
 
-    /// Whether there was an answer.
-    pub(super) const fn answered(&self) -> bool {
+    /// Returns whether there was an answer.
+    pub(super) const fn has_answers(&self) -> bool {
         self.answers.answered > 0
     }
 
-    /// What came of it.
+    /// Describes the result.
     pub(super) fn summary(&self) -> String {
         let Self { answers, inference, .. } = self;
         let rate = answers.rate().map_or_else(String::new, |rate| format!(", {rate:.1} /s"));
         let count = counted(answers.answered, "answer");
-        format!("{count}{}{}{rate}{inference}", answers.failed(), answers.without())
+        format!("{count}{}{}{rate}{inference}", answers.describe_errors(), answers.describe_missed())
     }
 
-    /// Why there were not all answers although there will be no more, if so.
+    /// Describes the missing answers after no more will come, if any are missing.
     pub(super) fn shortfall(&self) -> Option<String> {
         let AnswerCounts { wanted, answered, .. } = self.answers;
         let short = wanted.saturating_sub(answered);
-        let said = "the clients' results say why";
-        (short > 0).then(|| format!("{short} of {} never came here: {said}", counted(wanted, "iteration")))
+        let advice = "the clients' results say why";
+        (short > 0).then(|| format!("{short} of {} never came here: {advice}", counted(wanted, "iteration")))
     }
 
-    /// Brings the model into memory before anybody asks: what is wrong with it shows at once, and nobody waits for it.
+    /// Loads the model before the first request: errors show at once, and no client waits for it.
     fn load(&mut self, running: &Running) -> Option<Ended<LoadError>> {
         match &mut self.loading {
             Loading::NotBegun => {
@@ -143,7 +143,7 @@ impl Serving {
                         ));
                         None
                     }
-                    Ok(Err(error)) => Some(Ended::Own(error)),
+                    Ok(Err(error)) => Some(Ended::OwnReason(error)),
                     Err(_) => Some(Ended::Failed("loading the model panicked".to_owned())),
                 }
             }
@@ -164,7 +164,7 @@ impl Serving {
                     1 => "1 session".to_owned(),
                     many => format!("{many} sessions"),
                 };
-                let (failed, without) = (self.answers.failed(), self.answers.without());
+                let (failed, without) = (self.answers.describe_errors(), self.answers.describe_missed());
                 let inference = &self.inference;
                 format!("{answered} of {wanted} answers{failed}{without}, {clients}{rate}{inference}")
             }
@@ -174,20 +174,21 @@ impl Serving {
 }
 
 impl RunObserver for Serving {
-    /// The model cannot be had.
-    type Own = LoadError;
+    /// The model cannot be loaded.
+    type OwnReason = LoadError;
 
-    fn take(&mut self, _event: Event, _running: Option<&Running>) -> Option<Ended<LoadError>> {
+    fn handle_event(&mut self, _event: Event, _running: Option<&Running>) -> Option<Ended<LoadError>> {
         None
     }
 
-    fn look(&mut self, running: &Running) -> Option<Ended<LoadError>> {
+    fn poll_state(&mut self, running: &Running) -> Option<Ended<LoadError>> {
         if let Some(ended) = self.load(running) {
             return Some(ended);
         }
         let served = running.served().borrow().clone();
-        let inference = served.inference.quantile(0.5).map(|p50| told(p50, p99(&served.inference)));
-        self.inference = inference.map_or_else(String::new, |told| format!(", inference {told}"));
+        let inference =
+            served.inference.quantile(0.5).map(|p50| describe_quantiles(p50, p99(&served.inference)));
+        self.inference = inference.map_or_else(String::new, |quantiles| format!(", inference {quantiles}"));
         self.sessions = served.sessions;
         let now = self.clock.mono();
         self.answers.update(served.answers, served.errors, served.missed, now);
@@ -196,7 +197,7 @@ impl RunObserver for Serving {
         self.answers.are_complete().then_some(Ended::Finished)
     }
 
-    fn over(&mut self) {
+    fn end_decided(&mut self) {
         self.progress.end();
     }
 }

@@ -1,4 +1,4 @@
-//! Runs that are finished by the record, and are to be done again all the same.
+//! Check of finished runs: those whose results are unusable are measured again.
 
 use std::collections::BTreeSet;
 use std::path::PathBuf;
@@ -10,20 +10,22 @@ use peernet_results::{FolderError, ResultFolder};
 use peernet_sample::printable_line;
 use peernet_stream::EndReason;
 
-use super::Beside;
+use super::ExternalFiles;
 use super::folder::Folder;
 use super::plan::Run;
 use super::state::Record;
 use crate::experiment::Stage;
 
-/// What was taken away is to be done again; what was measured with another file of devices is told.
-pub(super) fn settle(folder: &Folder, record: &mut Record, beside: &Beside) {
+/// Marks finished runs without usable results as not done, and reports changes of the file of devices since they were measured.
+pub(super) fn check_finished_runs(folder: &Folder, record: &mut Record, external_files: &ExternalFiles) {
     let finished = record.runs().filter(|(_, state)| state.stage == Stage::Finished);
     let finished: Vec<Run> = finished.map(|(run, _)| run.clone()).collect();
     let mut changed = BTreeSet::new();
     for run in finished {
-        match found(folder, record, &run) {
-            Ok(told) => changed.extend(told.iter().filter_map(|told| beside.changed_since(told, &run))),
+        match load_results(folder, record, &run) {
+            Ok(run_records) => changed.extend(
+                run_records.iter().filter_map(|run_record| external_files.changed_since(run_record, &run)),
+            ),
             Err(why) => {
                 complain(format_args!("run {} is done again: {why}", run.number));
                 record.forget(&run);
@@ -33,7 +35,7 @@ pub(super) fn settle(folder: &Folder, record: &mut Record, beside: &Beside) {
     changed.iter().for_each(complain);
 }
 
-/// A sentence when an experiment that this build has not begun is gone on with.
+/// Returns a note if an experiment was begun by another version and runs remain.
 pub(super) fn two_builds(record: &Record, to_do: &[Run], version: &str) -> Option<String> {
     let goes_on = !to_do.is_empty() && record.count(Stage::Finished) > 0;
     (goes_on && record.version != version).then(|| {
@@ -44,7 +46,7 @@ pub(super) fn two_builds(record: &Record, to_do: &[Run], version: &str) -> Optio
     })
 }
 
-/// The reason why the results of a run that was finished cannot be used.
+/// The reason why the results of a finished run cannot be used.
 #[derive(Debug, thiserror::Error)]
 pub(super) enum UnusableResults {
     #[error("its results are gone")]
@@ -57,7 +59,7 @@ pub(super) enum UnusableResults {
     Mismatched { folder: PathBuf, mismatch: Mismatch },
 }
 
-/// What a finished run says of itself in `run.json`, and this one does not.
+/// Difference between `run.json` and that of a finished run.
 #[derive(Clone, Copy, Debug, thiserror::Error)]
 pub(super) enum Mismatch {
     #[error("run.json does not say that the run was finished")]
@@ -68,11 +70,15 @@ pub(super) enum Mismatch {
     OtherRun,
 }
 
-/// What a run's results say of themselves, for each user.
+/// Returns the records of a run's results, one for each user.
 ///
 /// # Errors
-/// When they are gone, cannot be read, are not whole, or are those of another run.
-pub(super) fn found(folder: &Folder, record: &Record, run: &Run) -> Result<Vec<RunRecord>, UnusableResults> {
+/// When they are missing, cannot be read, are incomplete, or belong to another run.
+pub(super) fn load_results(
+    folder: &Folder,
+    record: &Record,
+    run: &Run,
+) -> Result<Vec<RunRecord>, UnusableResults> {
     let of_user = |path: &PathBuf| {
         if !path.join("run.json").is_file() {
             return Err(UnusableResults::Gone);
@@ -89,13 +95,13 @@ pub(super) fn found(folder: &Folder, record: &Record, run: &Run) -> Result<Vec<R
     folder.results(&record.plan, run).iter().map(of_user).collect()
 }
 
-fn mismatch(told: &RunRecord, record: &Record, run: &Run) -> Option<Mismatch> {
-    if told.reason != EndReason::Finished {
+fn mismatch(run_record: &RunRecord, record: &Record, run: &Run) -> Option<Mismatch> {
+    if run_record.reason != EndReason::Finished {
         return Some(Mismatch::Unfinished);
     }
-    if told.counts == Counts::default() {
+    if run_record.counts == Counts::default() {
         return Some(Mismatch::NoIterations);
     }
     let place = record.plan.place(run, &record.id);
-    (told.experiment.as_ref() != Some(&place)).then_some(Mismatch::OtherRun)
+    (run_record.experiment.as_ref() != Some(&place)).then_some(Mismatch::OtherRun)
 }

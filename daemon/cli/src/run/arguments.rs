@@ -1,4 +1,4 @@
-//! What `peernet run` can be told.
+//! Arguments of `peernet run`.
 
 use std::path::PathBuf;
 
@@ -7,7 +7,7 @@ use crate::short::value;
 use super::file::Set;
 use super::plan::{Plan, Run};
 
-/// What `peernet run` can be told.
+/// Arguments of `peernet run`.
 #[derive(Debug, clap::Args)]
 pub(crate) struct Arguments {
     /// File of the experiment, TOML; docs/experiments.md describes it, configs/experiments has examples. A pipe is read, too:
@@ -32,8 +32,8 @@ pub(crate) struct Arguments {
     pub(super) seed: Option<u64>,
     /// Only runs with this label, or the run of this number; may be given several times. Labels of one axis add up, those
     /// of different axes must all fit. The others can be done later.
-    #[arg(long, value_name = "AXIS=LABEL|NUMBER", value_parser = Only::read)]
-    pub(super) only: Vec<Only>,
+    #[arg(long, value_name = "AXIS=LABEL|NUMBER", value_parser = RunSelection::read)]
+    pub(super) only: Vec<RunSelection>,
     /// Begin without asking.
     #[arg(long, short)]
     pub(super) yes: bool,
@@ -48,31 +48,31 @@ pub(crate) struct Arguments {
     pub(super) quiet: bool,
 }
 
-/// Which runs are wanted.
+/// Selection of runs.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub(super) enum Only {
-    /// Those with this label of this axis.
+pub(super) enum RunSelection {
+    /// Runs with this label on this axis.
     Label(String, String),
-    /// The one of this number.
+    /// The run of this number.
     Number(usize),
 }
 
-/// A text that names no runs.
+/// A text that selects no runs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("write AXIS=LABEL or the number of a run")]
-pub(super) struct InvalidOnly;
+pub(super) struct InvalidRunSelection;
 
-impl Only {
-    fn read(text: &str) -> Result<Self, InvalidOnly> {
+impl RunSelection {
+    fn read(text: &str) -> Result<Self, InvalidRunSelection> {
         match (text.split_once('='), text.parse()) {
             (Some((axis, label)), _) => Ok(Self::Label(axis.trim().to_owned(), label.trim().to_owned())),
             (None, Ok(number)) => Ok(Self::Number(number)),
-            (None, Err(_)) => Err(InvalidOnly),
+            (None, Err(_)) => Err(InvalidRunSelection),
         }
     }
 
-    /// Whether a run is one of those that are wanted; without any wishes all are.
-    pub(super) fn wants(these: &[Self], plan: &Plan, run: &Run) -> bool {
+    /// Returns whether a run is selected; without selections all are.
+    pub(super) fn selects(these: &[Self], plan: &Plan, run: &Run) -> bool {
         let numbers: Vec<usize> = these
             .iter()
             .filter_map(|only| match only {
@@ -92,7 +92,7 @@ impl Only {
         all && (numbers.is_empty() || numbers.contains(&run.number))
     }
 
-    /// The first wish that no run can fulfil, in words.
+    /// Describes the first selection that fits no run.
     pub(super) fn unknown(these: &[Self], plan: &Plan) -> Option<String> {
         these.iter().find_map(|only| match only {
             Self::Number(number) if (1..=plan.runs.len()).contains(number) => None,

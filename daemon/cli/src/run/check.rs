@@ -1,4 +1,4 @@
-//! What can be found wrong before anything is tried.
+//! Check of configurations before anything is tried.
 
 use std::path::Path;
 
@@ -8,20 +8,20 @@ use peernet_agent::{Agent, AgentConfig};
 use peernet_clock::SharedClock;
 
 use super::file::Configuration;
-use super::plan::in_words;
+use super::plan::describe_labels;
 
-/// Keys about what is on this machine and not in the file: pictures, models, programs.
+/// Keys that concern this machine and not the file: pictures, models, programs.
 const MACHINE: [&str; 4] = ["pipeline[0].sensor", "pipeline[0].placement", "pipeline[0].actuator", "bank"];
 
-/// What an agent says is wrong with its only pipeline, with the key that it has in an experiment's file.
+/// Replaces the key of an agent's only pipeline in an error by the key in an experiment's file.
 pub(super) fn as_written(problem: &str) -> String {
     problem.replacen("pipeline[0]", "pipeline", 1)
 }
 
-/// Checks every configuration of a file as an agent would; returns what this machine lacks, each thing once.
+/// Checks every configuration of a file as an agent would. Returns what this machine lacks, each thing once.
 ///
 /// # Errors
-/// When something is wrong wherever it runs (78).
+/// When something is wrong on any machine (78).
 pub(super) fn configurations(
     file: &Path,
     configurations: &[Configuration],
@@ -36,7 +36,7 @@ pub(super) fn configurations(
             let missing = MACHINE.contains(&problem.key.as_str())
                 || problem.key.starts_with("model[") && problem.key.ends_with(']')
                 || MACHINE.iter().any(|key| problem.key.starts_with(&format!("{key}.")));
-            let labels = in_words(&configuration.labels);
+            let labels = describe_labels(&configuration.labels);
             let with = if labels.is_empty() { String::new() } else { format!(" (with {labels})") };
             let text = as_written(&problem.to_string());
             let list = if missing { &mut lacking } else { &mut wrong };

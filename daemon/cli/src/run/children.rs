@@ -1,4 +1,4 @@
-//! Runs as processes of their own, so that a crash is one run's.
+//! Separate processes for the runs, so that a crash affects one run only.
 
 use std::collections::VecDeque;
 use std::os::unix::process::ExitStatusExt;
@@ -21,32 +21,32 @@ use tokio::time::Instant;
 
 use super::ending::Ending;
 use crate::foreground::Signals;
-use crate::measure::{Order, Seen};
+use crate::measure::{Order, ProgressReport};
 
-/// This program, even when its file was replaced in the meantime: all runs are measured by one version.
+/// Path of this program, even if its file was replaced in the meantime: one version measures all runs.
 const PROGRAM: &str = "/proc/self/exe";
-/// What processes told that may wait for the one who shows it. Later looks are left out; later lines hold the process up
-/// that wants to say them, as a slow terminal would.
-const TOLD: usize = 64;
-/// Last lines of a process that are kept.
-const LINES: usize = 20;
-/// How long the rest of what a process said is waited for after its end: its own children may hold the pipe open.
-const REST: Duration = Duration::from_secs(2);
+/// Capacity of the channel of output from the processes. Progress beyond it is dropped; a text beyond it blocks the process, as
+/// a slow terminal would.
+const OUTPUT_CAPACITY: usize = 64;
+/// Number of a process's last lines that are kept.
+const LAST_LINES: usize = 20;
+/// Wait for the rest of a process's output after its end: its own children may hold the pipe open.
+const OUTPUT_TIMEOUT: Duration = Duration::from_secs(2);
 
-/// How several processes at once ended.
+/// Result of several concurrent processes.
 pub(super) struct Ended {
-    /// One for each order.
+    /// Results, one for each order.
     pub(super) exits: Vec<Exited>,
-    /// Whether the user wanted the end.
+    /// `true` if the user requested the end.
     pub(super) interrupted: bool,
 }
 
-/// How a process ended.
+/// Result of a process.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) struct Exited {
-    /// Its exit code; `None` when a signal ended it or it never was.
+    /// Exit code; `None` if a signal ended it or it did not start.
     pub(super) code: Option<i32>,
-    /// The last it said, or what ended it.
+    /// Last line of its error output, or the signal that ended it.
     pub(super) reason: Option<String>,
 }
 
@@ -56,40 +56,41 @@ impl Exited {
     }
 }
 
-/// What there is to show.
-pub(super) enum News<'a> {
-    /// How far each of the processes is, once it has told.
-    Seen(&'a [Option<Seen>]),
-    /// What users' own code printed in the process at this place, or its log.
+/// Output to be shown.
+pub(super) enum ChildEvent<'a> {
+    /// Progress of each process, once it has reported.
+    ProgressReport(&'a [Option<ProgressReport>]),
+    /// Output of users' code in the process of this index, or its log.
     Line(usize, &'a str),
-    /// How long the processes that were asked to end still may take.
+    /// Announcement of how long the processes may still take to end.
     Ending(&'a str),
 }
 
 /// A line of a process's standard output.
 #[derive(Deserialize)]
 #[serde(untagged)]
-enum Told {
-    Seen(Seen),
+enum ChildOutput {
+    ProgressReport(ProgressReport),
     Line(String),
 }
 
-/// Executes orders, all at once, and shows what they tell. A signal to this program goes to all of them: at the
-/// first they end early with their results, at the second they wait for nothing, at the third, or when they took too
-/// long, they are killed with what they started.
+/// Executes orders concurrently and shows their output.
+///
+/// A signal to this program goes to all processes. After the first one they end early with their results, after the second they
+/// do not wait for work in progress. After the third, or after a time limit, they are killed together with their children.
 pub(super) async fn execute(
     orders: &[Order],
     signals: &mut Signals,
-    mut show: impl FnMut(News<'_>),
+    mut show: impl FnMut(ChildEvent<'_>),
 ) -> Ended {
-    let (to, mut from) = mpsc::channel(TOLD);
-    let mut seen: Vec<Option<Seen>> = vec![None; orders.len()];
-    let mut take = |index: usize, told: Told, show: &mut dyn FnMut(News<'_>)| match told {
-        Told::Seen(now) => {
-            seen[index] = Some(now);
-            show(News::Seen(&seen));
+    let (to, mut from) = mpsc::channel(OUTPUT_CAPACITY);
+    let mut reports: Vec<Option<ProgressReport>> = vec![None; orders.len()];
+    let mut handle = |index: usize, output: ChildOutput, show: &mut dyn FnMut(ChildEvent<'_>)| match output {
+        ChildOutput::ProgressReport(now) => {
+            reports[index] = Some(now);
+            show(ChildEvent::ProgressReport(&reports));
         }
-        Told::Line(line) => show(News::Line(index, &line)),
+        ChildOutput::Line(line) => show(ChildEvent::Line(index, &line)),
     };
     let mut exits: Vec<Option<Exited>> = vec![None; orders.len()];
     let mut pids: Vec<Option<Pid>> = Vec::new();
@@ -114,33 +115,33 @@ pub(super) async fn execute(
                 pids[index] = None;
                 exits[index] = Some(exited);
             }
-            Some((index, told)) = from.recv() => take(index, told, &mut show),
+            Some((index, output)) = from.recv() => handle(index, output, &mut show),
             () = signals.next() => {
-                let (signal, told) = ending.wish(Instant::now());
-                show(News::Ending(&told));
+                let (signal, message) = ending.request(Instant::now());
+                show(ChildEvent::Ending(&message));
                 send(&pids, signal);
             }
-            () = ending.over() => {
-                show(News::Ending("what did not end in time is killed"));
+            () = ending.expired() => {
+                show(ChildEvent::Ending("what did not end in time is killed"));
                 send(&pids, ending.kill());
             }
         }
     }
-    while let Ok((index, told)) = from.try_recv() {
-        take(index, told, &mut show);
+    while let Ok((index, output)) = from.try_recv() {
+        handle(index, output, &mut show);
     }
     let gone = || Exited { code: None, reason: None };
     Ended {
         exits: exits.into_iter().map(|exit| exit.unwrap_or_else(gone)).collect(),
-        interrupted: ending.is_wanted(),
+        interrupted: ending.is_requested(),
     }
 }
 
-/// Signals the processes; a kill goes to all that they started as well.
+/// Sends a signal to the processes. SIGKILL also goes to all processes that they started.
 fn send(processes: &[Option<Pid>], signal: Signal) {
     let each = if signal == Signal::KILL { kill_process_group } else { kill_process };
     for pid in processes.iter().flatten() {
-        // One that has just ended needs none.
+        // Sending fails for a process that has just ended.
         let _ = each(*pid, signal);
     }
 }
@@ -149,30 +150,34 @@ fn send(processes: &[Option<Pid>], signal: Signal) {
 struct Child {
     process: tokio::process::Child,
     pid: Option<Pid>,
-    said: Arc<Mutex<VecDeque<String>>>,
+    error_lines: Arc<Mutex<VecDeque<String>>>,
     readers: [JoinHandle<()>; 2],
 }
 
 impl Child {
-    async fn start(index: usize, order: &Order, to: mpsc::Sender<(usize, Told)>) -> anyhow::Result<Self> {
+    async fn start(
+        index: usize,
+        order: &Order,
+        to: mpsc::Sender<(usize, ChildOutput)>,
+    ) -> anyhow::Result<Self> {
         let order = with_arguments(|| serde_json::to_vec(order)).context("cannot write the order down")?;
         let mut process = Command::new(PROGRAM)
             .args(["measure", "--order", "-"])
             .stdin(Stdio::piped())
             .stdout(Stdio::piped())
             .stderr(Stdio::piped())
-            // A terminal's Ctrl-C is for this program, which passes it on once.
+            // Its own process group: a Ctrl-C on the terminal reaches this program only, which passes it on once.
             .process_group(0)
             .kill_on_drop(true)
             .spawn()
             .context("cannot start the process of the run")?;
         let (input, output, errors) = (process.stdin.take(), process.stdout.take(), process.stderr.take());
         if let Some(mut input) = input {
-            // A process that ends before it has read its order says why.
+            // A process that ends before it has read its order reports the reason.
             let _ = input.write_all(&order).await;
         }
-        let said = Arc::new(Mutex::new(VecDeque::new()));
-        let kept = Arc::clone(&said);
+        let error_lines = Arc::new(Mutex::new(VecDeque::new()));
+        let kept = Arc::clone(&error_lines);
         let readers = [
             tokio::spawn(pass_on(index, output, to)),
             tokio::spawn(async move {
@@ -181,24 +186,24 @@ impl Child {
                 while let Ok(Some(line)) = lines.next_line().await {
                     let mut kept = kept.lock().unwrap_or_else(PoisonError::into_inner);
                     kept.push_back(line);
-                    if kept.len() > LINES {
+                    if kept.len() > LAST_LINES {
                         kept.pop_front();
                     }
                 }
             }),
         ];
         let pid = process.id().and_then(|pid| Pid::from_raw(i32::try_from(pid).ok()?));
-        Ok(Self { process, pid, said, readers })
+        Ok(Self { process, pid, error_lines, readers })
     }
 
     async fn ended(mut self) -> Exited {
         let status = self.process.wait().await;
         for reader in self.readers {
-            // What came until now is kept.
-            let _ = tokio::time::timeout(REST, reader).await;
+            // Output that arrived until now is kept.
+            let _ = tokio::time::timeout(OUTPUT_TIMEOUT, reader).await;
         }
-        let said = self.said.lock().unwrap_or_else(PoisonError::into_inner);
-        let last = said.iter().rev().find(|line| !line.trim().is_empty()).cloned();
+        let error_lines = self.error_lines.lock().unwrap_or_else(PoisonError::into_inner);
+        let last = error_lines.iter().rev().find(|line| !line.trim().is_empty()).cloned();
         match status {
             Ok(status) => Exited { code: status.code(), reason: reason(status, last) },
             Err(error) => {
@@ -218,15 +223,15 @@ fn reason(status: ExitStatus, last: Option<String>) -> Option<String> {
     }
 }
 
-/// Hands on what the process at this place tells on its standard output.
-async fn pass_on(index: usize, output: Option<ChildStdout>, to: mpsc::Sender<(usize, Told)>) {
+/// Passes on the standard output of the process of this index.
+async fn pass_on(index: usize, output: Option<ChildStdout>, to: mpsc::Sender<(usize, ChildOutput)>) {
     let Some(output) = output else { return };
     let mut lines = BufReader::new(output).lines();
     while let Ok(Some(line)) = lines.next_line().await {
-        // What is neither a look nor a text is nobody's: libraries print to standard output as well.
+        // Other lines are ignored: libraries print to standard output as well.
         match serde_json::from_str(&line) {
-            Ok(look @ Told::Seen(_)) => drop(to.try_send((index, look))),
-            Ok(text @ Told::Line(_)) => drop(to.send((index, text)).await),
+            Ok(report @ ChildOutput::ProgressReport(_)) => drop(to.try_send((index, report))),
+            Ok(text @ ChildOutput::Line(_)) => drop(to.send((index, text)).await),
             Err(_) => {}
         }
     }

@@ -1,11 +1,11 @@
-//! What differs between two plans, in words.
+//! Differences between two plans.
 
 use serde_json::Value;
 
-/// Most differences that are told.
+/// Maximum number of reported differences.
 const MOST: usize = 8;
 
-/// One line for each difference: the path, what was there, what is there.
+/// Returns one line for each difference: the path, the earlier value, the present value.
 pub(super) fn differences(before: &Value, now: &Value) -> Vec<String> {
     let mut found = Vec::new();
     compare("", before, now, &mut found);
@@ -40,11 +40,13 @@ fn compare(path: &str, before: &Value, now: &Value, found: &mut Vec<String>) {
             found.push(format!("{path}: {} entries before, {} now", before.len(), now.len()));
         }
         (before, now) if before == now => {}
-        (before, now) => found.push(format!("{path}: {} before, {} now", told(before), told(now))),
+        (before, now) => {
+            found.push(format!("{path}: {} before, {} now", show_value(before), show_value(now)))
+        }
     }
 }
 
-fn told(value: &Value) -> String {
+fn show_value(value: &Value) -> String {
     match value {
         Value::Null => "nothing".to_owned(),
         value => value.to_string(),
@@ -58,7 +60,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn differences_are_told_with_their_paths() {
+    fn differences_are_reported_with_paths() {
         let before = json!({ "seed": 1, "runs": [{ "a": 1 }, { "a": 2 }], "axes": [1] });
         let now = json!({ "seed": 2, "runs": [{ "a": 1 }, { "a": 3, "b": true }], "axes": [1, 2] });
         assert_eq!(

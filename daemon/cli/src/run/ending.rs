@@ -1,4 +1,4 @@
-//! How long processes that were asked to end may take: one that is suspended hears of nothing but its end.
+//! Time limits for processes that were asked to end. A suspended process reacts to SIGKILL only.
 
 use std::time::Duration;
 
@@ -7,29 +7,29 @@ use tokio::time::Instant;
 
 use crate::foreground::duration;
 
-/// After the first wish: what is under way is waited for, and the results are written.
+/// Limit after the first request: work in progress is finished, and the results are written.
 const ORDERLY: Duration = Duration::from_secs(60);
-/// After the second: the results alone are written.
+/// Limit after the second request: only the results are written.
 const HASTY: Duration = Duration::from_secs(10);
 
-/// The user's wishes to end, and what follows from them.
+/// The user's requests to end and their deadlines.
 #[derive(Debug, Default)]
 pub(super) struct Ending {
-    wishes: u32,
+    requests: u32,
     until: Option<Instant>,
 }
 
 impl Ending {
-    /// Takes a wish: what the processes are to be sent, and what the user is to know.
-    pub(super) fn wish(&mut self, now: Instant) -> (Signal, String) {
-        self.wishes += 1;
+    /// Handles a request. Returns the signal for the processes and a text for the user.
+    pub(super) fn request(&mut self, now: Instant) -> (Signal, String) {
+        self.requests += 1;
         let mut within = |time: Duration| {
             let until = self.until.map_or(now + time, |until| until.min(now + time));
             self.until = Some(until);
             duration((until - now).as_secs_f64())
         };
-        // Of another kind each, so that a process cannot take the second for the first.
-        match self.wishes {
+        // The signals differ, so that a process cannot take the second one for a repetition of the first.
+        match self.requests {
             1 => (
                 Signal::INT,
                 format!(
@@ -48,23 +48,23 @@ impl Ending {
         }
     }
 
-    /// Waits until the time is over; for ever where there is none.
-    pub(super) async fn over(&self) {
+    /// Waits until the deadline; for ever if there is none.
+    pub(super) async fn expired(&self) {
         match self.until {
             Some(until) => tokio::time::sleep_until(until).await,
             None => std::future::pending().await,
         }
     }
 
-    /// What ends even a process that is suspended.
+    /// Returns the signal that ends even a suspended process.
     pub(super) const fn kill(&mut self) -> Signal {
         self.until = None;
         Signal::KILL
     }
 
-    /// Whether the user wanted the end.
-    pub(super) const fn is_wanted(&self) -> bool {
-        self.wishes > 0
+    /// Returns whether the user requested the end.
+    pub(super) const fn is_requested(&self) -> bool {
+        self.requests > 0
     }
 }
 
@@ -73,25 +73,28 @@ mod tests {
     use super::*;
 
     #[test]
-    fn each_wish_leaves_less_time() {
+    fn each_request_shortens_deadline() {
         let (mut ending, began) = (Ending::default(), Instant::now());
         let at = |seconds: u64| began + Duration::from_secs(seconds);
-        assert!(!ending.is_wanted());
-        let (signal, told) = ending.wish(at(0));
-        assert!(signal == Signal::INT && told.contains("60 s"), "{told}");
-        assert_eq!((ending.is_wanted(), ending.until), (true, Some(at(60))));
-        let (signal, told) = ending.wish(at(53));
-        assert!(signal == Signal::TERM && told.contains("within 7 s"), "not more than was promised: {told}");
+        assert!(!ending.is_requested());
+        let (signal, message) = ending.request(at(0));
+        assert!(signal == Signal::INT && message.contains("60 s"), "{message}");
+        assert_eq!((ending.is_requested(), ending.until), (true, Some(at(60))));
+        let (signal, message) = ending.request(at(53));
+        assert!(
+            signal == Signal::TERM && message.contains("within 7 s"),
+            "not more than was promised: {message}"
+        );
         assert_eq!(ending.until, Some(at(60)));
-        assert_eq!(ending.wish(at(54)).0, Signal::KILL);
+        assert_eq!(ending.request(at(54)).0, Signal::KILL);
         assert_eq!(ending.until, None);
     }
 
     #[test]
-    fn a_second_wish_does_not_wait_for_long() {
+    fn deadline_after_second_request_is_short() {
         let (mut ending, began) = (Ending::default(), Instant::now());
-        ending.wish(began);
-        ending.wish(began + Duration::from_secs(1));
+        ending.request(began);
+        ending.request(began + Duration::from_secs(1));
         assert_eq!(ending.until, Some(began + Duration::from_secs(11)));
     }
 }

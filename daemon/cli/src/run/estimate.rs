@@ -1,44 +1,44 @@
-//! How long it will take.
+//! Estimates of the duration of runs.
 
 use std::num::NonZeroU64;
 
 use peernet_agent::config::PipelineConfig;
 
-/// What a trial showed of a configuration.
+/// Result of a trial of a configuration.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Pace {
-    /// One iteration after the other, seconds each.
+    /// Duration of an iteration when they run one after the other, seconds.
     pub(super) iteration_s: f64,
-    /// What a run takes beside its iterations, seconds.
+    /// Duration of a run besides its iterations, seconds.
     pub(super) beside_s: f64,
 }
 
-/// How long a run of each configuration takes, seconds.
+/// Estimated duration of a run of each configuration, seconds.
 #[derive(Clone, Debug)]
 pub(super) struct Estimates {
-    /// As the trials have it.
+    /// Estimates from the trials.
     expected: Vec<Option<f64>>,
-    /// As finished runs have it: their sum and count.
+    /// Durations of finished runs: sum and count.
     measured: Vec<(f64, u32)>,
 }
 
 impl Estimates {
-    /// What is expected of each configuration.
+    /// Makes estimates from the expected duration of each configuration.
     pub(super) fn new(expected: Vec<Option<f64>>) -> Self {
         let measured = vec![(0.0, 0); expected.len()];
         Self { expected, measured }
     }
 
-    /// A run of a configuration took so long.
-    pub(super) fn learn(&mut self, configuration: usize, seconds: f64) {
+    /// Adds the duration of a finished run.
+    pub(super) fn record_duration(&mut self, configuration: usize, seconds: f64) {
         if let Some((sum, count)) = self.measured.get_mut(configuration) {
             *sum += seconds;
             *count += 1;
         }
     }
 
-    /// What a run of a configuration takes: as its own finished runs, else as expected, corrected by how far
-    /// expectations were off so far; `None` while nobody can tell.
+    /// Returns the estimate for a run of a configuration: the mean of its own finished runs, or the expected duration, corrected by
+    /// the ratio of measured and expected durations so far. `None` while unknown.
     pub(super) fn of(&self, configuration: usize) -> Option<f64> {
         let (sum, count) = self.measured.get(configuration).copied().unwrap_or_default();
         if count > 0 {
@@ -54,7 +54,7 @@ impl Estimates {
     }
 }
 
-/// What a run of a pipeline takes at this pace, seconds; `None` where nobody can tell.
+/// Returns the expected duration of a run of a pipeline, seconds; `None` if unknown.
 pub(super) fn expected(pipeline: &PipelineConfig, pace: Option<Pace>) -> Option<f64> {
     let limit = pipeline.limit;
     let warm_up = pipeline.warm_up.iterations;
@@ -84,7 +84,7 @@ mod tests {
     }
 
     #[test]
-    fn a_run_takes_what_its_limit_and_pace_make_of_it() {
+    fn estimate_follows_from_limit_and_pace() {
         let pace = Some(Pace { iteration_s: 0.1, beside_s: 2.0 });
         let closed = pipeline("limit = { total = 100 }");
         assert_eq!((expected(&closed, pace), expected(&closed, None)), (Some(12.0), None));
@@ -97,10 +97,10 @@ mod tests {
     }
 
     #[test]
-    fn what_was_measured_corrects_what_was_expected() {
+    fn measured_durations_correct_estimates() {
         let mut estimates = Estimates::new(vec![Some(10.0), Some(20.0), None]);
         assert_eq!([0, 1, 2].map(|at| estimates.of(at)), [Some(10.0), Some(20.0), None]);
-        estimates.learn(0, 15.0);
+        estimates.record_duration(0, 15.0);
         assert_eq!([0, 1, 2].map(|at| estimates.of(at)), [Some(15.0), Some(30.0), None]);
     }
 }

@@ -1,4 +1,4 @@
-//! Run after run.
+//! Execution of the runs, one after the other.
 
 use crate::exit::{Exit, Failure};
 use peernet_analysis::record::User;
@@ -6,31 +6,31 @@ use peernet_clock::SharedClock;
 use peernet_results::{Overwrite, ResultFolder};
 use peernet_stream::EndReason;
 
-use super::beside::Beside;
-use super::children::{self, Exited, News};
+use super::children::{self, ChildEvent, Exited};
 use super::estimate::Estimates;
+use super::external_files::ExternalFiles;
 use super::folder::Folder;
 use super::plan::Run;
 use super::state::{Ended, Record};
 use crate::experiment::Stage;
 use crate::foreground::{Progress, Signals, duration, typed};
-use crate::measure::{Order, Seen};
+use crate::measure::{Order, ProgressReport};
 
-/// Everything that the runs need.
+/// Everything that the execution needs.
 pub(super) struct Execution<'a> {
     pub(super) folder: &'a Folder,
     pub(super) record: &'a mut Record,
     pub(super) estimates: Estimates,
     pub(super) clock: &'a SharedClock,
-    pub(super) beside: &'a Beside,
+    pub(super) external_files: &'a ExternalFiles,
     pub(super) quiet: bool,
 }
 
 impl Execution<'_> {
-    /// Does these runs, in their order, until they are done or the user has had enough; says whether the latter.
+    /// Executes the runs in their order until they are done or the user ends it. Returns whether the user ended it.
     ///
     /// # Errors
-    /// When it cannot be written down how far it is (73).
+    /// When the progress cannot be recorded (73).
     pub(super) async fn all(&mut self, runs: &[Run], signals: &mut Signals) -> Result<bool, Failure> {
         for (done, run) in runs.iter().enumerate() {
             if self.one(runs, done, run, signals).await? {
@@ -57,37 +57,41 @@ impl Execution<'_> {
             "run {} of {} ({})",
             run.number,
             self.record.plan.runs.len(),
-            self.record.plan.words(run)
+            self.record.plan.describe(run)
         );
-        let later = self.left(&runs[done + 1..]);
+        let later = self.remaining_s(&runs[done + 1..]);
         let (share, own) = (done as f64 / runs.len() as f64, 1.0 / runs.len() as f64);
         if !self.quiet {
             progress.say(format_args!("{name}: begins"));
         }
         let ended = children::execute(&orders, signals, |news| {
-            let seen = match news {
-                News::Line(user, line) if orders.len() > 1 => {
+            let report = match news {
+                ChildEvent::Line(user, line) if orders.len() > 1 => {
                     return progress.say(format_args!("user {}: {line}", user + 1));
                 }
-                News::Line(_, line) | News::Ending(line) => return progress.say(line),
-                News::Seen(seen) => together(seen),
+                ChildEvent::Line(_, line) | ChildEvent::Ending(line) => return progress.say(line),
+                ChildEvent::ProgressReport(reports) => combine(reports),
             };
-            let Some(seen) = seen else { return };
-            let part = seen.of.map_or(0.0, |of| seen.done as f64 / of.max(1) as f64);
-            let left = seen.left_s.zip(later).map(|(now, later)| duration(now + later));
+            let Some(report) = report else { return };
+            let part = report.of.map_or(0.0, |of| report.done as f64 / of.max(1) as f64);
+            let left = report.left_s.zip(later).map(|(now, later)| duration(now + later));
             let left = left.map_or_else(String::new, |left| format!(", {left} left for all"));
-            let trouble = seen.trouble.as_ref().map(|trouble| format!("{name}: {trouble}"));
-            let state =
-                || (format!("{name}: {}{left}", Seen { left_s: None, ..seen.clone() }), share + part * own);
+            let trouble = report.trouble.as_ref().map(|trouble| format!("{name}: {trouble}"));
+            let state = || {
+                (
+                    format!("{name}: {}{left}", ProgressReport { left_s: None, ..report.clone() }),
+                    share + part * own,
+                )
+            };
             progress.show(self.clock.mono(), trouble, state);
         })
         .await;
         progress.end();
         let seconds = (self.clock.mono() - began).seconds();
         let interrupted = ended.interrupted;
-        let ended = self.judge(run, &ended, seconds);
+        let ended = self.run_result(run, &ended, seconds);
         if ended.stage == Stage::Finished {
-            self.estimates.learn(run.configuration, seconds);
+            self.estimates.record_duration(run.configuration, seconds);
         }
         let why = ended.reason.as_ref().map_or_else(String::new, |reason| format!(": {reason}"));
         if !self.quiet || ended.stage != Stage::Finished || !why.is_empty() {
@@ -98,7 +102,7 @@ impl Execution<'_> {
         Ok(interrupted)
     }
 
-    /// One order for each user.
+    /// Makes one order for each user.
     fn orders(&self, run: &Run) -> Vec<Order> {
         let plan = &self.record.plan;
         let configuration = plan.configuration(run);
@@ -112,9 +116,9 @@ impl Execution<'_> {
                 title: plan.title(run),
                 folder,
                 overwrite: Overwrite::Replace,
-                plots: self.beside.plots,
+                plots: self.external_files.plots,
                 command: typed(),
-                network_config: self.beside.network(run).cloned(),
+                network_config: self.external_files.network(run).cloned(),
                 user: (of > 1).then(|| User { number: user + 1, of }),
                 warm_up: configuration.warm_up.clone(),
                 patience_s: configuration.patience_s,
@@ -123,8 +127,8 @@ impl Execution<'_> {
         (0..).zip(self.folder.results(plan, run)).map(order).collect()
     }
 
-    /// What became of a run.
-    fn judge(&self, run: &Run, ended: &children::Ended, seconds: f64) -> Ended {
+    /// Determines the result of a run.
+    fn run_result(&self, run: &Run, ended: &children::Ended, seconds: f64) -> Ended {
         let bad = ended.exits.iter().enumerate().find(|(_, exit)| !exit.is_well());
         let Some((user, exit)) = bad else {
             return Ended { stage: Stage::Finished, exit: Some(0), reason: None, seconds };
@@ -147,29 +151,29 @@ impl Execution<'_> {
         Ended { stage, exit: exit.code, reason, seconds }
     }
 
-    /// What runs will take, as far as that can be told.
-    fn left(&self, runs: &[Run]) -> Option<f64> {
+    /// Returns the estimated duration of runs; `None` if one is unknown.
+    fn remaining_s(&self, runs: &[Run]) -> Option<f64> {
         runs.iter().map(|run| self.estimates.of(run.configuration)).sum()
     }
 }
 
-/// Several users in one look: what they do together, the median of the median user, the 99th percentile of the worst.
-fn together(seen: &[Option<Seen>]) -> Option<Seen> {
-    let all: Vec<&Seen> = seen.iter().flatten().collect();
+/// Combines the progress of several users: sums of their counts, the median of the median user, the 99th percentile of the worst.
+fn combine(reports: &[Option<ProgressReport>]) -> Option<ProgressReport> {
+    let all: Vec<&ProgressReport> = reports.iter().flatten().collect();
     let (first, rest) = all.split_first()?;
     if rest.is_empty() {
         return Some((*first).clone());
     }
-    let mut medians: Vec<f64> = all.iter().filter_map(|seen| seen.p50).collect();
+    let mut medians: Vec<f64> = all.iter().filter_map(|report| report.p50).collect();
     medians.sort_unstable_by(f64::total_cmp);
-    Some(Seen {
+    Some(ProgressReport {
         phase: first.phase,
-        done: all.iter().map(|seen| seen.done).sum(),
-        of: all.iter().map(|seen| seen.of).sum(),
-        rate: all.iter().map(|seen| seen.rate).sum(),
+        done: all.iter().map(|report| report.done).sum(),
+        of: all.iter().map(|report| report.of).sum(),
+        rate: all.iter().map(|report| report.rate).sum(),
         p50: medians.get(medians.len() / 2).copied(),
-        p99: all.iter().filter_map(|seen| seen.p99).reduce(f64::max),
-        left_s: all.iter().filter_map(|seen| seen.left_s).reduce(f64::max),
-        trouble: all.iter().find_map(|seen| seen.trouble.clone()),
+        p99: all.iter().filter_map(|report| report.p99).reduce(f64::max),
+        left_s: all.iter().filter_map(|report| report.left_s).reduce(f64::max),
+        trouble: all.iter().find_map(|report| report.trouble.clone()),
     })
 }

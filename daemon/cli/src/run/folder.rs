@@ -1,4 +1,7 @@
-//! The folder of an experiment: `experiment.json`, and the runs below it.
+//! The folder of an experiment: `experiment.json` with the state, and the folders of the runs.
+//!
+//! `experiment.json` holds the plan with the state of each run and is replaced as a whole before and after every run, so that a
+//! killed experiment can be continued if its plan is unchanged.
 
 use std::ffi::OsStr;
 use std::fs::{self, File, TryLockError};
@@ -16,13 +19,13 @@ use super::plan::{Plan, Run};
 use super::state::Record;
 use crate::experiment::{FORMAT, LARGEST_RECORD, RECORD, RUNS};
 
-/// Names of the tables over all runs, and the forms that they are written in.
+/// Names of the tables over all runs, and of their formats.
 const TABLES: [&str; 3] = ["compare", "users", "sensors"];
 const KINDS: [&str; 4] = ["txt", "md", "csv", "tex"];
 const LOCK: &str = ".lock";
-/// How a record begins its name until it is whole. A program that is killed meanwhile leaves it behind.
+/// Prefix of a record's file name until it is complete. A killed program leaves such a file behind.
 const DRAFT: &str = ".experiment-";
-/// A folder that this program alone writes to.
+/// A locked folder to which no other program writes.
 pub(super) struct Folder {
     path: PathBuf,
     /// Released when it is closed, however the program ends.
@@ -30,10 +33,10 @@ pub(super) struct Folder {
 }
 
 impl Folder {
-    /// Makes the folder or takes it over.
+    /// Creates the folder or opens an existing one, and locks it.
     ///
     /// # Errors
-    /// When another program uses it (69), it holds something else (64) or cannot be made (73).
+    /// When another program uses it (69), it holds other files (64) or cannot be created (73).
     pub(super) fn open(path: &Path) -> Result<Self, Failure> {
         let unwritten = |error: std::io::Error| {
             let error = dangling(path).unwrap_or_else(|| error.to_string());
@@ -65,12 +68,12 @@ impl Folder {
         }
     }
 
-    /// Where it is.
+    /// Returns the path of the folder.
     pub(super) fn path(&self) -> &Path {
         &self.path
     }
 
-    /// Where a run's results are; with several users one folder for each, from 0.
+    /// Returns the folder of a run's results; with several users one folder for each, from 0.
     pub(super) fn results(&self, plan: &Plan, run: &Run) -> Vec<PathBuf> {
         let folder = self.run(run);
         match plan.configuration(run).users {
@@ -79,7 +82,7 @@ impl Folder {
         }
     }
 
-    /// What is known of the experiment from before.
+    /// Reads the record of the experiment, if there is one.
     ///
     /// # Errors
     /// When it cannot be read (65).
@@ -87,7 +90,7 @@ impl Folder {
         load(&self.path)
     }
 
-    /// Writes down how far it is, all or nothing.
+    /// Replaces the record as a whole.
     ///
     /// # Errors
     /// When it cannot be written (73).
@@ -106,7 +109,7 @@ impl Folder {
         })
     }
 
-    /// Takes away the tables and figures that were made of runs together.
+    /// Removes the tables and figures over all runs.
     ///
     /// # Errors
     /// When something cannot be removed (73).
@@ -123,7 +126,7 @@ impl Folder {
         Ok(())
     }
 
-    /// Takes away all runs and the record.
+    /// Removes all runs and the record.
     ///
     /// # Errors
     /// When something cannot be removed (73).
@@ -133,7 +136,7 @@ impl Folder {
         fs::remove_file(&path).map_err(|error| cannot_remove(&path, &error))
     }
 
-    /// Takes away what a run left behind that is done again.
+    /// Removes the results of a run that is measured again.
     ///
     /// # Errors
     /// When something cannot be removed (73).
@@ -145,9 +148,9 @@ impl Folder {
         }
     }
 
-    /// Takes away the folder if nothing came to be in it.
+    /// Removes the folder if it is empty.
     pub(super) fn discard(self) {
-        // What cannot be removed stays and does no harm.
+        // A file that remains does no harm.
         let _ = fs::remove_file(self.path.join(LOCK));
         let _ = fs::remove_dir(self.path.join(RUNS));
         let _ = fs::remove_dir(&self.path);
@@ -162,13 +165,13 @@ fn is_draft(name: &OsStr) -> bool {
     name.to_string_lossy().starts_with(DRAFT)
 }
 
-/// What programs that were killed left of records that were not whole yet.
+/// Returns incomplete records that killed programs left behind.
 fn drafts(path: &Path) -> impl Iterator<Item = PathBuf> {
     let entries = fs::read_dir(path).into_iter().flatten().filter_map(Result::ok);
     entries.filter(|entry| is_draft(&entry.file_name())).map(|entry| entry.path())
 }
 
-/// What a folder knows of an experiment, if it is one's.
+/// Reads the record in a folder, if there is one.
 ///
 /// # Errors
 /// When it cannot be read (65).
@@ -195,10 +198,10 @@ pub(super) fn load(path: &Path) -> Result<Option<Record>, Failure> {
     Ok(Some(record))
 }
 
-/// Checks that the experiment is still the one that was begun.
+/// Checks that the plan is unchanged since the experiment was begun.
 ///
 /// # Errors
-/// What has changed (78).
+/// When it has changed; the text lists the differences (78).
 pub(super) fn unchanged(record: &Record, plan: &Plan) -> Result<(), Failure> {
     if record.plan == *plan {
         return Ok(());
@@ -211,7 +214,7 @@ pub(super) fn unchanged(record: &Record, plan: &Plan) -> Result<(), Failure> {
     Err(Failure::new(Exit::Configuration, anyhow!("{text}")))
 }
 
-/// A link on the path that leads nowhere, in words: no folder can be made in its place.
+/// Describes a broken link on the path: no folder can be created in its place.
 fn dangling(path: &Path) -> Option<String> {
     let link = path.ancestors().find(|part| part.is_symlink() && !part.exists())?;
     let to = link.read_link().ok()?;

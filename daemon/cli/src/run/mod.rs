@@ -2,23 +2,23 @@
 //!
 //! ```text
 //! File ── configurations ── Plan ─┬─ trial        a few iterations of each, before the first run
-//!                                 ├─ Record       experiment.json: how far it is, replaced after every step
+//!                                 ├─ Record       experiment.json: the state, replaced after every step
 //!                                 ├─ execute      one process per run and user (`peernet measure`)
 //!                                 └─ report       compare.*, users.*, sensors.*, figures
 //! ```
 
 mod again;
+mod agent_state_dirs;
 mod arguments;
-mod beside;
 mod check;
 mod children;
 mod difference;
 mod ending;
 mod estimate;
 mod execute;
+mod external_files;
 mod file;
 mod folder;
-mod homes;
 mod origin;
 mod plan;
 mod report;
@@ -43,42 +43,42 @@ use peernet_networks::Address;
 use peernet_sample::printable_line;
 
 use crate::foreground::{Signals, remark, where_seen};
-use again::{settle, two_builds};
-use arguments::Only;
-use beside::Beside;
+use again::{check_finished_runs, two_builds};
+use agent_state_dirs::{AgentStateDirs, undelivered_events};
+use arguments::RunSelection;
 use children::Exited;
 use estimate::{Estimates, expected};
 use execute::Execution;
+use external_files::ExternalFiles;
 use file::File;
 use folder::Folder;
-use homes::{Homes, untaken};
 use origin::origin_of_missing;
 use plan::{Plan, Run};
 use state::Record;
-use trial::Tried;
+use trial::TrialResults;
 
-/// Where experiments go that nobody gave a place.
+/// Folder for experiments without a given place.
 const RESULTS: &str = "results";
 
-/// Carries out an experiment, or goes on with one.
+/// Executes an experiment, or continues one.
 ///
 /// # Errors
-/// When the file is not there (66) or wrong (78), something that it names cannot be had (69), the folder is not its own
-/// (64), results cannot be written (73), some runs failed (75), or the user ended it early (130).
+/// When the file does not exist (66) or is wrong (78), something that it names is not available (69), the folder holds other
+/// files (64), results cannot be written (73), some runs failed (75), or the user ended it early (130).
 pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
     let file = File::read(&arguments.file, &arguments.set)?;
     let (configurations, networks) = file.configurations(&arguments.models_dir)?;
-    let beside = Beside { plots: file.experiment.plots, networks };
+    let external_files = ExternalFiles { plots: file.experiment.plots, networks };
     let clock =
         clock::system(ClockIdentity::SYSTEM).map_err(|error| Failure::new(Exit::Unavailable, error))?;
     let remarks = check::configurations(&arguments.file, &configurations, &clock)?;
     let path = arguments.result_loc.clone();
     let path = path.unwrap_or_else(|| PathBuf::from(RESULTS).join(file.experiment.name.as_str()));
-    // A broken record can be begun anew, and is nothing against the file.
+    // A broken record can be replaced, and is no error of the file.
     let before = if arguments.restart || arguments.check { None } else { folder::load(&path)? };
     let seed = arguments.seed.or_else(|| before.as_ref().map(|record| record.plan.seed));
     let plan = Plan::new(&file.experiment, seed, configurations);
-    if let Some(unknown) = Only::unknown(&arguments.only, &plan) {
+    if let Some(unknown) = RunSelection::unknown(&arguments.only, &plan) {
         return Err(Failure::new(Exit::Usage, anyhow!("--only: {unknown}")));
     }
     if arguments.check {
@@ -100,8 +100,8 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
     let runtime = runtime
         .context("cannot start the runtime")
         .map_err(|error| Failure::new(Exit::Unavailable, error))?;
-    let done = runtime.block_on(carry_out(arguments, record, path, &clock, &beside));
-    // A question that nobody answers is not waited for.
+    let done = runtime.block_on(carry_out(arguments, record, path, &clock, &external_files));
+    // The thread that waits for an answer on the terminal is not waited for.
     runtime.shutdown_background();
     done
 }
@@ -111,22 +111,23 @@ async fn carry_out(
     mut record: Record,
     path: PathBuf,
     clock: &SharedClock,
-    beside: &Beside,
+    external_files: &ExternalFiles,
 ) -> Result<(), Failure> {
     let mut signals = Signals::new().map_err(|error| Failure::new(Exit::Unavailable, error))?;
     let folder = if arguments.dry_run { None } else { Some(Folder::open(&path)?) };
     if let Some(folder) = &folder {
-        settle(folder, &mut record, beside);
+        check_finished_runs(folder, &mut record, external_files);
     }
-    let to_do = record.to_do(|run| Only::wants(&arguments.only, &record.plan, run));
+    let to_do = record.to_do(|run| RunSelection::selects(&arguments.only, &record.plan, run));
     two_builds(&record, &to_do, VERSION).iter().for_each(complain);
-    let _homes = match folder.as_ref().map(|_| Homes::take(&record.plan, &to_do)).transpose() {
-        Ok(homes) => homes,
-        Err(failure) => {
-            discard(folder, &record);
-            return Err(failure);
-        }
-    };
+    let _agent_state_dirs =
+        match folder.as_ref().map(|_| AgentStateDirs::acquire(&record.plan, &to_do)).transpose() {
+            Ok(agent_state_dirs) => agent_state_dirs,
+            Err(failure) => {
+                discard(folder, &record);
+                return Err(failure);
+            }
+        };
     let wanted: BTreeSet<usize> = to_do.iter().map(|run| run.configuration).collect();
     let tried = match trial::configurations(&record.plan, &wanted, clock, &mut signals, arguments.quiet).await
     {
@@ -154,57 +155,63 @@ async fn carry_out(
         return Err(Failure::new(Exit::Interrupted, anyhow!("not begun")));
     }
     if arguments.restart {
-        // Not before: what cannot be measured again is better kept.
+        // Not earlier: results are kept if they cannot be measured again.
         clear(&folder)?;
     }
     folder.save(&record)?;
-    let mut execution =
-        Execution { folder: &folder, record: &mut record, estimates, clock, beside, quiet: arguments.quiet };
+    let mut execution = Execution {
+        folder: &folder,
+        record: &mut record,
+        estimates,
+        clock,
+        external_files,
+        quiet: arguments.quiet,
+    };
     let interrupted = execution.all(&to_do, &mut signals).await?;
-    let told = report::write(&folder, &record, beside.plots)?;
-    say(format_args!("\n{told}"));
+    let report_text = report::write(&folder, &record, external_files.plots)?;
+    say(format_args!("\n{report_text}"));
     say(format_args!("\n{place}: {}", summary(&record)));
-    let waiting = untaken(&record.plan).await?;
+    let waiting = undelivered_events(&record.plan).await?;
     for aggregator in aggregators(&record.plan) {
         let runs = format_args!("the runs of experiment {}", record.plan.name);
         let has_all = !waiting.iter().any(|waiting| waiting.is_for(aggregator));
         say(where_seen(runs, aggregator, has_all));
     }
     waiting.iter().for_each(complain);
-    // Those that were finished before as well: the same command tells the same.
+    // Runs that were finished before count as well, so that the same command gives the same result.
     let wanted: Vec<Run> = record
         .runs()
         .map(|(run, _)| run.clone())
-        .filter(|run| Only::wants(&arguments.only, &record.plan, run))
+        .filter(|run| RunSelection::selects(&arguments.only, &record.plan, run))
         .collect();
     verdict(&record, &wanted, interrupted)
 }
 
-/// Takes away what is begun anew.
+/// Removes everything of an experiment that is restarted.
 fn clear(folder: &Folder) -> Result<(), Failure> {
     folder.clear_made()?;
     match folder.load() {
         Ok(Some(old)) => return folder.clear(&old),
         Ok(None) => {}
-        // What it names is not known; its runs are replaced one by one.
+        // Its runs are unknown then; they are replaced one by one.
         Err(failure) => complain(failure),
     }
     Ok(())
 }
 
-fn estimates(record: &Record, tried: &Tried) -> Estimates {
+fn estimates(record: &Record, tried: &TrialResults) -> Estimates {
     let expected = record.plan.configurations.iter().zip(&tried.paces).map(|(configuration, pace)| {
         configuration.agent.pipelines.first().and_then(|pipeline| expected(pipeline, *pace))
     });
     let mut estimates = Estimates::new(expected.collect());
     for (run, state) in record.runs().filter(|(_, state)| state.stage == Stage::Finished) {
-        state.seconds.into_iter().for_each(|seconds| estimates.learn(run.configuration, seconds));
+        state.seconds.into_iter().for_each(|seconds| estimates.record_duration(run.configuration, seconds));
     }
     estimates
 }
 
-/// Everything that the trials lacked, at once: each reason, and the configurations below.
-fn missing(tried: &Tried, file: &Path) -> Option<Failure> {
+/// Makes the failure for everything that the trials lacked: each reason with its configurations.
+fn missing(tried: &TrialResults, file: &Path) -> Option<Failure> {
     let (_, first) = tried.missing.first()?;
     let is_wrong = |exit: &Exited| exit.code == Some(i32::from(Exit::Configuration as u8));
     let exit = if is_wrong(first) { Exit::Configuration } else { Exit::Unavailable };
@@ -231,13 +238,13 @@ fn missing(tried: &Tried, file: &Path) -> Option<Failure> {
     Some(Failure::new(exit, anyhow!("{count} of {of} cannot be measured, nothing was begun:\n{lines}")))
 }
 
-/// Asks, where somebody can answer.
+/// Asks for confirmation if standard input is a terminal.
 async fn agreed(signals: &mut Signals) -> bool {
     if !std::io::stdin().is_terminal() {
         return true;
     }
     let answer = tokio::task::spawn_blocking(|| {
-        // A question that cannot be written cannot be answered either.
+        // If the question cannot be written, the answer is no.
         let mut errors = std::io::stderr();
         let _ = write!(errors, "begin? [Y/n] ").and_then(|()| errors.flush());
         let mut answer = String::new();
@@ -250,14 +257,14 @@ async fn agreed(signals: &mut Signals) -> bool {
     }
 }
 
-/// An experiment that was not begun leaves no folder behind.
+/// Removes the folder of an experiment that was not begun.
 fn discard(folder: Option<Folder>, record: &Record) {
     if let Some(folder) = folder.filter(|_| record.states.iter().all(|state| state.attempts == 0)) {
         folder.discard();
     }
 }
 
-/// Where the runs were streamed to.
+/// Returns the aggregators to which the runs were streamed, each once.
 fn aggregators(plan: &Plan) -> Vec<&Address> {
     let mut each = Vec::new();
     for aggregator in plan.configurations.iter().filter_map(|one| one.agent.agent.aggregator.as_ref()) {
@@ -277,7 +284,7 @@ fn summary(record: &Record) -> String {
     format!("{} of {runs} finished{}", record.count(Stage::Finished), others.concat())
 }
 
-/// What a script is told of the runs that were wanted.
+/// Returns the failure for the selected runs, if any.
 fn verdict(record: &Record, wanted: &[Run], interrupted: bool) -> Result<(), Failure> {
     if interrupted {
         let text = "ended early; the same command goes on where it ended";
@@ -294,7 +301,7 @@ fn verdict(record: &Record, wanted: &[Run], interrupted: bool) -> Result<(), Fai
     Err(Failure::new(Exit::Incomplete, anyhow!("{text}")))
 }
 
-/// A random name for this execution.
+/// Returns a random id of this execution.
 fn id() -> String {
     format!("{:016x}", rand::random::<u64>())
 }

@@ -1,8 +1,8 @@
-//! Where relative paths start, for whoever expected another folder.
+//! Hint at the folder in which relative paths start.
 
 use std::env::current_dir;
 
-/// What to know of paths that lead nowhere.
+/// Returns the hint for paths that do not exist.
 pub(super) fn origin() -> String {
     let here = current_dir().map_or_else(|_| String::new(), |folder| format!(", {}", folder.display()));
     format!(
@@ -10,7 +10,7 @@ pub(super) fn origin() -> String {
     )
 }
 
-/// The same, if one of these sentences says that a file is not there.
+/// Returns the hint if one of these sentences says that a file does not exist.
 pub(super) fn origin_of_missing<'a>(mut sentences: impl Iterator<Item = &'a str>) -> Option<String> {
     sentences.any(|sentence| sentence.contains("No such file or directory")).then(origin)
 }

@@ -1,4 +1,6 @@
-//! Which runs there are, in which order, and what each is.
+//! Plan of an experiment: its runs, their order and their configurations.
+//!
+//! It follows from the file and the seed alone, so that a killed experiment can be continued by comparing plans.
 
 use peernet_agent::config::PipelineConfig;
 use peernet_external::exec::with_arguments;
@@ -13,43 +15,43 @@ use serde_json::Value;
 
 use super::file::{Configuration, Experiment, Order};
 
-/// Longest part of a folder's name that a label may be.
+/// Maximum length of a label in a folder's name.
 const LONGEST_LABEL: usize = 24;
-/// Longest name of a folder without its number and repeat.
+/// Maximum length of a folder's name without its number and repeat.
 const LONGEST_NAME: usize = 120;
 
-/// The runs in order, and everything that they follow from.
+/// The runs in order, and everything from which they follow.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub(super) struct Plan {
     /// The experiment's name.
     pub(super) name: Slug,
-    /// What order and payloads follow from.
+    /// Seed of order and payloads.
     pub(super) seed: u64,
-    /// In which order the runs come.
+    /// Order of the runs.
     pub(super) order: Order,
-    /// How often each configuration is measured.
+    /// Number of times that each configuration is measured.
     pub(super) repeats: u32,
-    /// What is measured, in the order of the file.
+    /// Configurations in the order of the file.
     pub(super) configurations: Vec<Configuration>,
-    /// The runs, in the order in which they come.
+    /// Runs in the order of their execution.
     pub(super) runs: Vec<Run>,
 }
 
 /// One run.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub(super) struct Run {
-    /// From 1.
+    /// Number of the run, from 1.
     pub(super) number: usize,
-    /// Which of the configurations, from 0.
+    /// Index of its configuration.
     pub(super) configuration: usize,
-    /// Which repeat of it, from 0.
+    /// Index of its repeat.
     pub(super) repeat: u32,
     /// Its folder below `runs`.
     pub(super) folder: String,
 }
 
 impl Plan {
-    /// The plan of an experiment with these configurations.
+    /// Makes the plan of an experiment with these configurations.
     pub(super) fn new(
         experiment: &Experiment,
         seed: Option<u64>,
@@ -82,16 +84,16 @@ impl Plan {
         }
     }
 
-    /// What a run measures.
+    /// Returns the configuration of a run.
     pub(super) fn configuration(&self, run: &Run) -> &Configuration {
         &self.configurations[run.configuration]
     }
 
-    /// The run's pipeline as the agent of a user, from 0, is to run it.
+    /// Returns the run's pipeline for the agent of a user, counted from 0.
     pub(super) fn pipeline(&self, run: &Run, user: u32, id: &str) -> Option<PipelineConfig> {
         let configuration = self.configuration(run);
         let mut pipeline = configuration.agent.pipelines.first()?.clone();
-        // Repeats and users differ; configurations get the same payloads, so that they compare.
+        // Repeats and users get different payloads; configurations get the same ones, so that they can be compared.
         let seed = |what: u64| derived(&[self.seed, what, run.repeat.into(), user.into()]);
         if configuration.seeds.sensor {
             pipeline.sensor = pipeline.sensor.map(|sensor| with_seed(&sensor, seed(1)));
@@ -103,7 +105,7 @@ impl Plan {
         Some(pipeline)
     }
 
-    /// The run's place in an execution of the experiment.
+    /// Returns the run's place in an execution of the experiment.
     pub(super) fn place(&self, run: &Run, id: &str) -> ExperimentPlace {
         ExperimentPlace {
             name: self.name.to_string(),
@@ -113,8 +115,8 @@ impl Plan {
         }
     }
 
-    /// The name of a user's agent, numbered where there are several; `None` where there is none in the file and a single
-    /// agent is to take the machine's.
+    /// Returns the name of a user's agent, numbered if there are several. `None` if the file has no name and a single agent takes the
+    /// machine's.
     pub(super) fn agent_name(&self, run: &Run, user: u32) -> Option<Slug> {
         let configuration = self.configuration(run);
         let agent = &configuration.agent.agent;
@@ -125,9 +127,9 @@ impl Plan {
         format!("{name}-{}", user + 1).parse().ok()
     }
 
-    /// The run in words: `Where = cloud, Model = S, repeat 2`.
-    pub(super) fn words(&self, run: &Run) -> String {
-        let mut words = in_words(&self.configuration(run).labels);
+    /// Describes the run: `Where = cloud, Model = S, repeat 2`.
+    pub(super) fn describe(&self, run: &Run) -> String {
+        let mut words = describe_labels(&self.configuration(run).labels);
         if self.repeats > 1 {
             let comma = if words.is_empty() { "" } else { ", " };
             words = format!("{words}{comma}repeat {}", run.repeat + 1);
@@ -135,21 +137,21 @@ impl Plan {
         if words.is_empty() { self.name.to_string() } else { words }
     }
 
-    /// The run among those of other experiments: `demo: Where = cloud, repeat 2`.
+    /// Describes the run among those of other experiments: `demo: Where = cloud, repeat 2`.
     pub(super) fn title(&self, run: &Run) -> String {
-        let (name, words) = (self.name.as_str(), self.words(run));
-        // One that has neither axes nor repeats is called after the experiment already.
+        let (name, words) = (self.name.as_str(), self.describe(run));
+        // A run without axes and repeats already has the experiment's name.
         if words == name { words } else { format!("{name}: {words}") }
     }
 }
 
-/// Labels in words: `Where = cloud, Model = S`.
-pub(super) fn in_words(labels: &[(String, String)]) -> String {
+/// Describes labels: `Where = cloud, Model = S`.
+pub(super) fn describe_labels(labels: &[(String, String)]) -> String {
     let pairs = labels.iter().map(|(axis, label)| format!("{axis} = {label}"));
     pairs.collect::<Vec<_>>().join(", ")
 }
 
-/// The labels as a part of a folder's name, each after a hyphen.
+/// Returns the labels as a part of a folder's name, each after a hyphen.
 fn name(labels: &[(String, String)]) -> String {
     let plain = |char: char| if char.is_ascii_alphanumeric() || "._".contains(char) { char } else { '-' };
     let label = |label: &String| label.chars().take(LONGEST_LABEL).map(plain).collect::<String>();
@@ -158,12 +160,12 @@ fn name(labels: &[(String, String)]) -> String {
     name
 }
 
-/// A seed for one purpose, from what distinguishes it. At most 53 bits, which every JSON program keeps.
+/// Derives a seed from the numbers that identify its purpose. It has at most 53 bits, which every JSON program keeps.
 fn derived(parts: &[u64]) -> u64 {
     parts.iter().fold(0, |state, part| SplitMix64::new(state ^ part).bits()) >> 11
 }
 
-/// The same with this seed; as it was where it takes none.
+/// Sets the seed of a configuration; one without a seed stays unchanged.
 fn with_seed<T: Clone + Serialize + serde::de::DeserializeOwned>(config: &T, seed: u64) -> T {
     let seeded = with_arguments(|| serde_json::to_value(config)).ok().and_then(|mut value| {
         value.as_object_mut()?.insert("seed".to_owned(), Value::from(seed));

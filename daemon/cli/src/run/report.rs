@@ -1,4 +1,4 @@
-//! What is made of the runs: the tables of the comparison, those of many users, and the figures.
+//! Reports over the runs: the tables of the comparison, those of many users, and the figures.
 
 use std::cmp::Reverse;
 use std::collections::{BTreeMap, BTreeSet};
@@ -24,7 +24,7 @@ use super::table;
 use crate::compare::{below, differences, first_of_two, joined};
 use crate::experiment::left_out;
 
-/// Writes everything that compares finished runs, with `plots` also as figures; returns what is to be printed.
+/// Writes everything that compares finished runs, with `plots` also as figures. Returns the text to be printed.
 ///
 /// # Errors
 /// When results cannot be read (65), or tables or figures cannot be written (73).
@@ -34,7 +34,7 @@ pub(super) fn write(folder: &Folder, record: &Record, plots: bool) -> Result<Str
     if runs.is_empty() {
         return Ok(String::new());
     }
-    // As the file has them, whatever the order in which they came.
+    // In the order of the file, whatever the order in which they were measured.
     runs.sort_by_key(|run| (run.configuration, run.repeat));
     let loaded = runs.iter().map(|run| load(folder, record, run)).collect::<Result<Vec<_>, _>>()?;
     let (sensors, trust) = (Sensors::of(&record.plan, &runs, &loaded), trust(&loaded));
@@ -45,7 +45,7 @@ pub(super) fn write(folder: &Folder, record: &Record, plots: bool) -> Result<Str
     comparison
         .doubts
         .extend(left_out(record.name.as_str(), stages).map(|without| format!("Shown {without}.")));
-    // As `peernet compare` gives them.
+    // The same differences as those of `peernet compare`.
     let differences = differences(&comparison, &all, first_of_two(&comparison), SEED);
     let tables = below(&comparison, &differences);
     let forms = [
@@ -59,27 +59,27 @@ pub(super) fn write(folder: &Folder, record: &Record, plots: bool) -> Result<Str
         figures(&all, comparison.lines.len(), folder.path())
             .map_err(|error| Failure::new(Exit::Unwritten, error))?;
     }
-    let mut told = vec![comparison.text()];
+    let mut parts = vec![comparison.text()];
     if let Some(users) = users {
         let forms =
             [("txt", users.text()), ("md", users.markdown()), ("csv", users.csv()), ("tex", users.latex())];
         save(folder.path(), "users", &forms)?;
-        told.push(users.text());
+        parts.push(users.text());
     }
     if let Some(sensors) = sensors {
         let forms = [("txt", sensors.text()), ("md", sensors.markdown()), ("tex", sensors.latex())];
         save(folder.path(), "sensors", &forms)?;
         if sensors.are_all {
-            // Stages beyond the sensor are empty, and the shortest sensing is not the best sensor.
-            told.clear();
+            // Stages after the sensor are empty, and the shortest sensing does not make the best sensor.
+            parts.clear();
         }
-        told.push(sensors.text());
+        parts.push(sensors.text());
     }
-    told.push(trust);
-    Ok(told.iter().map(|part| part.trim_end()).collect::<Vec<_>>().join("\n\n"))
+    parts.push(trust);
+    Ok(parts.iter().map(|part| part.trim_end()).collect::<Vec<_>>().join("\n\n"))
 }
 
-/// Draws what the configurations have together. Bars side by side need more than one.
+/// Draws the figures over all configurations. Bar charts need more than one.
 fn figures(all: &[Loaded], lines: usize, folder: &Path) -> Result<(), WriteError> {
     if lines > 1 {
         return figures::of_experiment(all, folder).map(drop);
@@ -90,8 +90,8 @@ fn figures(all: &[Loaded], lines: usize, folder: &Path) -> Result<(), WriteError
     }
 }
 
-/// Whether the runs can be published, and in how many of them what speaks against it. A run is as good as the worst of
-/// its edges.
+/// Describes how many runs can be published, and the objections with the number of runs. A run is as good as the worst of its
+/// edges.
 fn trust(runs: &[Vec<Loaded>]) -> String {
     let worst = |edges: &Vec<Loaded>| {
         let verdicts = edges.iter().map(|edge| edge.record.trust.as_ref().map(|trust| trust.verdict));
@@ -102,7 +102,7 @@ fn trust(runs: &[Vec<Loaded>]) -> String {
     let [yes, remarks, no] = [Publish::Yes, Publish::WithRemarks, Publish::No].map(count);
     let mut lines =
         vec![format!("Can they be published? {yes} as they are, {remarks} with remarks, {no} not.")];
-    let (bad, doubtful) = (against(runs, Grade::Bad), against(runs, Grade::Doubtful));
+    let (bad, doubtful) = (count_findings(runs, Grade::Bad), count_findings(runs, Grade::Doubtful));
     for (sign, found) in [("✗", &bad), ("!", &doubtful)] {
         lines.extend(
             found.iter().map(|(about, count)| format!("  {sign} {about}: {}", table::count(*count, "run"))),
@@ -114,8 +114,8 @@ fn trust(runs: &[Vec<Loaded>]) -> String {
     lines.join("\n")
 }
 
-/// What was found to be so bad, and in how many runs: the most frequent first.
-fn against(runs: &[Vec<Loaded>], grade: Grade) -> Vec<(&str, usize)> {
+/// Counts the runs per finding of this grade, the most frequent first.
+fn count_findings(runs: &[Vec<Loaded>], grade: Grade) -> Vec<(&str, usize)> {
     let mut found: BTreeMap<&str, usize> = BTreeMap::new();
     for edges in runs {
         let sentences =

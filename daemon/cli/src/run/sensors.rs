@@ -1,4 +1,4 @@
-//! Sensors alone, side by side.
+//! Table of runs of sensors alone.
 
 use peernet_analysis::loaded::Loaded;
 use peernet_analysis::sensor_study::SensorStudy;
@@ -7,7 +7,7 @@ use peernet_statistics::number::{fixed, milliseconds, significant};
 
 use super::plan::{Plan, Run};
 
-/// What stands where nothing is known.
+/// Text of cells without a value.
 const NOTHING: &str = "—";
 const NOTE: &str = "Milliseconds. Period: from one sample to the next, mean ± standard deviation. Jitter: how far a period \
                     is from the median period. Sensing: from asking for a sample to having it, the median.";
@@ -17,12 +17,12 @@ const UNNUMBERED: &str = " A sensor that does not number its samples cannot tell
 pub(super) struct Sensors {
     table: Table,
     note: String,
-    /// Whether nothing else ran.
+    /// `true` if all runs are of sensors alone.
     pub(super) are_all: bool,
 }
 
 impl Sensors {
-    /// Those among the edges of these runs; `None` without any.
+    /// Makes the table of the edges that ran a sensor alone; `None` if there are none.
     pub(super) fn of(plan: &Plan, runs: &[&Run], loaded: &[Vec<Loaded>]) -> Option<Self> {
         let edges: Vec<(&Run, &Loaded)> =
             runs.iter().zip(loaded).flat_map(|(run, users)| users.iter().map(|edge| (*run, edge))).collect();
@@ -56,17 +56,17 @@ impl Sensors {
         })
     }
 
-    /// For the terminal.
+    /// Returns the table for the terminal.
     pub(super) fn text(&self) -> String {
         format!("{}\n\n{}", self.table.text().trim_end(), self.note)
     }
 
-    /// For documents.
+    /// Returns the table for documents.
     pub(super) fn markdown(&self) -> String {
         format!("{}\n{}\n", self.table.markdown(), self.note)
     }
 
-    /// For papers, with booktabs.
+    /// Returns the table for papers, with booktabs.
     pub(super) fn latex(&self) -> String {
         self.table.latex(&self.note)
     }

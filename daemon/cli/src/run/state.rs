@@ -1,4 +1,4 @@
-//! How far an experiment is: what `experiment.json` holds.
+//! State of an experiment, as stored in `experiment.json`.
 
 use std::path::{Component, Path};
 
@@ -8,46 +8,46 @@ use serde::{Deserialize, Serialize};
 use super::plan::{Plan, Run};
 use crate::experiment::{FORMAT, Stage};
 
-/// The whole of an experiment.
+/// Record of an experiment.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct Record {
-    /// [`FORMAT`].
+    /// Version of the format: [`FORMAT`].
     pub(super) format: u32,
     /// The experiment's name.
     pub(super) name: Slug,
-    /// Of this execution, random: all its runs have it.
+    /// Random id of this execution, the same for all its runs.
     pub(super) id: String,
     /// The file that it was read from.
     pub(super) file: String,
     /// Version of the program that planned it.
     pub(super) version: String,
-    /// How the runs fare, in their order.
+    /// States of the runs, in their order.
     pub(super) states: Vec<State>,
-    /// What is measured, in which order.
+    /// Plan of the runs.
     pub(super) plan: Plan,
 }
 
-/// How a run fares.
+/// State of a run.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct State {
-    /// What became of it.
+    /// Stage of the run.
     pub(super) stage: Stage,
-    /// How often it was begun.
+    /// Number of times that it was begun.
     pub(super) attempts: u32,
     /// Exit code of the process; of several the first that is not 0.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(super) exit: Option<i32>,
-    /// Why it is not as it should be.
+    /// Reason for a failure.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(super) reason: Option<String>,
-    /// How long it took from the start of its process to its end.
+    /// Seconds from the start of its process to its end.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(super) seconds: Option<f64>,
 }
 
-/// How a run ended.
+/// Result of a run.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Ended {
     pub(super) stage: Stage,
@@ -57,13 +57,14 @@ pub(super) struct Ended {
 }
 
 impl Record {
-    /// Nothing is done yet.
+    /// Makes the record of an experiment that has not begun.
     pub(super) fn new(plan: Plan, id: String, file: String, version: String) -> Self {
         let states = vec![State::default(); plan.runs.len()];
         Self { format: FORMAT, name: plan.name.clone(), id, file, version, states, plan }
     }
 
-    /// Whether each run has its state, its configuration and a folder of its own: what is removed for it is no other.
+    /// Returns whether each run has its state, its configuration and a plain folder name: a folder outside the experiment must never
+    /// be removed.
     pub(super) fn is_sound(&self) -> bool {
         let Plan { runs, configurations, .. } = &self.plan;
         let is_plain = |folder: &str| {
@@ -76,23 +77,23 @@ impl Record {
         self.states.len() == runs.len() && runs.iter().enumerate().all(is_sound)
     }
 
-    /// The runs with their states, in order.
+    /// Returns the runs with their states, in order.
     pub(super) fn runs(&self) -> impl Iterator<Item = (&Run, &State)> {
         self.plan.runs.iter().zip(&self.states)
     }
 
-    /// The runs that are to be done, in order; those before `from` and those that nobody wants are passed over.
+    /// Returns the selected runs that are not done, in order.
     pub(super) fn to_do(&self, wanted: impl Fn(&Run) -> bool) -> Vec<Run> {
         let open = self.runs().filter(|(run, state)| !state.stage.is_done() && wanted(run));
         open.map(|(run, _)| run.clone()).collect()
     }
 
-    /// How many runs are at a stage.
+    /// Returns the number of runs at a stage.
     pub(super) fn count(&self, stage: Stage) -> usize {
         self.states.iter().filter(|state| state.stage == stage).count()
     }
 
-    /// A run begins.
+    /// Notes that a run begins.
     pub(super) fn begin(&mut self, run: &Run) {
         if let Some(state) = self.state(run) {
             *state = State {
@@ -103,7 +104,7 @@ impl Record {
         }
     }
 
-    /// It ended.
+    /// Notes the end of a run.
     pub(super) fn end(&mut self, run: &Run, ended: Ended) {
         if let Some(state) = self.state(run) {
             let Ended { stage, exit, reason, seconds } = ended;
@@ -111,7 +112,7 @@ impl Record {
         }
     }
 
-    /// Its results are there no longer.
+    /// Notes that the results of a run are missing.
     pub(super) fn forget(&mut self, run: &Run) {
         if let Some(state) = self.state(run) {
             *state = State { attempts: state.attempts, ..State::default() };

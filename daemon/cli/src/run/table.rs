@@ -1,4 +1,4 @@
-//! The table of the runs.
+//! Table of the runs.
 
 use peernet_analysis::table::Table;
 
@@ -8,24 +8,24 @@ use super::state::Record;
 use crate::experiment::Stage;
 use crate::foreground::duration;
 
-/// What stands where nobody can tell.
+/// Text of cells without a known value.
 const UNKNOWN: &str = "unknown";
 
-/// All runs in their order: what they are, how long they take, how they fare.
+/// Returns the table of all runs in their order: configuration, state and duration.
 pub(super) fn runs(record: &Record, estimates: &Estimates) -> String {
     let plan = &record.plan;
     let axes = plan.configurations.first().map(|configuration| &configuration.labels);
     let mut header = vec!["run".to_owned()];
     header.extend(axes.into_iter().flatten().map(|(axis, _)| axis.clone()));
-    // An axis over the users says it already.
-    let told = (0..header.len() - 1).any(|axis| {
+    // An axis with the number of users makes the column superfluous.
+    let axis_shows_users = (0..header.len() - 1).any(|axis| {
         plan.configurations
             .iter()
             .all(|one| one.labels.get(axis).is_some_and(|(_, label)| *label == one.users.to_string()))
     });
     let repeated = plan.repeats > 1;
     header.extend(repeated.then(|| "repeat".to_owned()));
-    let many = !told && plan.configurations.iter().any(|configuration| configuration.users > 1);
+    let many = !axis_shows_users && plan.configurations.iter().any(|configuration| configuration.users > 1);
     header.extend(many.then(|| "users".to_owned()));
     header.push("state".to_owned());
     let labels = header.len();
@@ -45,7 +45,7 @@ pub(super) fn runs(record: &Record, estimates: &Estimates) -> String {
     Table { header, labels, rows: rows.collect(), marked: Vec::new() }.text()
 }
 
-/// How many runs there are to do and how long they take.
+/// Describes the number of runs to do and their duration.
 pub(super) fn outlook(to_do: &[Run], record: &Record, estimates: &Estimates) -> String {
     let known: Vec<f64> = to_do.iter().filter_map(|run| estimates.of(run.configuration)).collect();
     let sum = duration(known.iter().sum());
@@ -64,7 +64,7 @@ pub(super) fn outlook(to_do: &[Run], record: &Record, estimates: &Estimates) -> 
     }
 }
 
-/// So many of something that is called so in the singular.
+/// Returns a number with a noun, which is given in the singular.
 pub(super) fn count(number: usize, what: &str) -> String {
     format!("{number} {what}{}", if number == 1 { "" } else { "s" })
 }

@@ -3,7 +3,7 @@ use std::path::Path;
 use clap::Parser;
 use serde_json::{Value, json};
 
-use super::again::found;
+use super::again::load_results;
 use super::state::Ended;
 use super::*;
 use crate::experiment::RECORD;
@@ -52,7 +52,7 @@ fn ended(stage: Stage) -> Ended {
 }
 
 #[test]
-fn what_is_not_finished_is_done_again_and_nothing_else() {
+fn only_unfinished_runs_are_repeated() {
     let temporary = tempfile::tempdir().expect("a folder");
     let folder = Folder::open(&temporary.path().join("results")).expect("is new");
     let mut record = record(temporary.path());
@@ -63,7 +63,7 @@ fn what_is_not_finished_is_done_again_and_nothing_else() {
     }
     record.begin(&runs[3]);
     folder.save(&record).expect("writable");
-    // The program is killed here: the fourth is still under way.
+    // The program is killed here: the fourth run is still active.
     let mut loaded = folder.load().expect("reads").expect("is there");
     assert_eq!(loaded, record);
     assert_eq!(numbers(&loaded.to_do(|_| true)), [2, 3, 4]);
@@ -77,13 +77,13 @@ fn what_is_not_finished_is_done_again_and_nothing_else() {
 }
 
 #[test]
-fn what_is_not_whole_is_done_again() {
+fn incomplete_results_are_measured_again() {
     let temporary = tempfile::tempdir().expect("a folder");
     let folder = Folder::open(&temporary.path().join("results")).expect("is new");
     let record = record(temporary.path());
     let run = &record.plan.runs[0];
-    let told = || found(&folder, &record, run).err().map(|error| error.to_string());
-    assert_eq!(told().as_deref(), Some("its results are gone"));
+    let message = || load_results(&folder, &record, run).err().map(|error| error.to_string());
+    assert_eq!(message().as_deref(), Some("its results are gone"));
     let [path] = folder.results(&record.plan, run).try_into().expect("one user");
     std::fs::create_dir_all(&path).expect("writable");
     let data = |text: &str| std::fs::write(path.join("data.csv"), text).expect("writable");
@@ -94,11 +94,11 @@ fn what_is_not_whole_is_done_again() {
         std::fs::write(path.join("run.json"), text.to_string()).expect("writable");
     };
     says(&whole);
-    assert!(told().is_some_and(|why| why.contains("no data.csv")));
+    assert!(message().is_some_and(|why| why.contains("no data.csv")));
     data("iteration,sensing,outcome\n1,0.5,ok\n2,0.5,ok\n");
-    assert_eq!(told(), None);
+    assert_eq!(message(), None);
     says(&json!({ "format": 1 }));
-    assert!(told().is_some_and(|why| why.ends_with("does not say that the run was finished")));
+    assert!(message().is_some_and(|why| why.ends_with("does not say that the run was finished")));
     let another = record.plan.place(&record.plan.runs[1], &record.id);
     for (key, value, why) in [
         ("reason", json!("the peer went away"), "does not say that the run was finished"),
@@ -109,19 +109,19 @@ fn what_is_not_whole_is_done_again() {
         let mut other = whole.clone();
         other[key] = value;
         says(&other);
-        assert!(told().is_some_and(|told| told.ends_with(why)), "{other}: {:?}", told());
+        assert!(message().is_some_and(|message| message.ends_with(why)), "{other}: {:?}", message());
     }
     says(&whole);
     data("iteration,sensing,outcome\n1,0.5,ok\n2,0.");
     assert!(
-        told().is_some_and(|why| why.ends_with("data.csv has 1 of the 2 iterations that run.json counts"))
+        message().is_some_and(|why| why.ends_with("data.csv has 1 of the 2 iterations that run.json counts"))
     );
     data("itera");
-    assert!(told().is_some_and(|why| why.contains("cannot read")));
+    assert!(message().is_some_and(|why| why.contains("cannot read")));
 }
 
 #[test]
-fn what_is_begun_anew_takes_its_runs_tables_and_figures_away_and_nothing_else() {
+fn restart_removes_only_runs_tables_and_figures() {
     let temporary = tempfile::tempdir().expect("a folder");
     let folder = Folder::open(&temporary.path().join("results")).expect("is new");
     let record = record(temporary.path());
@@ -140,7 +140,7 @@ fn what_is_begun_anew_takes_its_runs_tables_and_figures_away_and_nothing_else() 
 }
 
 #[test]
-fn a_record_that_contradicts_itself_is_refused_before_anything_is_removed() {
+fn inconsistent_record_is_refused_before_removal() {
     let temporary = tempfile::tempdir().expect("a folder");
     let folder = Folder::open(&temporary.path().join("results")).expect("is new");
     let whole = record(temporary.path());
@@ -164,7 +164,7 @@ fn a_record_that_contradicts_itself_is_refused_before_anything_is_removed() {
 }
 
 #[test]
-fn a_changed_file_is_refused_with_what_changed() {
+fn changed_file_is_refused_with_differences() {
     let folder = tempfile::tempdir().expect("a folder");
     let record = record(folder.path());
     assert!(folder::unchanged(&record, &plan(folder.path(), &format!("# a comment\n{FILE}"))).is_ok());
@@ -178,14 +178,14 @@ fn a_changed_file_is_refused_with_what_changed() {
 }
 
 #[test]
-fn a_folder_belongs_to_one_experiment_and_one_program() {
+fn folder_belongs_to_one_experiment_and_program() {
     let temporary = tempfile::tempdir().expect("a folder");
     let path = temporary.path().join("results");
     let folder = Folder::open(&path).expect("is new");
     let second = Folder::open(&path).err().expect("the first holds it");
     assert!(second.exit == Exit::Unavailable && second.to_string().contains("at work"), "{second}");
     drop(folder);
-    // Killed when it was about to write its first record.
+    // A program was killed while it wrote its first record.
     std::fs::write(path.join(".experiment-x1"), "{").expect("writable");
     let folder = Folder::open(&path).expect("it is an experiment's");
     folder.discard();
@@ -203,12 +203,12 @@ fn a_folder_belongs_to_one_experiment_and_one_program() {
     let link = temporary.path().join("link");
     std::os::unix::fs::symlink("nowhere", &link).expect("writable");
     let nowhere = Folder::open(&link).err().expect("leads nowhere");
-    let told = "is a link to nowhere, which is not there";
-    assert!(nowhere.exit == Exit::Unwritten && nowhere.to_string().ends_with(told), "{nowhere}");
+    let message = "is a link to nowhere, which is not there";
+    assert!(nowhere.exit == Exit::Unwritten && nowhere.to_string().ends_with(message), "{nowhere}");
 }
 
 #[test]
-fn a_check_of_the_file_is_none_of_what_was_measured() {
+fn check_of_file_ignores_measured_runs() {
     let folder = tempfile::tempdir().expect("a folder");
     let (file, results) = (folder.path().join("e.toml"), folder.path().join("results"));
     std::fs::write(&file, FILE).expect("writable");
@@ -224,7 +224,7 @@ fn a_check_of_the_file_is_none_of_what_was_measured() {
 }
 
 #[test]
-fn wishes_choose_runs() {
+fn selections_choose_runs() {
     let folder = tempfile::tempdir().expect("a folder");
     let record = record(folder.path());
     let only = |line: &str| {
@@ -233,14 +233,14 @@ fn wishes_choose_runs() {
     };
     let chosen = |line: &str| {
         let only = only(line);
-        numbers(&record.to_do(|run| Only::wants(&only, &record.plan, run)))
+        numbers(&record.to_do(|run| RunSelection::selects(&only, &record.plan, run)))
     };
     assert_eq!(chosen(""), [1, 2, 3, 4]);
     assert_eq!(chosen("--only A=1"), [1, 2]);
     assert_eq!(chosen("--only A=1 --only B=2"), [2]);
     assert_eq!(chosen("--only A=1 --only A=2 --only B=2"), [2, 4]);
     assert_eq!(chosen("--only 3 --only 4 --only B=1"), [3]);
-    let unknown = |line: &str| Only::unknown(&only(line), &record.plan);
+    let unknown = |line: &str| RunSelection::unknown(&only(line), &record.plan);
     assert_eq!(unknown("--only A=1 --only 4"), None);
     assert_eq!(unknown("--only B=3").as_deref(), Some("B is never 3; there is 1, 2"));
     assert_eq!(unknown("--only C=3").as_deref(), Some("there is no axis C"));
@@ -249,7 +249,7 @@ fn wishes_choose_runs() {
 }
 
 #[test]
-fn values_of_the_command_line_take_the_place_of_the_files_but_not_of_the_axes() {
+fn set_values_replace_those_of_file_but_not_axes() {
     let folder = tempfile::tempdir().expect("a folder");
     let path = folder.path().join("e.toml");
     std::fs::write(&path, FILE).expect("writable");
@@ -265,7 +265,7 @@ fn values_of_the_command_line_take_the_place_of_the_files_but_not_of_the_axes() 
     assert_eq!((of_the_file.expect("reads").runs.len(), changed.runs.len()), (4, 8));
     let limits = changed.configurations.iter().map(|one| one.agent.pipelines[0].limit.iterations);
     assert!(limits.flatten().all(|count| count.get() == 20));
-    // Each value of the axis B has a length of its own.
+    // Each value of the axis B sets the length.
     let vain = refused(&["pipeline.sensor.length=7"]);
     assert_eq!(vain.exit, Exit::Usage);
     assert!(vain.to_string().contains("no effect: the axis B sets it in all runs"), "{vain}");
@@ -279,7 +279,7 @@ fn values_of_the_command_line_take_the_place_of_the_files_but_not_of_the_axes() 
 }
 
 #[test]
-fn times_that_nobody_knows_read_well() {
+fn unknown_durations_are_readable() {
     let folder = tempfile::tempdir().expect("a folder");
     let record = record(folder.path());
     let outlook = |expected: [Option<f64>; 4]| {
@@ -294,8 +294,8 @@ fn times_that_nobody_knows_read_well() {
     let nothing = Estimates::new(vec![None; 4]);
     let one = table::outlook(&record.plan.runs[..1], &record, &nothing);
     assert_eq!(one, "1 of 4 runs to do, how long it takes is not known");
-    let told = table::runs(&record, &Estimates::new(vec![Some(0.23), None, Some(5.0), None]));
-    let times: Vec<_> = told.lines().skip(1).filter_map(|line| line.split("to do").nth(1)).collect();
+    let message = table::runs(&record, &Estimates::new(vec![Some(0.23), None, Some(5.0), None]));
+    let times: Vec<_> = message.lines().skip(1).filter_map(|line| line.split("to do").nth(1)).collect();
     assert_eq!(
         times.iter().map(|time| time.trim()).collect::<Vec<_>>(),
         ["0.2 s", "unknown", "5 s", "unknown"]
@@ -303,7 +303,7 @@ fn times_that_nobody_knows_read_well() {
 }
 
 #[test]
-fn a_run_without_axes_and_repeats_is_called_after_its_experiment_once() {
+fn title_without_axes_names_experiment_once() {
     let folder = tempfile::tempdir().expect("a folder");
     let title = |text: &str| {
         let plan = plan(folder.path(), text);
@@ -316,7 +316,7 @@ fn a_run_without_axes_and_repeats_is_called_after_its_experiment_once() {
 }
 
 #[test]
-fn a_script_learns_of_failed_and_incomplete_runs() {
+fn exit_code_reports_failed_and_incomplete_runs() {
     let folder = tempfile::tempdir().expect("a folder");
     let mut record = record(folder.path());
     let runs = record.plan.runs.clone();
@@ -335,13 +335,13 @@ fn a_script_learns_of_failed_and_incomplete_runs() {
 }
 
 #[test]
-fn what_another_build_has_begun_is_told() {
+fn experiment_of_another_build_is_reported() {
     let folder = tempfile::tempdir().expect("a folder");
     let mut record = record(folder.path());
     let runs = record.plan.runs.clone();
     assert_eq!(two_builds(&record, &runs, "2"), None, "nothing is measured yet");
     record.end(&runs[0], ended(Stage::Finished));
-    let told = two_builds(&record, &runs[1..], "2").expect("there are two");
-    assert!(told.starts_with("begun by PEERNet 1, and gone on with by 2: "), "{told}");
+    let message = two_builds(&record, &runs[1..], "2").expect("there are two");
+    assert!(message.starts_with("begun by PEERNet 1, and gone on with by 2: "), "{message}");
     assert_eq!((two_builds(&record, &runs[1..], "1"), two_builds(&record, &[], "2")), (None, None));
 }

@@ -1,4 +1,4 @@
-//! A few iterations of each configuration before the first run: one refusal now is better than one after an hour.
+//! Trial of each configuration with a few iterations before the first run: an error now is better than one after an hour.
 
 use std::collections::BTreeSet;
 use std::num::NonZeroU64;
@@ -14,37 +14,37 @@ use peernet_networks::Address;
 use peernet_results::{Overwrite, ResultFolder};
 use peernet_stream::{Condition, Grade};
 
-use super::children::{self, Exited, News};
+use super::children::{self, ChildEvent, Exited};
 use super::estimate::Pace;
 use super::file::Configuration;
-use super::plan::{Plan, in_words};
+use super::plan::{Plan, describe_labels};
 use crate::foreground::{Progress, Signals, duration};
 use crate::measure::Order;
 
-/// Iterations of a trial: the first may be slow, of the others the pace is taken.
+/// Number of iterations of a trial: the first may be slow, the others give the pace.
 const ITERATIONS: u64 = 3;
-/// How long a peer is waited for unless the file says otherwise; seconds. It may have to load its model.
+/// Longest wait for a peer unless the file sets another; seconds. The peer may have to load its model.
 const PATIENCE_S: f64 = 30.0;
 
-/// What the trials showed.
-pub(super) struct Tried {
-    /// One for each configuration; `None` where it was not tried or did not work.
+/// Results of the trials.
+pub(super) struct TrialResults {
+    /// Pace of each configuration; `None` if it was not tried or failed.
     pub(super) paces: Vec<Option<Pace>>,
-    /// How many configurations were to be tried.
+    /// Number of configurations to be tried.
     pub(super) wanted: usize,
-    /// What is missing: every configuration that cannot be measured, in words, and why.
+    /// Configurations that cannot be measured, described in words, with the failure of their process.
     pub(super) missing: Vec<(String, Exited)>,
-    /// What spoils measurements on a host, each once.
+    /// Conditions that impair measurements on a host, each once.
     pub(super) conditions: Vec<Condition>,
 }
 
-/// A trial, and the places of all configurations that are alike in it.
+/// A trial, with the indexes of all configurations that have it in common.
 struct Trial {
     order: Order,
     configurations: Vec<usize>,
 }
 
-/// Tries the configurations at these places, those that are alike once.
+/// Tries the configurations at these indexes; those with equal trials are tried once.
 ///
 /// # Errors
 /// When there is no place for files (69) or the user ended it (130).
@@ -54,23 +54,23 @@ pub(super) async fn configurations(
     clock: &SharedClock,
     signals: &mut Signals,
     quiet: bool,
-) -> Result<Tried, Failure> {
+) -> Result<TrialResults, Failure> {
     let folder = Scratch::new("trial")
         .context("cannot make a temporary folder; TMPDIR names another place")
         .map_err(|error| Failure::new(Exit::Unavailable, error))?;
-    let mut tried = Tried {
+    let mut tried = TrialResults {
         paces: vec![None; plan.configurations.len()],
         wanted: wanted.len(),
         missing: Vec::new(),
         conditions: Vec::new(),
     };
-    // Nobody is waited for twice.
+    // Peers that are absent are waited for only once.
     let mut away: Vec<(Address, Exited)> = Vec::new();
     let trials = trials(plan, wanted);
     let mut progress = Progress::new(quiet, clock.mono());
     for (done, Trial { order, configurations }) in trials.iter().enumerate() {
-        let words = || configurations.iter().map(|index| words(plan, *index));
-        let state = format!("trying {} of {}: {}", done + 1, trials.len(), alike(words()));
+        let words = || configurations.iter().map(|index| describe_configuration(plan, *index));
+        let state = format!("trying {} of {}: {}", done + 1, trials.len(), describe_group(words()));
         let peer = peer(order);
         if let Some((address, exit)) = away.iter().find(|(other, _)| Some(other) == peer.as_ref()) {
             if !quiet {
@@ -87,10 +87,10 @@ pub(super) async fn configurations(
         let orders = [Order { folder: at.clone(), ..order.clone() }];
         let share = done as f64 / trials.len() as f64;
         let mut ended = children::execute(&orders, signals, |news| match news {
-            News::Line(_, line) | News::Ending(line) => progress.say(line),
-            News::Seen(seen) => {
+            ChildEvent::Line(_, line) | ChildEvent::Ending(line) => progress.say(line),
+            ChildEvent::ProgressReport(reports) => {
                 let (now, trouble) =
-                    (clock.mono(), seen.iter().flatten().find_map(|seen| seen.trouble.clone()));
+                    (clock.mono(), reports.iter().flatten().find_map(|report| report.trouble.clone()));
                 let since = duration((now - began).seconds());
                 progress.show(now, trouble, || (format!("{state}, for {since}"), share));
             }
@@ -117,14 +117,14 @@ pub(super) async fn configurations(
             None => {}
         }
         if let Some(loaded) = loaded {
-            tell(&loaded.record, &mut tried.conditions);
+            add_conditions(&loaded.record, &mut tried.conditions);
         }
     }
     progress.end();
     Ok(tried)
 }
 
-/// The trials that differ, in the order of the configurations.
+/// Returns the different trials, in the order of the configurations.
 fn trials(plan: &Plan, wanted: &BTreeSet<usize>) -> Vec<Trial> {
     let mut trials: Vec<Trial> = Vec::new();
     let configurations = wanted.iter().filter_map(|index| Some((*index, plan.configurations.get(*index)?)));
@@ -138,14 +138,14 @@ fn trials(plan: &Plan, wanted: &BTreeSet<usize>) -> Vec<Trial> {
     trials
 }
 
-/// A configuration in words; without axes the experiment's name.
-fn words(plan: &Plan, index: usize) -> String {
-    let words = plan.configurations.get(index).map(|configuration| in_words(&configuration.labels));
+/// Describes a configuration; without axes by the experiment's name.
+fn describe_configuration(plan: &Plan, index: usize) -> String {
+    let words = plan.configurations.get(index).map(|configuration| describe_labels(&configuration.labels));
     words.filter(|words| !words.is_empty()).unwrap_or_else(|| plan.name.to_string())
 }
 
-/// Configurations in few words: the first, and how many others are like it.
-fn alike(mut words: impl ExactSizeIterator<Item = String>) -> String {
+/// Describes configurations with equal trials: the first one, and the number of the others.
+fn describe_group(mut words: impl ExactSizeIterator<Item = String>) -> String {
     let first = words.next().unwrap_or_default();
     match words.len() {
         0 => first,
@@ -154,7 +154,7 @@ fn alike(mut words: impl ExactSizeIterator<Item = String>) -> String {
     }
 }
 
-/// Who is asked.
+/// Returns the address of the peer.
 fn peer(order: &Order) -> Option<Address> {
     match &order.agent.pipelines.first()?.placement {
         PlacementConfig::Remote(remote) => Some(remote.peer.clone()),
@@ -162,7 +162,7 @@ fn peer(order: &Order) -> Option<Address> {
     }
 }
 
-/// The configuration, short, and acting upon nothing.
+/// Makes the order of a trial: the configuration with few iterations, without an actuator and without an aggregator.
 fn order(configuration: &Configuration) -> Order {
     let mut agent = configuration.agent.clone();
     agent.agent.aggregator = None;
@@ -175,7 +175,7 @@ fn order(configuration: &Configuration) -> Order {
     }
     Order {
         agent,
-        title: in_words(&configuration.labels),
+        title: describe_labels(&configuration.labels),
         folder: std::path::PathBuf::new(),
         overwrite: Overwrite::Refuse,
         plots: false,
@@ -187,15 +187,15 @@ fn order(configuration: &Configuration) -> Order {
     }
 }
 
-/// The pace, from the moments at which iterations began and the time that all took.
+/// Calculates the pace from the starts of the iterations and the duration of the process.
 fn pace(moments: &[f64], took: f64) -> Option<Pace> {
     let intervals = moments.windows(2).map(|pair| pair[1] - pair[0]);
     let iteration_s = intervals.filter(|interval| *interval > 0.0).reduce(f64::min)?;
     Some(Pace { iteration_s, beside_s: (took - iteration_s * moments.len() as f64).max(0.0) })
 }
 
-/// What spoils measurements, unless it was told before.
-fn tell(record: &RunRecord, conditions: &mut Vec<Condition>) {
+/// Collects conditions that impair measurements, unless they are known already.
+fn add_conditions(record: &RunRecord, conditions: &mut Vec<Condition>) {
     let hosts = std::iter::once(&record.edge).chain(&record.cloud);
     let found = hosts.flat_map(|host| &host.conditions).filter(|found| found.grade >= Grade::Doubtful);
     for condition in found {
@@ -235,7 +235,7 @@ set = { 'pipeline.load' = { mode = 'rate', hz = 9.0 } }
 ";
 
     #[test]
-    fn configurations_that_are_alike_in_a_trial_share_one_and_all_have_a_name() {
+    fn configurations_with_equal_trials_share_one() {
         let folder = tempfile::tempdir().expect("a folder");
         let whole = plan(folder.path(), FILE);
         let places = |wanted: &[usize]| -> Vec<Vec<usize>> {
@@ -244,16 +244,18 @@ set = { 'pipeline.load' = { mode = 'rate', hz = 9.0 } }
         };
         assert_eq!(places(&[0, 1, 2, 3, 4, 5]), [[0, 1, 2], [3, 4, 5]]);
         assert_eq!(places(&[2, 3, 5]), [vec![2], vec![3, 5]]);
-        let told = |indices: &[usize]| alike(indices.iter().map(|index| words(&whole, *index)));
-        assert_eq!(told(&[2]), "Length = 1, Rate = 9");
-        assert_eq!(told(&[3, 5]), "Length = 2, Rate = closed (and 1 configuration like it)");
-        assert_eq!(told(&[0, 1, 2]), "Length = 1, Rate = closed (and 2 configurations like it)");
+        let described = |indices: &[usize]| {
+            describe_group(indices.iter().map(|index| describe_configuration(&whole, *index)))
+        };
+        assert_eq!(described(&[2]), "Length = 1, Rate = 9");
+        assert_eq!(described(&[3, 5]), "Length = 2, Rate = closed (and 1 configuration like it)");
+        assert_eq!(described(&[0, 1, 2]), "Length = 1, Rate = closed (and 2 configurations like it)");
         let single = plan(folder.path(), FILE.split("[[axis]]").next().expect("what is before the axes"));
         assert_eq!(words(&single, 0), "e");
     }
 
     #[test]
-    fn the_pace_is_that_of_the_iterations_after_the_first() {
+    fn pace_ignores_first_iteration() {
         let pace = pace(&[10.0, 12.0, 12.5], 4.0).expect("three iterations");
         assert_eq!(pace, Pace { iteration_s: 0.5, beside_s: 2.5 });
         assert_eq!(super::pace(&[10.0], 1.0), None);

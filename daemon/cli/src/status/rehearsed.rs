@@ -1,4 +1,4 @@
-//! Clocks that are made wrong on purpose: said wherever they matter.
+//! Clocks with an artificial error, which is shown wherever they matter.
 
 use std::collections::BTreeMap;
 use std::fmt;
@@ -29,7 +29,7 @@ pub(super) struct Clock {
     rehearsal: Option<Rehearsal>,
 }
 
-/// How a clock is made wrong on purpose.
+/// Artificial error of a clock.
 #[derive(Clone, Debug, Deserialize)]
 pub(super) struct Rehearsal {
     offset_s: f64,
@@ -43,21 +43,26 @@ struct Step {
     by_s: f64,
 }
 
-/// Hosts whose clock is made wrong on purpose now, with how.
+/// Hosts whose clock has an artificial error at present.
 pub(super) type Rehearsed = BTreeMap<String, Rehearsal>;
 
-/// By their own account, or by that of an edge: a cloud may report to another aggregator.
+/// Collects them from the hosts' own reports, or from those of an edge: a cloud may report to another aggregator.
 pub(super) fn rehearsed(hosts: &[Host], links: &[Link]) -> Rehearsed {
-    let told = hosts.iter().filter(|host| host.connected).map(|host| (&host.name, host.clock.as_ref()));
+    let own_reports =
+        hosts.iter().filter(|host| host.connected).map(|host| (&host.name, host.clock.as_ref()));
     let links = links.iter().filter(|link| link.connected);
-    let heard = links.map(|link| (&link.cloud, link.now.as_ref().and_then(|now| now.cloud_clock.as_ref())));
-    heard.chain(told).filter_map(|(name, clock)| Some((name.clone(), clock?.rehearsal.clone()?))).collect()
+    let edge_reports =
+        links.map(|link| (&link.cloud, link.now.as_ref().and_then(|now| now.cloud_clock.as_ref())));
+    edge_reports
+        .chain(own_reports)
+        .filter_map(|(name, clock)| Some((name.clone(), clock?.rehearsal.clone()?)))
+        .collect()
 }
 
 impl fmt::Display for Rehearsal {
-    /// As a run's facts have it: `offset +1000 ms, drift -50 ppm, step +3000 ms after 20 s`.
+    /// Writes it as in a run's facts: `offset +1000 ms, drift -50 ppm, step +3000 ms after 20 s`.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        // What nanoseconds become as seconds and back is not exact in binary.
+        // Nanoseconds converted to seconds and back are not exact in binary.
         let milliseconds = |seconds: f64| (seconds * 1e9).round() / 1e6;
         write!(f, "offset {:+} ms", milliseconds(self.offset_s))?;
         if self.drift_ppm != 0.0 {
@@ -71,7 +76,7 @@ impl fmt::Display for Rehearsal {
     }
 }
 
-/// A state, marked when one of the hosts is rehearsed.
+/// Marks a state if the clock of one of the hosts has an artificial error.
 pub(super) fn marked(state: &str, is_rehearsed: bool) -> String {
     if is_rehearsed { format!("{state}, rehearsed") } else { state.to_owned() }
 }

@@ -1,21 +1,21 @@
-//! The best point of each stretch of time, with the skew taken out.
+//! The best point of each stretch of time, compared after the skew is removed.
 
 use std::collections::VecDeque;
 
 use super::slots::Point;
 
-/// Where a point was put.
+/// Result of the insertion of a point.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Placement {
-    /// Nowhere: its stretch has a better one, or is too old.
+    /// The point was not kept: its stretch has a better one, or is too old.
     Worse,
-    /// In the place of the one that its stretch had.
+    /// The point replaced the point of its stretch.
     Better,
-    /// In a stretch that had none.
+    /// The point is the first of its stretch.
     First,
 }
 
-/// The lowest point of each stretch, by time.
+/// The lowest point of each stretch of time, in the order of time.
 #[derive(Clone, Debug)]
 pub(super) struct BestPoints {
     /// Length of a stretch, nanoseconds.
@@ -25,22 +25,23 @@ pub(super) struct BestPoints {
 }
 
 impl BestPoints {
-    /// Of the newest `most` stretches.
+    /// Creates an empty set that keeps the newest `most` stretches of `stretch` nanoseconds.
     pub(super) fn new(stretch: i64, most: usize) -> Self {
         Self { stretch, most, points: VecDeque::new() }
     }
 
-    /// Takes a point if it is the best of its stretch for a skew.
+    /// Inserts a point if it is the lowest of its stretch after the skew `slope` (seconds per second) is removed.
     pub(super) fn insert(&mut self, point: Point, slope: f64) -> Placement {
         let own = point.x.div_euclid(self.stretch);
         let stretch = |point: &Point| point.x.div_euclid(self.stretch);
         let at = match self.points.back().map(stretch) {
-            // By far most are of the newest stretch.
+            // Most points belong to the newest stretch.
             Some(last) if last == own => self.points.len() - 1,
             Some(last) if last > own => self.points.partition_point(|other| stretch(other) < own),
             _ => self.points.len(),
         };
         if let Some(known) = self.points.get(at).copied().filter(|known| stretch(known) == own) {
+            // Without the skew the earliest or latest point of a stretch would always be the lowest.
             let drifted = known.bound.saturating_add((slope * (point.x - known.x) as f64) as i64);
             if point.bound >= drifted {
                 return Placement::Worse;
@@ -49,6 +50,7 @@ impl BestPoints {
             return Placement::Better;
         }
         if self.points.len() >= self.most {
+            // The stretch is older than all that are kept.
             if at == 0 {
                 return Placement::Worse;
             }
@@ -60,19 +62,19 @@ impl BestPoints {
         Placement::First
     }
 
-    /// All, by time.
+    /// Returns all points in the order of time.
     pub(super) fn iter(&self) -> impl Iterator<Item = Point> + '_ {
         self.points.iter().copied()
     }
 
-    /// So many that are nearest to a time, half of them before and half after it where there are so many.
+    /// Returns the `count` points nearest to `x`: half of them before it and half after it, where enough points exist.
     pub(super) fn around(&self, x: i64, count: usize) -> impl Iterator<Item = Point> + '_ {
         let after = self.points.partition_point(|point| point.x < x);
         let end = after.saturating_add(count / 2).max(count).min(self.points.len());
         self.points.range(end.saturating_sub(count)..end).copied()
     }
 
-    /// Tells whether the points [`around`](Self::around) a time are the newest ones, and all within a distance of it.
+    /// Returns whether the points [`around`](Self::around) `x` are the newest ones and all lie within `reach` of it.
     pub(super) fn are_newest_around(&self, x: i64, count: usize, reach: u64) -> bool {
         let len = self.points.len();
         let (oldest, middle) = (len.saturating_sub(count), len.saturating_sub(count / 2 + 1));

@@ -1,15 +1,15 @@
-//! What is assumed of the drift between two clocks, as integers, rounded so that they never promise too much.
+//! The assumptions about the drift between two clocks, as integers that are rounded so that bounds stay valid.
 
-/// The two assumptions about the rate at which two clocks run apart.
+/// The two assumptions about the rate at which two clocks drift apart.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct DriftModel {
-    /// The rate is at most this.
+    /// Largest rate.
     pub(crate) limit: DriftLimit,
-    /// It changes by at most this; `None` where a clock may be slewed, so that its rate changes at once.
+    /// Largest change of the rate; `None` where a clock may be slewed, because its rate then changes at once.
     pub(crate) change: Option<DriftChangeLimit>,
 }
 
-/// How far apart two clocks can run within a distance of the edge's time.
+/// Limit of the rate at which two clocks drift apart, relative to the edge's clock.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct DriftLimit {
     /// Parts per 2⁴⁰.
@@ -18,23 +18,24 @@ pub(crate) struct DriftLimit {
 
 impl DriftLimit {
     const BITS: u32 = 40;
-    /// Half a second per second: what is beyond is no clock.
+    /// Half a second per second. No clock drifts faster.
     const WORST_PPM: f64 = 500_000.0;
 
-    /// From parts per million, by whichever of the two clocks they are counted: when the edge is the slow one, a
-    /// difference of ρ per second of the cloud is one of ρ / (1 − ρ) per second of the edge. What is not a number
-    /// limits nothing.
+    /// Converts a limit in parts per million, whichever of the two clocks it is relative to.
+    ///
+    /// When the edge is the slow one, a difference of ρ per second of the cloud is one of ρ / (1 − ρ) per second of the
+    /// edge. NaN is converted to the largest limit.
     pub(crate) fn new(ppm: f64) -> Self {
         let ppm = if ppm.is_nan() { Self::WORST_PPM } else { ppm.clamp(0.0, Self::WORST_PPM) };
         let rate = ppm / (1e6 - ppm);
-        // A relative 1e-12 outweighs the rounding of this line many times over.
+        // The relative 1e-12 is far larger than the rounding error of this line.
         Self { rate: (rate * (1.0 + 1e-12) * (1u64 << Self::BITS) as f64).ceil() as u64 }
     }
 
-    /// The most by which the offset can have changed between two times, rounded up to whole nanoseconds.
+    /// Returns the largest change of the offset between two times, rounded up to whole nanoseconds.
     ///
-    /// For distances a and b, `over(a) + over(b) − 1 ≤ over(a + b) ≤ over(a) + over(b)`: what
-    /// [`Slots`](super::slots::Slots) relies on.
+    /// For distances a and b, `over(a) + over(b) − 1 ≤ over(a + b) ≤ over(a) + over(b)`; [`Slots`](super::slots::Slots)
+    /// relies on this.
     #[inline]
     pub(crate) fn between(self, a: i64, b: i64) -> i64 {
         let product = u128::from(a.abs_diff(b)) * u128::from(self.rate);
@@ -42,32 +43,34 @@ impl DriftLimit {
         i64::try_from(rounded).unwrap_or(i64::MAX)
     }
 
-    /// The same for a length of time.
+    /// Returns the largest change of the offset over a length of time in nanoseconds, rounded up.
     #[inline]
     pub(crate) fn over(self, length: i64) -> i64 {
         self.between(0, length)
     }
 
-    /// Slopes beyond this are no drift.
+    /// Returns the limit as seconds per second; steeper slopes are no drift.
     pub(crate) fn slope(self) -> f64 {
         self.rate as f64 / (1u64 << Self::BITS) as f64
     }
 }
 
-/// How fast the rate at which two clocks run apart can change.
+/// Limit of the speed at which the rate of drift changes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct DriftChangeLimit {
-    /// Half of it, parts per 2⁸⁰ per nanosecond.
+    /// Half of the limit in parts per 2⁸⁰ per nanosecond.
     half: u64,
 }
 
 impl DriftChangeLimit {
     const BITS: u32 = 80;
-    /// A thousandth per second: no oscillator does.
+    /// Largest limit: a thousandth per second. No oscillator changes faster.
     const WORST_PPM_PER_S: f64 = 1_000.0;
 
-    /// From parts per million per second, by whichever of the two clocks they are counted: clocks that run apart by ρ see
-    /// each other's second derivatives by up to (1 − ρ)⁻³ larger. What is not a number is the largest limit.
+    /// Converts a limit in parts per million per second, whichever of the two clocks it is relative to.
+    ///
+    /// Clocks that drift apart by ρ see each other's second derivatives larger by up to (1 − ρ)⁻³. NaN is converted to
+    /// the largest limit.
     pub(crate) fn new(ppm_per_s: f64, rate: DriftLimit) -> Self {
         let worst = Self::WORST_PPM_PER_S;
         let ppm_per_s = if ppm_per_s.is_nan() { worst } else { ppm_per_s.clamp(0.0, worst) };
@@ -76,8 +79,8 @@ impl DriftChangeLimit {
         Self { half: (half * (1.0 + 1e-12) * (1u128 << Self::BITS) as f64).ceil() as u64 }
     }
 
-    /// κ·a·b / 2 for two lengths of time, nanoseconds, rounded up: by so much the offset can leave the straight line through
-    /// two of its values, at distances of a and b from them.
+    /// Returns κ·a·b / 2 for two lengths of time in nanoseconds, rounded up: the largest distance of the offset from
+    /// the straight line through two of its values, at distances a and b from them.
     #[inline]
     pub(crate) fn bend(self, a: u64, b: u64) -> i64 {
         let area = u128::from(a) * u128::from(b);
@@ -86,7 +89,7 @@ impl DriftChangeLimit {
         i64::try_from(rounded).unwrap_or(i64::MAX)
     }
 
-    /// κ / 2 per nanosecond, to choose by, not to promise by.
+    /// Returns κ / 2 per nanosecond in floating point. It selects points; bounds are never computed from it.
     #[inline]
     pub(crate) fn half_per_nano(self) -> f64 {
         self.half as f64 / (1u128 << Self::BITS) as f64

@@ -1,12 +1,13 @@
-//! Convex hulls of the points of one side: those that can bound best, and the skew that fits them best.
+//! Convex hulls of the points of one side. They contain the points that give the best bounds and yield the skew that
+//! fits best.
 
 use super::slots::Point;
 
-/// Adds a point that is not before the last one to the lower convex hull of points to which `half` × x² was added. Where the
-/// origin of x lies makes no difference: another one adds a straight line.
+/// Appends a point to the lower convex hull of points to which `half` × x² was added. The point must not be earlier
+/// than the last one. The origin of x is arbitrary, because another origin adds a straight line.
 #[inline]
 pub(super) fn push(hull: &mut Vec<Point>, next: Point, half: f64) {
-    // How far a later point is above an earlier one, where the origin of x is the earlier one.
+    // Height of a later point above an earlier one, with the earlier one as the origin of x.
     let rise =
         |from: Point, to: Point, away: f64| to.bound.saturating_sub(from.bound) as f64 + half * away * away;
     while let [.., a, b] = hull[..] {
@@ -24,10 +25,12 @@ pub(super) fn push(hull: &mut Vec<Point>, next: Point, half: f64) {
     hull.push(next);
 }
 
-/// The slope of the line under all the points that minimises the sum of its distances to them: the problem of Moon, Skelly and Towsley
-/// ("Estimation and removal of clock skew from network delay measurements", INFOCOM 1999). Its solution is the edge of
-/// the lower convex hull over the mean time (Zhang, Liu and Xia, "Clock synchronization algorithms for network
-/// measurements", INFOCOM 2002), found in one pass over `points`, which must be ordered by time. `None` for fewer than two.
+/// Returns the slope of the line below all points that minimises the sum of its distances to them; `None` for fewer
+/// than two points. `points` must be in the order of time.
+///
+/// This is the problem of Moon, Skelly and Towsley ("Estimation and removal of clock skew from network delay
+/// measurements", INFOCOM 1999). Its solution is the edge of the lower convex hull above the mean time (Zhang, Liu and
+/// Xia, "Clock synchronization algorithms for network measurements", INFOCOM 2002), which takes one pass.
 pub(super) fn slope_under(points: impl Iterator<Item = Point>) -> Option<f64> {
     let mut hull: Vec<(f64, f64)> = Vec::with_capacity(16);
     let mut origin = None;
@@ -36,7 +39,7 @@ pub(super) fn slope_under(points: impl Iterator<Item = Point>) -> Option<f64> {
         let first: Point = *origin.get_or_insert(point);
         let next = ((point.x - first.x) as f64, (point.bound.saturating_sub(first.bound)) as f64);
         while let [.., a, b] = hull[..] {
-            // b stays only if it is below the line from a to the next.
+            // b stays only if it is below the line from a to the next point.
             if (b.1 - a.1) * (next.0 - a.0) < (next.1 - a.1) * (b.0 - a.0) {
                 break;
             }
@@ -47,6 +50,7 @@ pub(super) fn slope_under(points: impl Iterator<Item = Point>) -> Option<f64> {
         count += 1;
     }
     let mean = sum / f64::from(count);
+    // The edge above the mean time minimises the sum of the distances.
     let edge = hull.windows(2).find(|edge| edge[1].0 >= mean)?;
     Some((edge[1].1 - edge[0].1) / (edge[1].0 - edge[0].0))
 }
@@ -57,7 +61,7 @@ mod tests {
 
     use super::*;
 
-    /// The sum of distances to the highest line of a slope under all points.
+    /// Returns the sum of the points' distances to the highest line of a slope that is below all of them.
     fn distances(points: &[Point], slope: f64) -> f64 {
         let above = |point: &Point| point.bound as f64 - slope * point.x as f64;
         let height = points.iter().map(above).fold(f64::INFINITY, f64::min);

@@ -1,7 +1,8 @@
-//! The offset of two clocks as a band over time: everything that exchanges say, and nothing that they do not.
+//! The offset of two clocks as a band over time: exactly what the exchanges prove.
 //!
-//! The offset θ(x) is the cloud's clock minus the edge's when the edge's shows x. Each exchange bounds it from
-//! above at the time it was sent and from below at the time it returned; a limited drift carries both to other times.
+//! The offset θ(x) is the cloud's clock minus the edge's clock when the edge's shows x. Each exchange bounds it from
+//! above at the time it was sent and from below at the time it returned. The limit of drift extends both bounds to
+//! other times.
 
 mod best_points;
 mod drift;
@@ -23,21 +24,22 @@ use trend::Trend;
 
 use crate::{Exchange, Interval, RawTime, Span};
 
-/// The newest exchanges count however old they are: where they are rarer than this many in a window, the window reaches
-/// back to them.
+/// Number of newest exchanges that count at any age. Where the window holds fewer, it is extended back to them.
 const LEAST_EXCHANGES: usize = 8;
 
-/// The hulls of the newest exchanges are made for questions so long after them, too, and leave out what is then too old.
+/// Time in nanoseconds by which the hulls of the newest exchanges are made ahead, so that they serve queries shortly
+/// after them. Points that will be too old by then are left out.
 const LEAD: i64 = 1_000_000_000;
 
-/// Stamps are cut or rounded to whole nanoseconds, the two of a bound each by less than one.
+/// Allowance in nanoseconds for stamps that are cut or rounded to whole nanoseconds: less than one for each of a
+/// bound's two.
 const RESOLUTION: i64 = 2;
 
-/// What one exchange says.
+/// The two bounds that one exchange gives.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Bounds {
     upper: Point,
-    /// Lower bounds with the opposite sign, so that the same code keeps both.
+    /// Lower bound with the opposite sign, so that the same code serves both sides.
     lower: Point,
 }
 
@@ -53,54 +55,56 @@ impl From<&Exchange> for Bounds {
 }
 
 impl Bounds {
-    /// When the exchange began, by the edge's clock: no two begin at once.
+    /// Time on the edge's clock at which the exchange began. It identifies the exchange, because no two begin at the
+    /// same time.
     pub(crate) fn sent(&self) -> RawTime {
         RawTime::from_nanos(self.upper.x)
     }
 }
 
-/// Which assumption an exchange contradicts together with what was learnt before.
+/// Assumption that an exchange contradicts together with the exchanges before it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Contradiction {
     /// The limit of drift.
     Drift,
-    /// The limit of drift's change, not that of drift.
+    /// The limit of the drift's change; the limit of drift holds.
     DriftChange,
 }
 
 /// Interval that contains the offset at one time.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct OffsetInterval {
-    /// By both assumptions; by the limit of drift alone where no offset fits both.
+    /// The interval by both assumptions; by the limit of drift alone where no offset satisfies both.
     pub(crate) interval: Interval,
-    /// Whether there is an offset that fits both assumptions and all exchanges.
+    /// `true` if an offset exists that satisfies both assumptions and all exchanges.
     pub(crate) is_consistent: bool,
 }
 
-/// What the exchanges of a window prove.
+/// The interval of the offset over time that the exchanges of a window prove.
 ///
-/// An exchange bounds the offset at times no further from it than the window, so that a clock which breaks the limit of
-/// drift, or jumps without notice, spoils no interval for longer than that.
+/// Exchanges bound the offset only at times within a window of them; only the newest eight count at any age. A clock
+/// that violates the limit of drift, or jumps unnoticed, therefore makes intervals wrong for no longer than that.
 #[derive(Clone, Debug)]
 pub(crate) struct Band {
     drift: DriftModel,
     window: i64,
     retention: i64,
     upper: Slots,
-    /// Lower bounds with the opposite sign, so that the same code keeps both.
+    /// Lower bounds with the opposite sign, so that the same code serves both sides.
     lower: Slots,
-    /// The newest exchanges, by the time that they returned.
+    /// The newest exchanges, in the order of their return.
     latest: VecDeque<Bounds>,
-    /// Of the points around the newest exchange.
+    /// Hulls of the points around the newest exchange.
     hulls: Hulls,
     trend: Trend,
-    /// When the newest exchange returned.
+    /// Time on the edge's clock in nanoseconds at which the newest exchange returned.
     newest: i64,
     exchanges: u64,
 }
 
 impl Band {
-    /// A band that knows nothing. Exchanges are kept for `retention`, at least as long as the window, for questions about the past.
+    /// Creates a band without exchanges. Exchanges are kept for `retention`, or for `window` if that is longer, to
+    /// answer queries about the past.
     pub(crate) fn new(drift: DriftModel, window: Span, retention: Span) -> Self {
         let window = window.nanos().max(0);
         let retention = retention.nanos().max(window);
@@ -118,13 +122,13 @@ impl Band {
         }
     }
 
-    /// What the exchange contradicts: no offset fits both the exchange and all that is kept.
+    /// Returns the assumption that the exchange contradicts: no offset satisfies both the exchange and everything kept.
     ///
-    /// As long as each exchange is asked before it is taken, the cones of the limit of drift have something in common
-    /// everywhere: hi(q) < lo(q) would mean U + w(|q − x|) < L − w(|q − y|), hence U < L − w(|x − y|) for two exchanges that
-    /// are kept at once, and the later would have been found out. For that, all that is kept is asked here, not only
-    /// what is within the window. The rules of the rate's change bind three and four points at once: what they bound may be empty
-    /// though each exchange was asked, which [`interval`](Self::interval) tells.
+    /// The cones of the limit of drift always have an offset in common, if each exchange is checked before it is
+    /// inserted: hi(q) < lo(q) would mean U + w(|q − x|) < L − w(|q − y|), hence U < L − w(|x − y|) for two exchanges
+    /// that are kept at once, and the later one would have been rejected. For that reason the check covers all that is
+    /// kept, not only the window. The rules for the rate's change involve three and four points at once: their bounds
+    /// may exclude each other although each exchange was checked. [`interval`](Self::interval) reports that.
     pub(crate) fn contradiction(&self, bounds: &Bounds) -> Option<Contradiction> {
         let Bounds { upper, lower } = *bounds;
         let (most, least) = (lower.bound.saturating_neg(), upper.bound.saturating_neg());
@@ -138,7 +142,8 @@ impl Band {
             return Some(Contradiction::Drift);
         }
         let change = self.drift.change?;
-        // One that bounds no better than the newest do cannot contradict what they leave; that is cheap to see.
+        // An exchange whose bounds are no better than those of the newest ones cannot contradict them. This check is
+        // cheap.
         let adds = |point: Point, side: fn(&Bounds) -> Point| {
             self.latest.iter().all(|known| side(known).carried(limit, point.x) > point.bound)
         };
@@ -150,7 +155,7 @@ impl Band {
         is_excluded.then_some(Contradiction::DriftChange)
     }
 
-    /// Takes an exchange, and drops what is too old by now.
+    /// Inserts an exchange and removes expired ones.
     pub(crate) fn insert(&mut self, bounds: &Bounds) {
         self.newest = self.newest.max(bounds.lower.x);
         let start = self.newest.saturating_sub(self.retention);
@@ -171,7 +176,7 @@ impl Band {
         }
     }
 
-    /// Forgets what bounds the offset after a time. The estimate keeps it: it promises nothing.
+    /// Removes everything that bounds the offset after `end`. The estimate keeps its points, because it is no bound.
     pub(crate) fn truncate(&mut self, end: RawTime) {
         let end = end.nanos();
         self.upper.truncate(end);
@@ -180,7 +185,7 @@ impl Band {
         self.hulls = Hulls::default();
     }
 
-    /// Returns the band without what it keeps from before a time.
+    /// Returns a copy of the band without the exchanges before `start`.
     pub(crate) fn since(&self, start: RawTime) -> Self {
         let mut since = Self { hulls: Hulls::default(), ..self.clone() };
         let start = start.nanos();
@@ -190,7 +195,7 @@ impl Band {
         since
     }
 
-    /// The interval at a time; `None` without an exchange.
+    /// Returns the interval at a time; `None` without exchanges.
     pub(crate) fn interval(&self, at: RawTime) -> Option<OffsetInterval> {
         let q = at.nanos();
         let interval = |hi: i64, lo: i64| Interval {
@@ -209,7 +214,7 @@ impl Band {
         Some(OffsetInterval { interval: interval(hi, lo), is_consistent: true })
     }
 
-    /// Asks the hulls of the points around a time.
+    /// Calls `ask` with the hulls of the points around `q`.
     fn with_hulls<T>(&self, q: i64, change: DriftChangeLimit, ask: impl Fn(&Hulls) -> T) -> T {
         if self.hulls.are_within(q, self.window) {
             return ask(&self.hulls);
@@ -219,10 +224,10 @@ impl Band {
         ask(&hulls)
     }
 
-    /// Makes the hulls of the points around a time, as far as they are others than before.
+    /// Builds the hulls of the points around `q`. Unchanged sides are kept.
     fn fill(&self, hulls: &mut Hulls, q: i64, [upper, lower]: [Insertion; 2], change: DriftChangeLimit) {
         if self.is_sparse(q) {
-            // By the time that they were sent the upper points need not be in order.
+            // The latest exchanges are in the order of their return, in which the upper points need not be sorted.
             let mut upper: Vec<Point> = self.latest.iter().map(|bounds| bounds.upper).collect();
             upper.sort_unstable_by_key(|point| point.x);
             hulls.set_upper(upper.iter().copied(), change);
@@ -241,73 +246,75 @@ impl Band {
         }
     }
 
-    /// Whether the newest exchanges reach back further than the window, seen from a time.
+    /// Returns whether the newest exchanges reach back further than the window before `q`.
     fn is_sparse(&self, q: i64) -> bool {
         self.latest.front().is_some_and(|oldest| q.saturating_sub(oldest.upper.x) > self.window)
     }
 
-    /// How far the exchanges that bound the offset at a time reach back: the window, or further where the newest are rare.
+    /// Returns the age of the oldest exchange that bounds the offset at a time: the window, or more where exchanges are
+    /// rare.
     pub(crate) fn reach(&self, at: RawTime) -> Option<Span> {
         let oldest = self.latest.front()?.upper.x;
         Some(Span::from_nanos(at.nanos().saturating_sub(oldest).max(self.window)))
     }
 
-    /// The upper bound at a time by the limit of drift, by what is within the window of it, and by the latest exchanges.
+    /// Returns the upper bound at `q` by the limit of drift, from the points within the window and the latest
+    /// exchanges.
     fn above(&self, q: i64) -> Option<i64> {
         let latest = lowest(self.latest.iter().map(|bounds| bounds.upper), self.drift.limit, q);
         self.upper.bound(q, self.window).into_iter().chain(latest).min()
     }
 
-    /// The lower bound at a time, likewise, with the sign turned.
+    /// Returns the lower bound at `q` in the same way, with the opposite sign.
     fn below(&self, q: i64) -> Option<i64> {
         let latest = lowest(self.latest.iter().map(|bounds| bounds.lower), self.drift.limit, q);
         self.lower.bound(q, self.window).into_iter().chain(latest).min()
     }
 
-    /// The best guess at a time, within `interval` (which is the band's at that time).
+    /// Returns the estimate at a time within `interval`, which must be the band's interval at that time.
     pub(crate) fn estimate(&self, at: RawTime, interval: Interval) -> Span {
         let guess =
             self.trend.at(at.nanos(), self.drift.limit.slope()).unwrap_or_else(|| interval.middle().nanos());
         Span::from_nanos(guess).clamp(interval.lo, interval.hi)
     }
 
-    /// By how much the offset most likely grows from one time to another one near.
+    /// Returns the estimated change of the offset between two neighbouring times.
     pub(crate) fn growth(&self, from: RawTime, to: RawTime) -> Span {
         let slope = self.trend.slope_at(from.nanos(), self.drift.limit.slope()).unwrap_or(0.0);
         Span::from_nanos((slope * (to - from).nanos() as f64).round() as i64)
     }
 
-    /// How fast the offset grows, parts per million; `None` before there are enough exchanges.
+    /// Returns the estimated skew in parts per million; `None` without enough exchanges.
     pub(crate) fn skew_ppm(&self) -> Option<f64> {
         self.trend.skew().map(|slope| slope * 1e6)
     }
 
-    /// What the exchanges prove of that; `None` before there are enough.
+    /// Returns the skew that the exchanges prove; `None` without enough exchanges.
     pub(crate) fn proven_skew(&self) -> Option<ProvenSkew> {
         self.trend.proof().proven()
     }
 
-    /// The same, where the offset must have grown or shrunk faster than the limit.
+    /// Returns the proven skew if it exceeds the limit of drift in either direction.
     pub(crate) fn excess_skew(&self) -> Option<ProvenSkew> {
-        // The proof is computed in floating point: a billionth part is far more than its rounding.
+        // The proof is computed in floating point; a billionth is far more than its rounding error.
         let limit = self.drift.limit.slope() * 1e6 * (1.0 + 1e-9);
         self.proven_skew().filter(|skew| skew.least_ppm > limit || skew.most_ppm < -limit)
     }
 
-    /// Exchanges taken.
+    /// Returns the number of exchanges inserted.
     pub(crate) fn exchanges(&self) -> u64 {
         self.exchanges
     }
 
-    /// Returns the time from which on exchanges bound the offset at a time: the begin of the window, or of the latest exchanges where
-    /// these are rare.
+    /// Returns the time from which on exchanges bound the offset at `at`: the begin of the window, or of the latest
+    /// exchanges where these are rare.
     pub(crate) fn bounds_from(&self, at: RawTime) -> RawTime {
         let begin = at.nanos().saturating_sub(self.window);
         let oldest = self.latest.front().map_or(begin, |oldest| oldest.upper.x);
         RawTime::from_nanos(begin.min(oldest))
     }
 
-    /// When the newest exchange returned, by the edge's clock.
+    /// Returns the time on the edge's clock at which the newest exchange returned.
     pub(crate) fn newest(&self) -> Option<RawTime> {
         (self.exchanges > 0).then(|| RawTime::from_nanos(self.newest))
     }

@@ -1,45 +1,46 @@
-//! Bounds that rest on a rate which changes slowly: the rate that two exchanges prove holds nearly at other times, too.
+//! Bounds that rest on a slowly changing rate: the rate that two exchanges prove at one time nearly holds at other
+//! times, too.
 //!
-//! With |θ''| ≤ κ, ψ(x) = θ(x) + κx²/2 is convex and φ(x) = θ(x) − κx²/2 is concave. Hence, for points (a, U_a) from above
-//! and (a, L_a) from below and a time q:
+//! With |θ''| ≤ κ, ψ(x) = θ(x) + κx²/2 is convex and φ(x) = θ(x) − κx²/2 is concave. Hence, for points (a, U_a) from
+//! above and (a, L_a) from below and a time q:
 //!
-//! - between two points of one side, a ≤ q ≤ b, the chord of ψ is above it:
-//!   θ(q) ≤ [(b−q)·U_a + (q−a)·U_b] / (b−a) + κ(q−a)(b−q)/2;
-//! - beyond two points of both sides, a < b ≤ q, the chord of φ from a to q is below φ(b):
-//!   θ(q) ≤ U_b + (q−b)·(U_b − L_a) / (b−a) + κ(q−a)(q−b)/2, and likewise before them.
+//! - between two points of one side, a ≤ q ≤ b, the chord of ψ is above it: θ(q) ≤ [(b−q)·U_a + (q−a)·U_b] / (b−a) +
+//!   κ(q−a)(b−q)/2;
+//! - beyond two points of both sides, a < b ≤ q, the chord of φ from a to q is below φ(b): θ(q) ≤ U_b + (q−b)·(U_b −
+//!   L_a) / (b−a) + κ(q−a)(q−b)/2, and likewise before them.
 //!
-//! Which two points bound θ(q) best is asked of convex hulls: of one side the points (x, U + κx²/2), of the other
-//! (x, U − κx²/2). A shift of the origin of x adds a straight line and changes no hull, so that one set of hulls
-//! serves every q. The choice is made in floating point; the bound of the chosen two is an integer that is rounded up. Bounds
-//! from below are the same with the sign turned. `docs/clocks.md` has the proof.
+//! Convex hulls select the two points that bound θ(q) best: those of the points (x, U + κx²/2) of one side and of the
+//! points (x, U − κx²/2) of the other. A shift of the origin of x adds a straight line and changes no hull, so that one
+//! set of hulls serves every q. The selection uses floating point; the bound of the selected two is an integer that is
+//! rounded up. Bounds from below are the same with the opposite sign. `docs/clocks.md` contains the proof.
 
 use super::drift::DriftChangeLimit;
 use super::hull;
 use super::slots::Point;
 
-/// Most points of one side before a time, and as many after it: older ones than 12 s add nothing at the usual κ.
+/// Largest number of points of one side before a time, and after it. Points older than 12 s add nothing at the usual κ.
 pub(super) const MOST: usize = 24;
-/// Bounds are not carried over longer times by their rate (13 days).
+/// Longest time in nanoseconds (13 days) over which a rate extends bounds.
 const LONGEST: u64 = 1 << 50;
 
-/// The points of both sides that the rules can use.
+/// The points of both sides that can give a bound.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Hulls {
     upper: Side,
-    /// With the sign turned.
+    /// Points of the lower side with the opposite sign.
     lower: Side,
 }
 
-/// The points of one side that can be the best for some time.
+/// The points of one side that give the best bound at some time.
 #[derive(Clone, Debug, Default)]
 struct Side {
-    /// Of the hull below (x, bound + κx²/2).
+    /// Lower hull of the points (x, bound + κx²/2).
     raised: Hull,
-    /// Of the hull below (x, bound − κx²/2).
+    /// Lower hull of the points (x, bound − κx²/2).
     lowered: Hull,
 }
 
-/// A lower convex hull whose newest point is often replaced.
+/// A lower convex hull whose newest point is replaced often.
 #[derive(Clone, Debug, Default)]
 struct Hull {
     points: Vec<Point>,
@@ -47,49 +48,49 @@ struct Hull {
     others: Vec<Point>,
 }
 
-/// Two points and what they say.
+/// The two points that a bound rests on.
 #[derive(Clone, Copy)]
 enum Pair {
-    /// Of one side, on both sides of the time.
+    /// Two points of one side, one before the time and one after it.
     Around(Point, Point),
-    /// The nearer one of the side, the farther one of the other side.
+    /// The nearer point, of the side that is bounded, and the farther one, of the other side.
     Beyond(Point, Point),
 }
 
 impl Hulls {
-    /// Takes other points, in the order of time.
+    /// Replaces the points of the upper side; `points` must be in the order of time.
     pub(super) fn set_upper(&mut self, points: impl Iterator<Item = Point>, change: DriftChangeLimit) {
         self.upper.set(points, change);
     }
 
-    /// The same for the lower side, with the sign turned.
+    /// Replaces the points of the lower side, which have the opposite sign.
     pub(super) fn set_lower(&mut self, points: impl Iterator<Item = Point>, change: DriftChangeLimit) {
         self.lower.set(points, change);
     }
 
-    /// Takes another newest point instead of the one before.
+    /// Replaces the newest point of the upper side.
     pub(super) fn replace_upper(&mut self, newest: Point, change: DriftChangeLimit) {
         self.upper.replace(newest, change.half_per_nano());
     }
 
-    /// The same for the lower side, with the sign turned.
+    /// Replaces the newest point of the lower side, which has the opposite sign.
     pub(super) fn replace_lower(&mut self, newest: Point, change: DriftChangeLimit) {
         self.lower.replace(newest, change.half_per_nano());
     }
 
-    /// The upper bound at a time; `None` where no two points say anything of it.
+    /// Returns the upper bound at `q`; `None` where no two points give one.
     pub(super) fn above(&self, q: i64, change: DriftChangeLimit) -> Option<i64> {
         bound(&self.upper, &self.lower, q, change)
     }
 
-    /// The lower bound at a time, with the sign turned.
+    /// Returns the lower bound at `q` with the opposite sign.
     pub(super) fn below(&self, q: i64, change: DriftChangeLimit) -> Option<i64> {
         bound(&self.lower, &self.upper, q, change)
     }
 
-    /// Whether there are points on both sides, and all are within a distance of a time.
+    /// Returns whether both sides have points and all of them lie within `reach` of `q`.
     pub(super) fn are_within(&self, q: i64, reach: i64) -> bool {
-        // The hulls begin and end with the first and the last point.
+        // A hull always contains the first and the last point.
         let ends = |side: &Side| {
             let near = |point: Option<&Point>| {
                 point.is_some_and(|point| point.x.abs_diff(q) <= reach.unsigned_abs())
@@ -125,15 +126,17 @@ impl Side {
 
     fn replace(&mut self, newest: Point, half: f64) {
         for (hull, half) in [(&mut self.raised, half), (&mut self.lowered, -half)] {
+            // The newest point changes with almost each exchange; the hull of the others is reused.
             hull.points.clone_from(&hull.others);
             hull::push(&mut hull.points, newest, half);
         }
     }
 }
 
-/// The bound of `own` side at a time by two points.
+/// Returns the best bound of side `own` at `q` by two points.
 fn bound(own: &Side, other: &Side, q: i64, change: DriftChangeLimit) -> Option<i64> {
     let (raised, lowered, others) = (&own.raised.points, &own.lowered.points, &other.raised.points);
+    // Subtracted before the conversion to floating point, which would lose nanoseconds of large offsets.
     let origin = raised.first()?.bound;
     let half = change.half_per_nano();
     let mut best: Option<(f64, Pair)> = None;
@@ -153,7 +156,7 @@ fn bound(own: &Side, other: &Side, q: i64, change: DriftChangeLimit) -> Option<i
         let rate = b.bound.saturating_add(a.bound) as f64 / (far - near);
         (b.bound - origin) as f64 + near * rate + half * near * far
     };
-    // Seen from b, the hull comes nearer up to the tangent and goes away after it.
+    // Seen from b, the values along the hull fall up to the tangent and rise after it.
     let mut tangent = |b: Point, farther: &mut dyn Iterator<Item = &Point>| {
         let mut least = f64::INFINITY;
         for a in farther {
@@ -177,28 +180,30 @@ fn bound(own: &Side, other: &Side, q: i64, change: DriftChangeLimit) -> Option<i
     }
 }
 
-/// What two points of one side on both sides of a time say of it, rounded up.
+/// Returns the bound at `q` by two points of one side, before and after `q`, rounded up.
 fn between(a: Point, b: Point, q: i64, change: DriftChangeLimit) -> Option<i64> {
     let (from_a, to_b) = (q.abs_diff(a.x), q.abs_diff(b.x));
     let share = share(from_a, i128::from(b.bound) - i128::from(a.bound), from_a.checked_add(to_b)?)?;
     Some(a.bound.saturating_add(share).saturating_add(change.bend(from_a, to_b)))
 }
 
-/// What a point of one side says of a time beyond it, by the rate that it and a point `a` of the other side prove, rounded up.
+/// Returns the bound at `q` by the point `b` of one side and the rate that it and the point `a` of the other side
+/// prove, rounded up.
 fn carried(b: Point, a: Point, q: i64, change: DriftChangeLimit) -> Option<i64> {
     let (near, far) = (q.abs_diff(b.x), q.abs_diff(a.x));
     let share = share(near, i128::from(b.bound) + i128::from(a.bound), a.x.abs_diff(b.x))?;
     Some(b.bound.saturating_add(share).saturating_add(change.bend(near, far)))
 }
 
-/// part × value / whole, rounded up; `None` where it is no sensible time.
+/// Returns part × value / whole, rounded up; `None` where a length exceeds [`LONGEST`] or the result overflows.
 fn share(part: u64, value: i128, whole: u64) -> Option<i64> {
     if whole == 0 || part > LONGEST || whole > LONGEST {
         return None;
     }
+    // Integers, because the bound must be rounded up and never down.
     let product = value.checked_mul(i128::from(part))?;
     let quotient = match i64::try_from(product) {
-        // Most are short times and narrow bounds, for which the hardware divides.
+        // Most products fit 64 bits, for which the processor has a division instruction.
         Ok(product) => i128::from(-(-product.max(-i64::MAX)).div_euclid(i64::try_from(whole).ok()?)),
         Err(_) => -(-product).div_euclid(i128::from(whole)),
     };
@@ -225,7 +230,7 @@ mod tests {
         hulls
     }
 
-    /// The best that the rules make of all pairs.
+    /// Returns the best bound that the rules give over all pairs of points.
     fn of_all_pairs(own: &[Point], other: &[Point], q: i64) -> Option<i64> {
         let around = own.iter().flat_map(|a| own.iter().map(move |b| (a, b)));
         let around = around.filter(|(a, b)| a.x < q && q <= b.x);
@@ -246,12 +251,13 @@ mod tests {
         fn hulls_find_about_the_best_of_all_pairs(upper in points(), lower in points(), q in -SECOND..12 * SECOND) {
             let known = hulls(&upper, &lower).above(q, change());
             let best = of_all_pairs(&upper, &lower, q);
-            // A pair that is left out is one of neighbours in time, which say little.
+            // The hulls leave out only pairs of points that are neighbours in time, which give weak bounds.
             prop_assert!(known.is_none_or(|known| best.is_some_and(|best| best <= known)), "{known:?} {best:?}");
             prop_assert!(best.is_none_or(|best| best > 0 || known.is_some()), "{known:?} {best:?}");
         }
 
-        /// A rate that changes as fast as it may, first one way and then the other, and bounds that are exact.
+        /// Uses exact bounds of an offset whose rate changes at the limit, first in one direction and then in the
+        /// other.
         #[test]
         fn exact_bounds_of_the_fastest_change_contain_the_truth(
             times in proptest::collection::btree_set(0..10 * SECOND, 2..24),
@@ -276,7 +282,7 @@ mod tests {
 
     #[test]
     fn no_points_can_panic() {
-        // Stamps and offsets beyond are refused.
+        // Larger stamps and offsets are refused before they get here.
         let most = 1 << 61;
         let wild = [(-most, most), (0, -most), (1, most), (most, -most)];
         let points: Vec<Point> = wild.into_iter().map(|(x, bound)| Point { x, bound }).collect();

@@ -1,10 +1,10 @@
-//! What exchanges prove of the skew, whatever the network did: not how fast the clocks most likely run apart, but how fast
-//! they must have.
+//! The skew that exchanges prove whatever the delays were: not the likely skew, but the least and the most that the
+//! clocks must have had.
 //!
-//! With an upper bound U_a and a later lower one L_b, the offset grew by L_b − U_a at least: at some time in between its
-//! rate was (L_b − U_a) / (b − a) or more. With L_a and U_b it was (U_b − L_a) / (b − a) or less. The window is too short for it: over a
-//! path of 40 ms, 50 ppm too much show after a quarter of an hour. So the best point of every sixteen seconds is kept for half
-//! an hour. They bound no delay.
+//! With an upper bound U_a and a later lower one L_b, the offset grew by at least L_b − U_a: at some time in between
+//! its rate was (L_b − U_a) / (b − a) or more. With L_a and U_b it was (U_b − L_a) / (b − a) or less. The window of the
+//! band is too short for such a proof: over a path of 40 ms, an excess of 50 ppm shows after a quarter of an hour. The
+//! best point of every sixteen seconds is therefore kept for half an hour. These points bound no delay.
 
 use super::best_points::{BestPoints, Placement};
 use super::hull;
@@ -13,20 +13,20 @@ use super::slots::Point;
 const STRETCH: i64 = 16_000_000_000;
 const MOST: usize = 128;
 
-/// How fast the offset must have grown, by the exchanges of the last half hour.
+/// Range of the skew that the exchanges of the last half hour prove.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ProvenSkew {
-    /// At some time the skew was this or more, parts per million.
+    /// Parts per million. At some time the skew was this or more.
     pub least_ppm: f64,
-    /// At some time the skew was this or less, parts per million. Below `least_ppm` only where the skew has changed.
+    /// Parts per million. At some time the skew was this or less. It is below `least_ppm` only where the skew changed.
     pub most_ppm: f64,
 }
 
-/// The points by which a skew is proven.
+/// The points that prove a skew.
 #[derive(Clone, Debug)]
 pub(super) struct SkewProof {
     upper: BestPoints,
-    /// With the sign turned.
+    /// Lower bounds with the opposite sign.
     lower: BestPoints,
     proven: Option<ProvenSkew>,
 }
@@ -39,15 +39,16 @@ impl Default for SkewProof {
 }
 
 impl SkewProof {
-    /// Takes an exchange; `slope` is the skew as far as known.
+    /// Inserts an exchange; `slope` is the estimated skew in seconds per second.
     pub(super) fn insert(&mut self, upper: Point, lower: Point, slope: f64) {
         let placed = [self.upper.insert(upper, slope), self.lower.insert(lower, -slope)];
+        // Computed once per stretch, because it compares all pairs of points of the hulls.
         if placed.contains(&Placement::First) {
             self.proven = self.prove();
         }
     }
 
-    /// What is proven, as of the beginning of the last stretch.
+    /// Returns the proven skew as of the start of the newest stretch.
     pub(super) fn proven(&self) -> Option<ProvenSkew> {
         self.proven
     }
@@ -66,9 +67,11 @@ impl SkewProof {
     }
 }
 
-/// The least by which a bound of one side and a later one of the other let the offset grow, seconds per second.
+/// Returns the lowest rate of the offset, in seconds per second, that an earlier point of one side and a later point of
+/// the other allow.
 fn lowest_rate(earlier: &[Point], later: &[Point]) -> Option<f64> {
     let rates = later.iter().flat_map(|b| {
+        // Points too close in time prove no useful rate, because the delays dominate.
         let before = earlier.iter().take_while(|a| b.x.saturating_sub(a.x) > STRETCH / 8);
         before.map(|a| b.bound.saturating_add(a.bound) as f64 / (b.x - a.x) as f64)
     });
@@ -80,12 +83,15 @@ mod tests {
     use super::*;
     use crate::Span;
     use crate::band::Bounds;
-    use crate::simulation::{Dice, Path, Wall, World};
+    use crate::simulation::{HostClocks, Path, RandomSource, SimulatedClock};
 
     fn proven(ppm: f64, path: Path, seconds: f64) -> ProvenSkew {
-        let world = World { edge: Wall::drifting(Span::ZERO, 0.0), cloud: Wall::drifting(Span::ZERO, ppm) };
+        let host_clocks = HostClocks {
+            edge: SimulatedClock::drifting(Span::ZERO, 0.0),
+            cloud: SimulatedClock::drifting(Span::ZERO, ppm),
+        };
         let mut proof = SkewProof::default();
-        for trip in path.trips(&world, (0.0, seconds), 10.0, &mut Dice::new(7)) {
+        for trip in path.trips(&host_clocks, (0.0, seconds), 10.0, &mut RandomSource::new(7)) {
             let Bounds { upper, lower } = Bounds::from(&trip.exchange);
             proof.insert(upper, lower, 0.0);
         }

@@ -1,24 +1,25 @@
-//! One side of the band: of everything that bounds the offset from above, the best of each short stretch of time.
+//! One side of the band: the best upper bound of the offset from each short stretch of time.
 //!
-//! A point (x, U) says that the offset is at most U at the edge's time x. Because it drifts no faster than ρ, it is at
-//! most U + w(|q − x|) at any time q, where w(d) is ρ·d rounded up: a cone that opens upwards. The bound at q is the
-//! lowest of all cones. Bounds from below are the same with the sign turned.
+//! A point (x, U) says that the offset is at most U at the edge's time x. Because the offset drifts no faster than ρ,
+//! it is at most U + w(|q − x|) at any time q, where w(d) is ρ·d rounded up: a cone that opens upwards. The bound at q
+//! is the lowest of all cones. Bounds from below are the same with the opposite sign.
 //!
-//! Of each slot one point is kept, the one whose cone is the lowest at the later of two times. By
-//! w(a + b) ≥ w(a) + w(b) − 1 it is, to a nanosecond, the lowest at every time after the slot, too: a question about now gets
-//! the answer that all exchanges together give; only at the far end of the window the last slot goes as a whole. A question about a time within the slot may lose ρ × twice its length. Any
-//! subset of true bounds is true, so thinning never makes an interval wrong.
+//! Each slot keeps the point whose cone is the lowest at the later of two points' times. By w(a + b) ≥ w(a) + w(b) − 1
+//! that cone is, to a nanosecond, also the lowest at every time after the slot: a query about the present gets the
+//! answer that all exchanges together give. Two things are lost: the oldest slot of the window expires as a whole, and
+//! a query about a time within a slot may lose ρ × twice the slot's length. Any subset of valid bounds is valid, so
+//! that thinning never makes an interval wrong.
 
 use std::collections::VecDeque;
 
 use super::drift::DriftLimit;
 
-/// The usual length of a slot, nanoseconds: 20 slots in the default window.
+/// Usual length of a slot in nanoseconds: the default window has 20 slots.
 const LENGTH: i64 = 500_000_000;
-/// Longer times have no more slots than this, but longer ones.
+/// Largest number of slots. Longer retention makes the slots longer instead.
 const MOST: i64 = 1_200;
 
-/// A bound of the offset that holds exactly at one time; nanoseconds.
+/// An upper bound of the offset (`bound`, nanoseconds) that holds exactly at one time (`x`, nanoseconds).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Point {
     pub(super) x: i64,
@@ -26,27 +27,28 @@ pub(super) struct Point {
 }
 
 impl Point {
-    /// What it says of another time.
+    /// Returns the bound at another time that follows from this point.
     #[inline]
     pub(super) fn carried(self, drift: DriftLimit, q: i64) -> i64 {
         self.bound.saturating_add(drift.between(self.x, q))
     }
 
-    /// Whether its cone at `q` is lower than a bound: mostly its tip is not, which costs less to see.
+    /// Returns whether the cone at `q` is lower than `bound`. The first comparison is cheap and decides most cases.
     #[inline]
     pub(super) fn is_below(self, bound: i64, drift: DriftLimit, q: i64) -> bool {
         self.bound < bound && self.carried(drift, q) < bound
     }
 }
 
-/// The lowest cone at `q`; `None` without any point.
+/// Returns the lowest cone at `q`; `None` without points.
 #[inline]
 pub(super) fn lowest(
     points: impl DoubleEndedIterator<Item = Point>,
     drift: DriftLimit,
     q: i64,
 ) -> Option<i64> {
-    // The last are mostly the nearest to `q`, and rule out many by their tips alone.
+    // The last points are usually the nearest to `q`, and their bounds rule out most of the others without a
+    // multiplication.
     points.rev().fold(None, |best, point| match best {
         Some(best) if point.bound >= best => Some(best),
         Some(best) => Some(point.carried(drift, q).min(best)),
@@ -54,18 +56,18 @@ pub(super) fn lowest(
     })
 }
 
-/// What became of a point.
+/// Result of the insertion of a point.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Insertion {
-    /// Its slot has a better one.
+    /// The point was not kept: its slot has a better one.
     Unchanged,
-    /// It is the best of the newest slot, instead of another one.
+    /// The point replaced the best one of the newest slot.
     Newest,
-    /// It is the first of its slot, or the best of an older one.
+    /// The point is the first of its slot, or replaced the best one of an older slot.
     Other,
 }
 
-/// The best point of each slot, by time.
+/// The best point of each slot, in the order of time.
 #[derive(Clone, Debug)]
 pub(super) struct Slots {
     drift: DriftLimit,
@@ -74,52 +76,54 @@ pub(super) struct Slots {
 }
 
 impl Slots {
-    /// Slots for points that are kept so long, nanoseconds.
+    /// Creates slots for points that are kept for `retention` nanoseconds.
     pub(super) fn new(drift: DriftLimit, retention: i64) -> Self {
         Self { drift, length: LENGTH.max(retention / MOST), points: VecDeque::new() }
     }
 
-    /// The lowest cone at `q` of the points no further from it than `reach`; `None` without any.
+    /// Returns the lowest cone at `q` of the points no further from it than `reach`; `None` without such points.
     #[inline]
     pub(super) fn bound(&self, q: i64, reach: i64) -> Option<i64> {
         let near = |point: &&Point| point.x.abs_diff(q) <= reach.unsigned_abs();
         lowest(self.points.iter().filter(near).copied(), self.drift, q)
     }
 
-    /// The newest point.
+    /// Returns the newest point.
     pub(super) fn newest(&self) -> Option<Point> {
         self.points.back().copied()
     }
 
-    /// Points no further from `q` than `reach`, at most `most` of each side of it; in the order of time.
+    /// Returns the points no further from `q` than `reach`, at most `most` before and `most` after it, in the order of
+    /// time.
     pub(super) fn around(&self, q: i64, reach: i64, most: usize) -> impl Iterator<Item = Point> + Clone + '_ {
         let split = self.points.partition_point(|point| point.x <= q);
         let range = split.saturating_sub(most)..split.saturating_add(most).min(self.points.len());
         self.points.range(range).copied().filter(move |point| point.x.abs_diff(q) <= reach.unsigned_abs())
     }
 
-    /// Drops every point after `end`.
+    /// Removes every point after `end`.
     pub(super) fn truncate(&mut self, end: i64) {
         self.points.truncate(self.points.partition_point(|point| point.x <= end));
     }
 
-    /// Whether a cone at `q` is lower than a bound.
+    /// Returns whether any cone at `q` is lower than `bound`.
     #[inline]
     pub(super) fn is_below(&self, bound: i64, q: i64) -> bool {
         self.points.iter().any(|point| point.is_below(bound, self.drift, q))
     }
 
-    /// Takes a point if it is the best of its slot.
+    /// Inserts a point if it is the best of its slot.
     pub(super) fn insert(&mut self, point: Point) -> Insertion {
         let slot = |point: &Point| point.x.div_euclid(self.length);
         let at = match self.points.back() {
-            // Mostly it is of the newest slot.
+            // Most points belong to the newest slot.
             Some(last) if slot(last) == slot(&point) => self.points.len() - 1,
             Some(last) if slot(last) < slot(&point) => self.points.len(),
             _ => self.points.partition_point(|other| slot(other) < slot(&point)),
         };
         match self.points.get_mut(at) {
             Some(known) if known.x.div_euclid(self.length) == point.x.div_euclid(self.length) => {
+                // Compared at the later time, because queries are mostly about times after the slot.
                 let later = known.x.max(point.x);
                 if point.carried(self.drift, later) >= known.carried(self.drift, later) {
                     return Insertion::Unchanged;
@@ -134,7 +138,7 @@ impl Slots {
         }
     }
 
-    /// Drops every point before `start`.
+    /// Removes every point before `start`.
     pub(super) fn expire(&mut self, start: i64) {
         while self.points.pop_front_if(|point| point.x < start).is_some() {}
     }
@@ -204,7 +208,7 @@ mod tests {
     #[test]
     fn rounding_is_to_the_safe_side_and_the_limit_holds_by_either_clock() {
         assert_eq!(limit().over(1), 1);
-        // By the cloud's clock 50 ppm are 50.0025 ppm of a slow edge's second.
+        // 50 ppm of the cloud's clock are 50.0025 ppm of the second of a slow edge.
         assert!(limit().over(1_000_000_000) >= 50_003);
         assert!(limit().over(1_000_000_000) <= 50_004);
         assert_eq!(limit().between(i64::MIN, i64::MAX), limit().between(i64::MAX, i64::MIN));

@@ -1,7 +1,7 @@
 use proptest::prelude::*;
 
 use super::*;
-use crate::simulation::{Dice, Path, Trip, Wall, World};
+use crate::simulation::{HostClocks, Path, RandomSource, SimulatedClock, Trip};
 
 const LIMIT_PPM: f64 = 50.0;
 
@@ -13,24 +13,30 @@ fn band(window: Span) -> Band {
     Band::new(model(), window, window)
 }
 
-/// Clocks at the limit, on either side and in either direction, and clocks that wander within it.
-fn worlds(offset: Span, length: Span, dice: &mut Dice) -> Vec<World> {
-    let still = Wall::drifting(Span::ZERO, 0.0);
-    let mut worlds = Vec::new();
+/// Returns worlds whose clocks drift at the limit, on either side and in either direction, or wander within it.
+fn host_clock_pairs(offset: Span, length: Span, random: &mut RandomSource) -> Vec<HostClocks> {
+    let still = SimulatedClock::drifting(Span::ZERO, 0.0);
+    let mut host_clock_pairs = Vec::new();
     for ppm in [-LIMIT_PPM, LIMIT_PPM] {
-        let drifting = Wall::drifting(offset, ppm);
-        worlds.push(World { edge: drifting.clone(), cloud: still.clone() });
-        worlds.push(World { edge: still.clone(), cloud: drifting });
+        let drifting = SimulatedClock::drifting(offset, ppm);
+        host_clock_pairs.push(HostClocks { edge: drifting.clone(), cloud: still.clone() });
+        host_clock_pairs.push(HostClocks { edge: still.clone(), cloud: drifting });
     }
-    worlds.push(World { edge: still.clone(), cloud: Wall::wandering(offset, LIMIT_PPM, length, dice) });
-    worlds.push(World { edge: Wall::wandering(offset, LIMIT_PPM, length, dice), cloud: still });
-    worlds
+    host_clock_pairs.push(HostClocks {
+        edge: still.clone(),
+        cloud: SimulatedClock::wandering(offset, LIMIT_PPM, length, random),
+    });
+    host_clock_pairs.push(HostClocks {
+        edge: SimulatedClock::wandering(offset, LIMIT_PPM, length, random),
+        cloud: still,
+    });
+    host_clock_pairs
 }
 
-/// Answers that were overtaken: some are heard of later than they ended.
-fn overtaken(trips: &mut [Trip], dice: &mut Dice) {
+/// Delays some answers, so that the trips are learnt in another order than that of their ends.
+fn overtaken(trips: &mut [Trip], random: &mut RandomSource) {
     for trip in trips.iter_mut() {
-        trip.ended += if dice.chance(0.1) { dice.exponential(2e9) } else { 0.0 };
+        trip.ended += if random.chance(0.1) { random.exponential(2e9) } else { 0.0 };
     }
     trips.sort_by(|a, b| a.ended.total_cmp(&b.ended));
 }
@@ -49,20 +55,20 @@ proptest! {
 
     #[test]
     fn the_truth_is_always_inside(seed: u64, path in paths(), ahead in -1_000_000_000i64..1_000_000_000) {
-        let mut dice = Dice::new(seed);
+        let mut random = RandomSource::new(seed);
         let (window, kept) = (Span::from_seconds(10), Span::from_seconds(40));
-        for world in worlds(Span::from_nanos(ahead), Span::from_seconds(120), &mut dice) {
-            let mut trips = path.trips(&world, (0.0, 100.0), 20.0, &mut dice);
-            overtaken(&mut trips, &mut dice);
+        for host_clocks in host_clock_pairs(Span::from_nanos(ahead), Span::from_seconds(120), &mut random) {
+            let mut trips = path.trips(&host_clocks, (0.0, 100.0), 20.0, &mut random);
+            overtaken(&mut trips, &mut random);
             let mut band = Band::new(model(), window, kept);
             for trip in &trips {
                 let bounds = Bounds::from(&trip.exchange);
                 prop_assert!(band.contradiction(&bounds).is_none());
                 band.insert(&bounds);
-                for from_now in [0.0, dice.between(-40e9, 0.0), dice.between(0.0, 10e9)] {
+                for from_now in [0.0, random.between(-40e9, 0.0), random.between(0.0, 10e9)] {
                     let at = trip.exchange.returned + Span::from_nanos(from_now as i64);
                     let interval = band.interval(at).expect("has exchanges").interval;
-                    let truth = world.offset(at);
+                    let truth = host_clocks.offset(at);
                     prop_assert!(contains(interval, truth), "{interval:?} {truth} {from_now}");
                     prop_assert!(interval.contains(band.estimate(at, interval)));
                 }
@@ -72,13 +78,18 @@ proptest! {
 
     #[test]
     fn now_the_interval_is_that_of_all_exchanges_of_the_window(seed: u64, path in paths(), hz in 0.2..50.0f64) {
-        let mut dice = Dice::new(seed);
-        let world = World {
-            edge: Wall::drifting(Span::ZERO, 0.0),
-            cloud: Wall::wandering(Span::from_seconds(1), LIMIT_PPM, Span::from_seconds(60), &mut dice),
+        let mut random = RandomSource::new(seed);
+        let host_clocks = HostClocks {
+            edge: SimulatedClock::drifting(Span::ZERO, 0.0),
+            cloud: SimulatedClock::wandering(
+                Span::from_seconds(1),
+                LIMIT_PPM,
+                Span::from_seconds(60),
+                &mut random,
+            ),
         };
-        let mut trips = path.trips(&world, (0.0, 60.0), hz, &mut dice);
-        overtaken(&mut trips, &mut dice);
+        let mut trips = path.trips(&host_clocks, (0.0, 60.0), hz, &mut random);
+        overtaken(&mut trips, &mut random);
         let (window, drift) = (Span::from_seconds(10), DriftLimit::new(LIMIT_PPM));
         let mut band = band(window);
         let mut all: Vec<Bounds> = Vec::new();
@@ -95,7 +106,7 @@ proptest! {
                 counted.map(|(_, bounds)| point(bounds).carried(drift, q)).min().expect("has exchanges")
             };
             let known = band.interval(RawTime::from_nanos(q)).expect("has exchanges").interval;
-            // The oldest slot goes when its best point does, with others that may be younger.
+            // The oldest slot expires when its best point does, together with points that may be younger.
             let short = window.nanos() - 500_000_000;
             for (point, bound) in [
                 ((|bounds| bounds.upper) as fn(&Bounds) -> Point, known.hi.nanos()),
@@ -108,21 +119,21 @@ proptest! {
     }
 }
 
-/// A jump that fits what round trips allow spoils intervals for as long as the window lasts, and no longer.
+/// Checks that a jump which the round trips cannot exclude makes intervals wrong only as long as the window.
 #[test]
-fn a_jump_that_no_exchange_excludes_is_over_after_the_window() {
+fn undetected_jump_ends_with_window() {
     let jump = Span::from_millis(15);
-    let cloud = Wall::drifting(Span::ZERO, 0.0).stepped(Span::from_seconds(30), jump);
-    let world = World { edge: Wall::drifting(Span::ZERO, 0.0), cloud };
+    let cloud = SimulatedClock::drifting(Span::ZERO, 0.0).stepped(Span::from_seconds(30), jump);
+    let host_clocks = HostClocks { edge: SimulatedClock::drifting(Span::ZERO, 0.0), cloud };
     let path = Path { up: 20e6, down: 20e6, jitter: 1e6, loss: 0.0, burst: 0.0 };
     let mut band = band(Span::from_seconds(10));
     let mut wrong = 0;
-    for trip in path.trips(&world, (0.0, 90.0), 20.0, &mut Dice::new(4)) {
+    for trip in path.trips(&host_clocks, (0.0, 90.0), 20.0, &mut RandomSource::new(4)) {
         let bounds = Bounds::from(&trip.exchange);
         assert!(band.contradiction(&bounds).is_none(), "the jump is smaller than the round trip");
         band.insert(&bounds);
         let at = trip.exchange.returned;
-        let is_inside = contains(band.interval(at).expect("has exchanges").interval, world.offset(at));
+        let is_inside = contains(band.interval(at).expect("has exchanges").interval, host_clocks.offset(at));
         let is_spoilt = (30e9..40.1e9).contains(&trip.ended);
         assert!(is_inside || is_spoilt, "at {}", trip.ended);
         wrong += u32::from(!is_inside);
@@ -131,69 +142,77 @@ fn a_jump_that_no_exchange_excludes_is_over_after_the_window() {
 }
 
 #[test]
-fn rare_exchanges_count_however_old_they_are() {
-    let world = World { edge: Wall::drifting(Span::ZERO, 0.0), cloud: Wall::drifting(Span::ZERO, 12.0) };
+fn rare_exchanges_bound_offset_at_any_age() {
+    let host_clocks = HostClocks {
+        edge: SimulatedClock::drifting(Span::ZERO, 0.0),
+        cloud: SimulatedClock::drifting(Span::ZERO, 12.0),
+    };
     let mut band = band(Span::from_seconds(10));
-    let best = world.trip(0.0, 10e3, 0.0, 10e3);
+    let best = host_clocks.trip(0.0, 10e3, 0.0, 10e3);
     band.insert(&Bounds::from(&best.exchange));
     for n in 1..12 {
-        let trip = world.trip(f64::from(n) * 60e9, 900e6, 0.0, 900e6);
+        let trip = host_clocks.trip(f64::from(n) * 60e9, 900e6, 0.0, 900e6);
         let at = trip.exchange.returned;
         band.insert(&Bounds::from(&trip.exchange));
         let interval = band.interval(at).expect("has exchanges").interval;
-        assert!(contains(interval, world.offset(at)));
+        assert!(contains(interval, host_clocks.offset(at)));
         let is_narrow = interval.width() < Span::from_millis(100);
         assert_eq!(is_narrow, n < LEAST_EXCHANGES as i32, "{n}: {interval:?}");
     }
 }
 
-/// Where nothing but drift and whole nanoseconds stands between the bounds and the truth.
+/// Checks trips without delay, for which only drift and rounding separate the bounds from the truth.
 #[test]
-fn even_without_any_delay_the_truth_is_inside() {
-    let mut dice = Dice::new(11);
-    for (n, world) in worlds(Span::from_millis(3), Span::from_seconds(700), &mut dice).iter().enumerate() {
+fn truth_is_inside_without_delay() {
+    let mut random = RandomSource::new(11);
+    for (n, host_clocks) in
+        host_clock_pairs(Span::from_millis(3), Span::from_seconds(700), &mut random).iter().enumerate()
+    {
         let mut band = band(Span::from_seconds(600));
         let mut t = 0.0;
         while t < 600e9 {
-            let trip = world.trip(t, 0.0, 0.0, 0.0);
+            let trip = host_clocks.trip(t, 0.0, 0.0, 0.0);
             let bounds = Bounds::from(&trip.exchange);
             assert!(band.contradiction(&bounds).is_none(), "world {n}");
             band.insert(&bounds);
             for _ in 0..20 {
-                let at = world.edge.shows(dice.between(0.0, 650e9).floor());
+                let at = host_clocks.edge.shows(random.between(0.0, 650e9).floor());
                 let (interval, truth) =
-                    (band.interval(at).expect("has exchanges").interval, world.offset(at));
+                    (band.interval(at).expect("has exchanges").interval, host_clocks.offset(at));
                 assert!(contains(interval, truth), "world {n}: {interval:?} {truth}");
             }
-            t += dice.exponential(3e9).floor();
+            t += random.exponential(3e9).floor();
         }
     }
 }
 
-/// Mean and largest distance of the estimate from the truth, microseconds, at the newest exchange, from 10 s on.
-fn errors(world: &World, path: Path, hz: f64) -> (f64, f64) {
-    let mut dice = Dice::new(7);
+/// Returns the mean and the largest distance of the estimate from the truth in microseconds, at the newest exchange,
+/// from 10 s on.
+fn errors(host_clocks: &HostClocks, path: Path, hz: f64) -> (f64, f64) {
+    let mut random = RandomSource::new(7);
     let mut band = band(Span::from_seconds(600));
     let mut errors = Vec::new();
-    for trip in path.trips(world, (0.0, 120.0), hz, &mut dice) {
+    for trip in path.trips(host_clocks, (0.0, 120.0), hz, &mut random) {
         band.insert(&Bounds::from(&trip.exchange));
         if trip.ended > 10e9 {
             let at = trip.exchange.returned;
             let estimate = band.estimate(at, band.interval(at).expect("has exchanges").interval);
-            errors.push((estimate.nanos() as f64 - world.offset(at)).abs() / 1e3);
+            errors.push((estimate.nanos() as f64 - host_clocks.offset(at)).abs() / 1e3);
         }
     }
     (errors.iter().sum::<f64>() / errors.len() as f64, errors.iter().copied().fold(0.0, f64::max))
 }
 
 #[test]
-fn on_a_symmetric_path_the_estimate_is_near_the_truth_even_at_the_limit_of_drift() {
-    let mut dice = Dice::new(3);
-    for (n, world) in worlds(Span::from_seconds(-1), Span::from_seconds(120), &mut dice).iter().enumerate() {
-        // The last two wander as no crystal does: by tens of ppm within seconds.
+fn estimate_is_accurate_on_symmetric_path() {
+    let mut random = RandomSource::new(3);
+    for (n, host_clocks) in
+        host_clock_pairs(Span::from_seconds(-1), Span::from_seconds(120), &mut random).iter().enumerate()
+    {
+        // The last two wander by tens of ppm within seconds, which no crystal does.
         let (steady, hectic) = ((n < 4).then_some((2.0, 15.0)), (20.0, 150.0));
         for hz in [10.0, 200.0] {
-            let (mean, most) = errors(world, Path::VETH, hz);
+            let (mean, most) = errors(host_clocks, Path::VETH, hz);
             let limits = steady.unwrap_or(hectic);
             assert!(mean < limits.0 && most < limits.1, "world {n}, {hz} Hz: {mean} {most}");
         }
@@ -201,10 +220,13 @@ fn on_a_symmetric_path_the_estimate_is_near_the_truth_even_at_the_limit_of_drift
 }
 
 #[test]
-fn a_steady_skew_is_found_and_none_is_claimed_from_too_little() {
-    let world = World { edge: Wall::drifting(Span::ZERO, 0.0), cloud: Wall::drifting(Span::ZERO, 12.0) };
+fn steady_skew_is_estimated_from_enough_exchanges() {
+    let host_clocks = HostClocks {
+        edge: SimulatedClock::drifting(Span::ZERO, 0.0),
+        cloud: SimulatedClock::drifting(Span::ZERO, 12.0),
+    };
     let mut band = band(Span::from_seconds(600));
-    for trip in Path::VETH.trips(&world, (0.0, 60.0), 10.0, &mut Dice::new(5)) {
+    for trip in Path::VETH.trips(&host_clocks, (0.0, 60.0), 10.0, &mut RandomSource::new(5)) {
         band.insert(&Bounds::from(&trip.exchange));
         if trip.ended < 4e9 {
             assert_eq!(band.skew_ppm(), None);
@@ -215,9 +237,12 @@ fn a_steady_skew_is_found_and_none_is_claimed_from_too_little() {
 }
 
 #[test]
-fn a_past_time_is_known_better_once_exchanges_after_it_are() {
-    let world = World { edge: Wall::drifting(Span::ZERO, 0.0), cloud: Wall::drifting(Span::ZERO, 30.0) };
-    let trips = Path::VETH.trips(&world, (0.0, 60.0), 1.0, &mut Dice::new(9));
+fn later_exchanges_narrow_past_interval() {
+    let host_clocks = HostClocks {
+        edge: SimulatedClock::drifting(Span::ZERO, 0.0),
+        cloud: SimulatedClock::drifting(Span::ZERO, 30.0),
+    };
+    let trips = Path::VETH.trips(&host_clocks, (0.0, 60.0), 1.0, &mut RandomSource::new(9));
     let mut band = band(Span::from_seconds(600));
     let at = RawTime::from_nanos(35_000_000_000);
     let (before, after) = trips.split_at(20);
@@ -226,5 +251,5 @@ fn a_past_time_is_known_better_once_exchanges_after_it_are() {
     after.iter().for_each(|trip| band.insert(&Bounds::from(&trip.exchange)));
     let late = band.interval(at).expect("has exchanges").interval;
     assert!(late.width().nanos() * 2 < early.width().nanos(), "{early:?} {late:?}");
-    assert!(contains(late, world.offset(at)));
+    assert!(contains(late, host_clocks.offset(at)));
 }

@@ -1,11 +1,12 @@
-//! The point estimate: where in the band the offset most likely is, and how fast it moves.
+//! The point estimate of the offset within the band, and its rate.
 //!
-//! The slots are not made for it: the best point of a slot is the one that bounds later times best, and two clocks that drift
-//! apart at the very limit make that the earliest or the latest of all. Instead each second keeps its best point on either side. The skew is the mean of the slopes of two lines, one
-//! laid under all upper points, one over all lower ones, of some twenty seconds around the time in question. With the
-//! skew taken out, what is left of the drift is a wander, much slower than the limit, and the band of those points
-//! is much narrower; the offset is taken to be in its middle. That takes the shortest delays of both directions to be
-//! alike, which nobody can know and the bounds do not rely on.
+//! The slots of the band do not serve this purpose: the best point of a slot is the one that bounds later times best,
+//! and for two clocks that drift apart at the limit that is always the earliest or the latest one. The estimate keeps
+//! the best point of each second on either side instead. The skew is the mean slope of two lines, one below all upper
+//! points and one above all lower ones, of about twenty seconds around the time of the query. After the skew is
+//! removed, the rest of the drift is a wander much slower than the limit, and the band of these points is much
+//! narrower. The estimate is its middle. It assumes that the shortest delays of both directions are equal. This cannot
+//! be verified, and the bounds do not rely on it.
 
 use std::sync::OnceLock;
 
@@ -15,30 +16,33 @@ use super::skew::SkewProof;
 use super::slots::Point;
 
 const SECOND: i64 = 1_000_000_000;
-/// Most seconds that are kept.
+/// Largest number of seconds kept.
 const SECONDS: usize = 1024;
-/// Seconds with exchanges that count. More make it steadier under load, fewer follow a wandering clock.
+/// Seconds with exchanges that an estimate uses. More make it steadier under load, fewer follow a wandering clock
+/// faster.
 const FOR_ESTIMATE: usize = 20;
-/// For the skew: it is only reported.
+/// Seconds with exchanges that the reported skew uses.
 const FOR_SKEW: usize = 120;
-/// Seconds with exchanges further than this from the time in question say nothing of it.
+/// Largest distance in nanoseconds between a point and the time that it is used for.
 const REACH: i64 = 120 * SECOND;
-/// How fast clocks wander around their skew: crystals at changing temperature, by far less.
+/// Assumed wander of clocks around their skew, seconds per second. Crystals at changing temperature wander far less.
 const WANDER: f64 = 2e-6;
-/// Fewer exchanges or a shorter time tell nothing of the skew.
+/// Smallest number of exchanges from which a skew is computed.
 const LEAST_EXCHANGES: u64 = 8;
+/// Shortest time in nanoseconds from which a skew is computed.
 const LEAST_TIME: i64 = 5 * SECOND;
 
-/// The best points of each second.
+/// The best points of each second on either side.
 #[derive(Clone, Debug)]
 pub(super) struct Trend {
     upper: BestPoints,
-    /// With the sign turned.
+    /// Lower bounds with the opposite sign.
     lower: BestPoints,
-    /// Of the offset, as of the last new second: a later point is better when it is lower than the drift explains.
+    /// Skew of the offset as of the newest second. A later point replaces an earlier one if it is lower than this skew
+    /// explains.
     slope: f64,
-    /// Of the newest [`FOR_ESTIMATE`] seconds, once it was asked for and until one of their points is another: most questions are about
-    /// now, and most exchanges change no point.
+    /// Cached slope of the newest [`FOR_ESTIMATE`] seconds, until one of their points changes. Most queries are about
+    /// the present, and most exchanges change no point.
     newest_slope: OnceLock<Option<f64>>,
     span: Option<(i64, i64)>,
     exchanges: u64,
@@ -61,7 +65,7 @@ impl Default for Trend {
 }
 
 impl Trend {
-    /// Takes an exchange; `limit` is the steepest slope there can be.
+    /// Inserts an exchange; `limit` is the largest slope that clocks can have.
     pub(super) fn insert(&mut self, upper: Point, lower: Point, limit: f64) {
         let (first, last) = self.span.unwrap_or((upper.x, lower.x));
         self.span = Some((first.min(upper.x), last.max(lower.x)));
@@ -71,36 +75,38 @@ impl Trend {
         if placed != [Placement::Worse; 2] {
             self.newest_slope.take();
         }
+        // Once per second is enough, because the skew changes slowly.
         if placed.contains(&Placement::First) {
             self.slope = self.slope(lower.x, FOR_ESTIMATE, limit).unwrap_or(0.0);
         }
     }
 
-    /// The estimate at a time, nanoseconds; `None` before there are enough exchanges.
+    /// Returns the estimate at a time in nanoseconds; `None` without enough exchanges.
     ///
-    /// Where the narrow band is empty the clocks wander faster than was taken for granted: fewer seconds are asked, down
-    /// to a quarter.
+    /// An empty narrow band means that the clocks wander faster than assumed. The estimate then uses half of the
+    /// seconds, and then a quarter of them.
     pub(super) fn at(&self, x: i64, limit: f64) -> Option<i64> {
         [FOR_ESTIMATE, FOR_ESTIMATE / 2, FOR_ESTIMATE / 4].into_iter().find_map(|seconds| {
             let slope = self.slope(x, seconds, limit)?;
             let above = lowest(&self.upper, x, seconds, slope)?;
             let below = lowest(&self.lower, x, seconds, -slope)?;
+            // Below 0 the narrow band is empty.
             (above.saturating_add(below) >= 0).then(|| above.saturating_sub(below) / 2)
         })
     }
 
-    /// How fast the offset grows around a time, seconds per second.
+    /// Returns the rate of the offset around a time in seconds per second.
     pub(super) fn slope_at(&self, x: i64, limit: f64) -> Option<f64> {
         self.slope(x, FOR_ESTIMATE, limit)
     }
 
-    /// How fast the offset grows, seconds per second, over the latest exchanges; no limit is put on it, so that clocks which do not
-    /// keep theirs are seen.
+    /// Returns the rate of the offset over the latest exchanges in seconds per second. No limit applies, so that clocks
+    /// which exceed theirs are visible.
     pub(super) fn skew(&self) -> Option<f64> {
         self.slope(self.span?.1, FOR_SKEW, f64::INFINITY)
     }
 
-    /// What the exchanges prove of the skew.
+    /// Returns the proof of the skew.
     pub(super) fn proof(&self) -> &SkewProof {
         &self.proof
     }
@@ -125,11 +131,12 @@ impl Trend {
         } else {
             between()
         };
+        // A steeper slope is noise of the delays, because the clocks cannot drift as fast.
         Some(slope?.clamp(-limit, limit))
     }
 }
 
-/// The bound at a time by the points around it, for a known skew and a wander around it.
+/// Returns the lowest bound at `x` by the points around it, for a known skew and the assumed wander around it.
 fn lowest(points: &BestPoints, x: i64, seconds: usize, slope: f64) -> Option<i64> {
     let carried = |point: Point| {
         let away = x.saturating_sub(point.x) as f64;
@@ -138,7 +145,7 @@ fn lowest(points: &BestPoints, x: i64, seconds: usize, slope: f64) -> Option<i64
     around(points, x, seconds).map(carried).min()
 }
 
-/// The points of the nearest seconds, half of them before and half after where there are so many.
+/// Returns the points of the nearest seconds: half of them before `x` and half after it, where enough exist.
 fn around(points: &BestPoints, x: i64, seconds: usize) -> impl Iterator<Item = Point> + '_ {
     points.around(x, seconds).filter(move |point| point.x.abs_diff(x) <= REACH as u64)
 }

@@ -1,48 +1,50 @@
-//! From what is known of the offset to the delay of a message.
+//! Computation of a delay from the known offset.
 
 use super::sources::{Combined, Knowledge};
-use super::{Direction, Judged, Learned, Refusal, Relation};
+use super::{Direction, JudgedExchange, LearnResult, Refusal, Relation};
 use crate::{DelaySource, Exchange, ExchangeObservation, Interval, OneWayDelay, RawTime, Span, Verdict};
 
-/// Fewer exchanges than these are too few, however fresh.
+/// Smallest number of exchanges in the window from which a delay is judged at all.
 const LEAST_EXCHANGES: u64 = 3;
 
 impl Relation {
-    /// An exchange of data finished: learns from it, then judges its two delays. The delays of an exchange that was
-    /// refused are `stepped`.
-    pub fn judge(&mut self, observation: &ExchangeObservation) -> Judged {
+    /// Learns a finished exchange of data, then judges its two delays. The delays of an exchange that was refused are
+    /// `stepped`.
+    pub fn judge(&mut self, observation: &ExchangeObservation) -> JudgedExchange {
         let exchange = &observation.exchange;
         let company = self.presence.near(exchange.sent, exchange.returned, self.settings.fresh);
+        // Learnt after the search for recent exchanges, in which this one must not count, and before the judgement,
+        // which it narrows.
         let learned = self.learn(observation);
         let Exchange { sent, received, replied, returned, .. } = *exchange;
-        if let Learned::Refused(why) = learned {
-            return Judged {
+        if let LearnResult::Refused(why) = learned {
+            return JudgedExchange {
                 learned,
                 up: self.refused(why, Direction::Up, sent, received),
                 down: self.refused(why, Direction::Down, replied, returned),
             };
         }
         let [up, down] = self.guesses(sent, returned);
-        Judged {
+        JudgedExchange {
             learned,
             up: self.delay_in_company(Direction::Up, sent, received, company, up),
             down: self.delay_in_company(Direction::Down, replied, returned, company, down),
         }
     }
 
-    /// The delay of a message stamped `sent` by its sender's clock and `received` by its receiver's, by what is
-    /// known now.
+    /// Returns the delay of a message stamped `sent` by its sender's clock and `received` by its receiver's, by the
+    /// exchanges learnt so far.
     pub fn delay(&self, direction: Direction, sent: RawTime, received: RawTime) -> OneWayDelay {
         let at = edge_time(direction, sent, received);
         let company = self.presence.near(at, at, self.settings.fresh);
         self.delay_in_company(direction, sent, received, company, self.knowledge(at, None).combined())
     }
 
-    /// How much later one receiver had a message than another one on the other host, by what is known now: for a message in each
-    /// direction, with the stamps of the two receivers, the one on the sender's host first.
+    /// Returns how much later one receiver got a message than another one on the other host, for a message in each
+    /// direction. Each pair contains the stamps of the two receivers, with the one on the sender's host first.
     ///
-    /// Nothing is learnt: no stamp is that of a departure. A difference may be negative, because each receiver is late by an amount
-    /// of its own, and so may be its interval.
+    /// Nothing is learnt from the stamps, because none of them is a departure: they bound no offset. A difference and
+    /// its interval may be negative, because each receiver has its own delay.
     pub fn differences(&self, up: (RawTime, RawTime), down: (RawTime, RawTime)) -> [OneWayDelay; 2] {
         let company = self.presence.near(up.0, down.1, self.settings.fresh);
         let [of_up, of_down] = self.guesses(up.0, down.1);
@@ -52,7 +54,7 @@ impl Relation {
         ]
     }
 
-    /// The same for one message.
+    /// Returns the same difference for one message.
     pub fn difference(&self, direction: Direction, sent: RawTime, received: RawTime) -> OneWayDelay {
         let at = edge_time(direction, sent, received);
         let company = self.presence.near(at, at, self.settings.fresh);
@@ -72,22 +74,24 @@ impl Relation {
             return OneWayDelay::unsynchronised(raw);
         };
         let (lo, hi, value) = without_offset(direction, raw, &known);
-        // By which of the two clocks the difference is meant makes no more than this.
+        // Allowance for the drift of the two clocks during the difference, because it may be counted by either.
         let rate = Span::from_nanos(self.windows.limit().over(lo.abs().max(hi.abs()).nanos()));
+        // Two stamps of one clock differ by no drift.
         let is_exact = known.source == DelaySource::SameClock && known.agree;
         let bounds =
             if is_exact { Interval::exactly(raw) } else { Interval { lo: lo - rate, hi: hi + rate } };
         self.judged(edge_time(direction, sent, received), raw, (value, bounds), &known, company)
     }
 
-    /// What is known at `sent` and at `returned`, with one estimate for both directions, or they would not add up to the round trip.
+    /// Returns what is known at `sent` and at `returned`. Both directions share one estimate, so that the two delays
+    /// add up to the round trip.
     fn guesses(&self, sent: RawTime, returned: RawTime) -> [Option<Combined>; 2] {
         let down = self.knowledge(returned, None).combined();
         let guess = down.map(|down| down.estimate + self.windows.growth(returned, sent));
         [self.knowledge(sent, guess).combined(), down]
     }
 
-    /// What each source says at a time; the band's estimate is `guess` where there is one.
+    /// Returns what each source states at a time. `guess`, if given, replaces the band's estimate.
     pub(super) fn knowledge(&self, at: RawTime, guess: Option<Span>) -> Knowledge {
         let known = self.windows.interval(at);
         let in_band = known.map(|known| {
@@ -106,8 +110,8 @@ impl Relation {
         }
     }
 
-    /// `ok`, `stale` or `inconsistent`. Exchanges must be fresh only where they narrow the interval, and must not be in
-    /// doubt.
+    /// Returns `ok`, `stale` or `inconsistent`. Exchanges must be recent, and their assumptions not in doubt, only
+    /// where they narrow the interval.
     pub(super) fn verdict_of(&self, combined: &Combined, fresh: bool) -> Verdict {
         let in_band = matches!(combined.source, DelaySource::InBand | DelaySource::Intersection);
         if !combined.agree || (in_band && self.in_doubt()) {
@@ -123,7 +127,8 @@ impl Relation {
         Verdict::Ok
     }
 
-    /// After a step nothing is known yet, but that is not why it was refused.
+    /// Returns the delay of a refused exchange. After a step nothing is known yet, but the step remains the reason for
+    /// the refusal.
     fn refused(&self, why: Refusal, direction: Direction, sent: RawTime, received: RawTime) -> OneWayDelay {
         let raw = received - sent;
         let at = edge_time(direction, sent, received);
@@ -135,9 +140,10 @@ impl Relation {
         }
     }
 
-    /// The offset is taken at the edge's own stamp, which is exact. Then the other stamp minus what the cloud showed at
-    /// that very moment is the delay by the cloud's clock. By the edge's it may differ by ρ × delay: the
-    /// interval holds both, and what any clock between the two would show.
+    /// Computes a delay from the offset at the edge's own stamp, which is exact.
+    ///
+    /// The other stamp minus what the cloud showed at that moment is the delay by the cloud's clock. By the edge's
+    /// clock it may differ by ρ × delay. The interval contains both, and the value by any clock between the two.
     fn delay_in_company(
         &self,
         direction: Direction,
@@ -155,16 +161,18 @@ impl Relation {
             return OneWayDelay::same_clock(raw);
         }
         let (lo, hi, value) = without_offset(direction, raw, &known);
+        // No delay is negative, so a clock was stepped near this message.
         if hi.is_negative() {
             return OneWayDelay::stepped(raw, known.source);
         }
         let rate = Span::from_nanos(self.windows.limit().over(hi.nanos()));
         let bounds = Interval { lo: (lo - rate).max(Span::ZERO), hi: hi + rate };
+        // The estimate assumes a symmetric path, so it may lie outside of what is proven.
         let value = value.clamp(lo.max(Span::ZERO), hi);
         self.judged(at, raw, (value, bounds), &known, company)
     }
 
-    /// Adds source and verdict.
+    /// Builds the result with its source and verdict.
     fn judged(
         &self,
         at: RawTime,
@@ -178,6 +186,7 @@ impl Relation {
             Verdict::Ok if is_wide || self.windows.is_unsettled(at) => Verdict::Limited,
             verdict => verdict,
         };
+        // One of the sources is wrong and it is unknown which, so that no interval can be stated.
         let is_known = verdict != Verdict::Inconsistent;
         OneWayDelay {
             raw,
@@ -189,7 +198,7 @@ impl Relation {
     }
 }
 
-/// The stamp of the two that is the edge's.
+/// Returns the stamp that is the edge's.
 fn edge_time(direction: Direction, sent: RawTime, received: RawTime) -> RawTime {
     match direction {
         Direction::Up => sent,
@@ -197,7 +206,7 @@ fn edge_time(direction: Direction, sent: RawTime, received: RawTime) -> RawTime 
     }
 }
 
-/// Lower bound, upper bound and estimate of a raw difference without the offset of the clocks.
+/// Returns the lower bound, the upper bound and the estimate of a raw difference after the clocks' offset is removed.
 fn without_offset(direction: Direction, raw: Span, known: &Combined) -> (Span, Span, Span) {
     match direction {
         Direction::Up => (raw - known.bounds.hi, raw - known.bounds.lo, raw - known.estimate),

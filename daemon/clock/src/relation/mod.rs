@@ -1,5 +1,7 @@
-//! What is known of the offset between two hosts' clocks: from the exchanges between them, from what their time
-//! daemons claim, and from a proof that they read one clock.
+//! The relation between two hosts' clocks: its offset by the exchanges between the hosts, by the claims of their time
+//! daemons, and by a proof that they read one clock.
+//!
+//! No I/O: tests feed generated histories of clocks and paths, some of which violate an assumption.
 
 mod judging;
 mod jumps;
@@ -18,19 +20,22 @@ use presence::Presence;
 use sources::Claims;
 use steps::StepTracker;
 use suspects::Contradictions;
-pub use types::{Direction, Doubt, ExchangeCounts, Judged, Learned, Offset, Refusal, RelationSettings};
+pub use types::{
+    Direction, Doubt, ExchangeCounts, JudgedExchange, LearnResult, Offset, Refusal, RelationSettings,
+};
 use windows::Windows;
 
-/// Offsets and stamps beyond are no clock's (±73 years; a host without a battery starts in 1970).
+/// Largest magnitude of stamps and offsets (±73 years; a host without a battery starts in 1970).
 const ABSURD: Span = Span::from_nanos(1 << 61);
-/// A wall clock that moved on differently from the monotonic one by more was stepped: two reads of two clocks, and
-/// what a rehearsed clock drifts.
+/// Largest difference between the progress of a wall clock and of the monotonic clock that is no step: the time to read
+/// two clocks, plus [`STEADY_PPM`] for the drift of a clock with injected faults.
 const STEADY: Span = Span::from_micros(50);
 const STEADY_PPM: i64 = 500;
 
-/// The relation between a clock of an edge and one of a cloud; it belongs to the pair of hosts, fed by all their links.
+/// The relation between a clock of an edge and one of a cloud. It belongs to the pair of hosts; all their links
+/// contribute exchanges.
 ///
-/// How it works, in words: `docs/clocks.md`.
+/// `docs/clocks.md` explains the method.
 #[derive(Debug)]
 pub struct Relation {
     same_clock: bool,
@@ -39,14 +44,14 @@ pub struct Relation {
     presence: Presence,
     contradictions: Contradictions,
     steps: StepTracker,
-    /// The window was begun by a step and took nothing yet; with the last estimate before.
+    /// Set if a step began the window and no exchange was accepted since; contains the last estimate before the step.
     restarted: Option<Option<Span>>,
     claims: Claims,
     counts: ExchangeCounts,
 }
 
 impl Relation {
-    /// A relation of which nothing is known yet.
+    /// Creates a relation without exchanges.
     pub fn new(settings: RelationSettings) -> Self {
         Self {
             same_clock: false,
@@ -61,31 +66,31 @@ impl Relation {
         }
     }
 
-    /// Whether both hosts read one clock, so that the offset is exactly zero.
+    /// Returns whether both hosts read one clock, so that the offset is exactly zero.
     pub const fn is_same_clock(&self) -> bool {
         self.same_clock
     }
 
-    /// From now on it is proven that both processes read one clock, or it no longer is. Exchanges are learnt in either case: they check
-    /// the proof, and bound the offset when it is gone.
+    /// Sets whether it is proven that both processes read one clock. Exchanges are learnt in either case: they check
+    /// the proof, and bound the offset after it ends.
     pub fn set_same_clock(&mut self, is_proven: bool) {
-        // The wall clock of a host is not its free-running clock.
+        // A host's wall clock and its free-running clock are different clocks.
         self.same_clock = is_proven && self.settings.clocks != RelatedClocks::RawToWall;
     }
 
-    /// What the estimate rests on.
+    /// Returns the settings of the relation.
     pub const fn settings(&self) -> &RelationSettings {
         &self.settings
     }
 
-    /// What the two hosts' time daemons say now; `None` for one that says nothing. A claim counts, where the settings trust it,
-    /// until the next call, or until the clock it is about is stepped.
+    /// Sets the current claims of the two hosts' time daemons; `None` for a host without a claim. A claim counts, if
+    /// the settings trust it, until the next call or until its clock is stepped.
     pub fn set_disciplines(&mut self, edge: Option<Discipline>, cloud: Option<Discipline>) {
         self.claims = Claims { edge, cloud };
     }
 
-    /// The offset at a time of the edge's clock within the window or shortly after, when its wall clock showed `wall`; `None` when
-    /// nothing is known.
+    /// Returns the offset at a time of the edge's clock within the window or shortly after it, at which its wall clock
+    /// showed `wall`; `None` if nothing is known.
     pub fn offset(&self, at: RawTime, wall: WallTime) -> Option<Offset> {
         let known = self.knowledge(at, None);
         let combined = known.combined()?;
@@ -104,29 +109,33 @@ impl Relation {
         })
     }
 
-    /// What became of the exchanges.
+    /// Returns the numbers of accepted and refused exchanges.
     pub const fn counts(&self) -> ExchangeCounts {
         self.counts
     }
 
-    /// Which window this is: grows whenever a step makes void what was learnt before, or a jump is suspected.
+    /// Returns the number of the window: it grows when a step invalidates what was learnt before, and when a jump is
+    /// suspected.
     pub const fn window(&self) -> u32 {
         self.counts.restarts
     }
 
-    /// What the exchanges of the current window prove of the skew, whatever the network did; `None` before there are enough.
+    /// Returns the skew that the exchanges of the current window prove whatever the delays were; `None` without enough
+    /// exchanges.
     pub fn proven_skew(&self) -> Option<ProvenSkew> {
         self.windows.current().proven_skew()
     }
 
-    /// How far the exchanges that bound the offset at a time reach back: the settings' window, or further where exchanges are so rare
-    /// that the newest eight take longer. `None` without any.
+    /// Returns the age of the oldest exchange that bounds the offset at a time: the settings' window, or more where the
+    /// newest eight exchanges span a longer time. `None` without exchanges.
     pub fn window_reach(&self, at: RawTime) -> Option<Span> {
         self.windows.current().reach(at)
     }
 
-    /// Which assumption the clocks seem not to keep; delays are `inconsistent` then. Exchanges prove a skew beyond the limit, or they
-    /// contradict each other again and again; or a peer lies.
+    /// Returns the assumption that the clocks seem to violate. Delays are `inconsistent` then.
+    ///
+    /// Exchanges prove a skew beyond the limit, or they contradict each other repeatedly. A peer that sends wrong
+    /// stamps has the same effect.
     pub fn doubt(&self) -> Option<Doubt> {
         if self.excess_skew().is_some() {
             return Some(Doubt::Drift);
@@ -134,17 +143,17 @@ impl Relation {
         self.contradictions.unannounced_steps.doubt(self.windows.current().newest()?)
     }
 
-    /// The proven skew, where it is beyond the limit.
+    /// Returns the proven skew if it is beyond the limit.
     pub fn excess_skew(&self) -> Option<ProvenSkew> {
         self.windows.current().excess_skew()
     }
 
-    /// Whether an assumption is in doubt.
+    /// Returns whether an assumption is in doubt.
     pub fn in_doubt(&self) -> bool {
         self.doubt().is_some()
     }
 
-    /// Bytes of memory that the exchanges of the window take.
+    /// Returns the bytes of memory that the exchanges of the window take.
     pub fn memory_bytes(&self) -> usize {
         self.windows.memory_bytes()
             + self.contradictions.suspects.memory_bytes()
@@ -152,22 +161,22 @@ impl Relation {
     }
 
     /// Learns a finished exchange, unless it is refused.
-    pub fn learn(&mut self, observation: &ExchangeObservation) -> Learned {
+    pub fn learn(&mut self, observation: &ExchangeObservation) -> LearnResult {
         let learned = self.consider(observation);
         let counts = &mut self.counts;
         match learned {
-            Learned::Taken | Learned::Restarted(_) | Learned::Jumped(_) => {
+            LearnResult::Taken | LearnResult::Restarted(_) | LearnResult::Jumped(_) => {
                 counts.taken += 1;
                 self.presence.note(observation.exchange.returned);
             }
-            Learned::Refused(Refusal::Impossible) => counts.impossible += 1,
-            Learned::Refused(Refusal::Outlier) => counts.outliers += 1,
-            Learned::Refused(Refusal::Stepped) => counts.stepped += 1,
+            LearnResult::Refused(Refusal::Impossible) => counts.impossible += 1,
+            LearnResult::Refused(Refusal::Outlier) => counts.outliers += 1,
+            LearnResult::Refused(Refusal::Stepped) => counts.stepped += 1,
         }
         learned
     }
 
-    /// The host's own clock was stepped, or ran off faster than the limit: what was learnt before is void.
+    /// Begins a new window after a step of the edge's own clock, or after a drift beyond the limit.
     pub fn edge_stepped(&mut self, epoch: u32) {
         if self.steps.edge_stepped(epoch) {
             self.claims.edge = None;
@@ -175,7 +184,7 @@ impl Relation {
         }
     }
 
-    /// The peer says that its clock was stepped, or ran faster than the limit.
+    /// Begins a new window after the peer reported a step of its clock, or a drift beyond the limit.
     pub fn cloud_stepped(&mut self, epoch: u32) {
         if self.steps.cloud_stepped(epoch) {
             self.claims.cloud = None;
@@ -183,12 +192,12 @@ impl Relation {
         }
     }
 
-    fn consider(&mut self, observation: &ExchangeObservation) -> Learned {
+    fn consider(&mut self, observation: &ExchangeObservation) -> LearnResult {
         let exchange = &observation.exchange;
         if !self.is_possible(exchange) {
-            return Learned::Refused(Refusal::Impossible);
+            return LearnResult::Refused(Refusal::Impossible);
         }
-        // An exchange that spans a step does not count, but its counters do.
+        // An exchange that spans a step is refused, but its epochs count.
         let report = self.steps.compare(observation);
         self.claims.edge.take_if(|_| report.of_edge);
         self.claims.cloud.take_if(|_| report.of_cloud);
@@ -196,39 +205,42 @@ impl Relation {
             self.restart();
         }
         if !report.is_current || !is_steady(observation) || self.steps.excludes(exchange) {
-            return Learned::Refused(Refusal::Stepped);
+            return LearnResult::Refused(Refusal::Stepped);
         }
         let bounds = Bounds::from(exchange);
         let contradiction = self.windows.contradiction(&bounds);
         let moved = match contradiction {
             Some(contradiction) => {
                 if !self.replace_window(&bounds, exchange.returned, contradiction) {
-                    return Learned::Refused(Refusal::Outlier);
+                    return LearnResult::Refused(Refusal::Outlier);
                 }
                 None
             }
             None => {
-                self.contradictions.suspects.drop_if_refuted(&bounds);
                 let moved = self.windows.insert(exchange, &bounds);
-                self.contradictions.suspects.drop_if_settled(self.windows.current(), bounds.sent());
+                let suspects = &mut self.contradictions.suspects;
+                if !suspects.is_empty() {
+                    suspects.reconsider(&bounds, self.windows.current());
+                }
                 moved
             }
         };
         if let Some(moved) = moved {
             self.contradictions.suspects.clear();
             self.counts.restarts += 1;
-            return Learned::Jumped(moved);
+            return LearnResult::Jumped(moved);
         }
         match self.restarted.take() {
-            None => Learned::Taken,
+            None => LearnResult::Taken,
             Some(before) => {
                 let now = self.estimate_at(exchange.returned);
-                Learned::Restarted(before.zip(now).map(|(before, now)| now - before))
+                LearnResult::Restarted(before.zip(now).map(|(before, now)| now - before))
             }
         }
     }
 
-    /// Adds an exchange that contradicts the window to the suspects. Returns whether they replaced the window: enough of them agree.
+    /// Adds an exchange that contradicts the window to the suspects. Returns whether enough suspects agree, in which
+    /// case they replace the window.
     fn replace_window(&mut self, bounds: &Bounds, at: RawTime, contradiction: Contradiction) -> bool {
         let Some(window) = self.contradictions.suspects.add(bounds, || self.windows.empty()) else {
             return false;
@@ -240,8 +252,8 @@ impl Relation {
         true
     }
 
-    /// Whether any two clocks can show this: an answer after the message, and a round trip that is not negative, by more
-    /// than the stamps are wrong and than the clocks can run apart meanwhile.
+    /// Returns whether two clocks can produce these stamps: the answer follows the message, and the round trip is not
+    /// negative by more than the stamps' uncertainty and the clocks' drift.
     fn is_possible(&self, exchange: &Exchange) -> bool {
         let Exchange { sent, received, replied, returned, uncertainty } = *exchange;
         let apart = Span::from_nanos(self.windows.limit().between(sent.nanos(), returned.nanos()));
@@ -272,7 +284,7 @@ impl Relation {
     }
 }
 
-/// Whether the cloud's clock moved on like its monotonic clock, where both are known.
+/// Returns whether the cloud's clock advanced like its monotonic clock, where both are known.
 fn is_steady(ExchangeObservation { exchange, cloud_elapsed, .. }: &ExchangeObservation) -> bool {
     cloud_elapsed.is_none_or(|mono| {
         let limit = STEADY + Span::from_nanos(mono.abs().nanos() / 1_000_000 * STEADY_PPM);

@@ -1,13 +1,13 @@
-//! When there were exchanges, thinned: enough to tell whether a time had company.
+//! Times of exchanges, thinned, which tell whether a time has recent exchanges.
 
 use std::collections::VecDeque;
 
 use crate::{RawTime, Span};
 
-/// Most times that are kept for a window.
+/// Largest number of times kept per window.
 const MOST: i64 = 1024;
 
-/// Times of exchanges, in order, none nearer to the next than `gap` but for the newest.
+/// Times of exchanges in order, no two closer than `gap`, except for the newest.
 #[derive(Clone, Debug)]
 pub(super) struct Presence {
     times: VecDeque<RawTime>,
@@ -18,6 +18,7 @@ pub(super) struct Presence {
 
 impl Presence {
     pub(super) fn new(fresh: Span, window: Span) -> Self {
+        // A fraction of `fresh`, so that thinning hardly changes whether an exchange counts as recent.
         let gap = (fresh.nanos() / 8).max(window.nanos() / MOST).max(1);
         Self { times: VecDeque::new(), newest: None, gap: Span::from_nanos(gap), window }
     }
@@ -38,10 +39,11 @@ impl Presence {
         }
     }
 
-    /// Whether there was an exchange from `within` before `from` to `within` after `to`.
+    /// Returns whether an exchange took place from `within` before `from` to `within` after `to`.
     pub(super) fn near(&self, from: RawTime, to: RawTime, within: Span) -> bool {
         let (from, to) = (from - within, to + within);
         let place = self.times.partition_point(|time| *time < from);
+        // The newest exchange may not be among the thinned times.
         [self.times.get(place).copied(), self.newest]
             .into_iter()
             .flatten()

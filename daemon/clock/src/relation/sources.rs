@@ -1,9 +1,11 @@
-//! Several sources, one answer: the intersection of what they say (RFC 5905, section 11.2.1, after Marzullo 1984; with two
-//! sources that must both be right it is their overlap, and without one they are reported, not averaged).
+//! Combination of several sources by intersection (RFC 5905, section 11.2.1, after Marzullo 1984).
+//!
+//! With two sources that must both be right, the intersection is their overlap. Without an overlap the contradiction is
+//! reported; the sources are not averaged.
 
 use crate::{DelaySource, Discipline, Interval, Span};
 
-/// What the two hosts' time daemons say now.
+/// Current claims of the two hosts' time daemons.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Claims {
     pub(super) edge: Option<Discipline>,
@@ -11,32 +13,32 @@ pub(super) struct Claims {
 }
 
 impl Claims {
-    /// Returns the offset by both claims together, unless one is missing.
+    /// Returns the offset by both claims together; `None` if one is missing.
     pub(super) fn offset(&self) -> Option<(DelaySource, Interval)> {
         Some(Discipline::offset(self.edge.as_ref()?, self.cloud.as_ref()?))
     }
 }
 
-/// What each source says of the offset at one time.
+/// Statements of all sources about the offset at one time.
 #[derive(Clone, Debug)]
 pub(super) struct Knowledge {
-    /// The band and the estimate within.
+    /// The band and the estimate within it.
     pub(super) in_band: Option<(Interval, Span)>,
-    /// Whether the exchanges have an offset in common that keeps all assumptions.
+    /// `true` if some offset agrees with all exchanges and both assumptions.
     pub(super) is_consistent: bool,
-    /// A proof of one clock, or both hosts' time daemons together.
+    /// A proof of one clock, or the claims of both hosts' time daemons together.
     pub(super) other: Option<(DelaySource, Interval)>,
 }
 
-/// The answer.
+/// The combined statement about the offset.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Combined {
     pub(super) bounds: Interval,
-    /// Within the bounds.
+    /// Estimate within the bounds.
     pub(super) estimate: Span,
     pub(super) source: DelaySource,
-    /// Whether the sources have anything in common. If not, the bounds hold them all, and the estimate is the band's
-    /// own: between the two lies nothing that anyone claims.
+    /// `true` if the sources overlap. If not, the bounds contain them all, and the estimate is the band's, because no
+    /// source claims a value between the two.
     pub(super) agree: bool,
 }
 
@@ -45,7 +47,7 @@ impl Knowledge {
         self.in_band.map(|(band, _)| (DelaySource::InBand, band)).into_iter().chain(self.other).collect()
     }
 
-    /// `None` when there is no source.
+    /// Returns the combination of the sources; `None` if there is no source.
     pub(super) fn combined(&self) -> Option<Combined> {
         let combined = self.intersected()?;
         Some(Combined { agree: combined.agree && self.is_consistent, ..combined })
@@ -63,6 +65,7 @@ impl Knowledge {
             (Some(in_band), Some(other)) => (in_band, other),
         };
         let Some(bounds) = band.intersection(other) else {
+            // Without an overlap at least one source is wrong; averaging them would hide that.
             let bounds = band.hull(other);
             return Some(Combined { bounds, estimate, source: DelaySource::InBand, agree: false });
         };
@@ -73,8 +76,8 @@ impl Knowledge {
         } else {
             DelaySource::Intersection
         };
-        // An estimate outside the other source is off by an asymmetry that nothing else shows: the middle is then the
-        // best that can be said.
+        // An estimate outside the other source is wrong by an asymmetry of the path that nothing else shows. The middle
+        // of the overlap is then the best estimate.
         let estimate = if bounds.contains(estimate) { estimate } else { bounds.middle() };
         Some(Combined { bounds, estimate, source, agree: true })
     }

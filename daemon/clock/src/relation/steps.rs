@@ -1,49 +1,53 @@
-//! Steps of the two clocks that the hosts report, and the exchanges that were under way during one.
+//! Tracking of the steps that both hosts report, and exclusion of the exchanges that were in flight during one.
 
 use crate::{Exchange, ExchangeObservation, RawTime, Span};
 
-/// A peer's counter of steps that went back is a new process, if so many in a row say so. Before, it is an answer that
-/// was overtaken.
+/// Number of equal lower values in a row after which a peer's epoch is taken for that of a new process. Fewer are late
+/// answers that were overtaken.
 const NEW_COUNTER: u32 = 8;
-/// An exchange that ends so long after the one that told of a step may still have begun before it. For the edge it
-/// is short: its stamps themselves may have been set back. Longer ones show against the monotonic clock.
+/// Longest time by which an exchange may have begun before the one that reported a step of the edge. It is short,
+/// because the stamps themselves may have been set back; longer exchanges show the step against the monotonic clock.
 const EDGE_REACH: Span = Span::from_seconds(2);
+/// Longest time by which an exchange may have begun before the one that reported a step of the cloud.
 const CLOUD_REACH: Span = Span::from_seconds(60);
 
-/// The counters of steps of both hosts, and which exchanges the last step keeps out.
+/// The epochs of both hosts, and the exclusion of exchanges that the last step requires.
 #[derive(Clone, Debug, Default)]
 pub(super) struct StepTracker {
     edge: Option<u32>,
     cloud: Option<u32>,
-    /// An older one of the cloud, and how often in a row.
+    /// A lower epoch of the cloud than the known one, and how often it came in a row.
     older: Option<(u32, u32)>,
     barrier: Barrier,
 }
 
-/// What keeps out exchanges that were under way during a step. Who makes exchanges compares the edge's counter before and
-/// after them; the cloud's is read after its stamps, so that a stamp may be older than it says, never younger.
+/// Rule that excludes exchanges which were in flight during a step.
+///
+/// The edge compares its epoch before and after an exchange. The cloud's epoch is read after its stamps, so that a
+/// stamp may belong to an earlier epoch, never to a later one.
 #[derive(Clone, Copy, Debug, Default)]
 enum Barrier {
-    /// Nothing.
+    /// Excludes nothing.
     #[default]
     Open,
-    /// The next exchange is kept out and tells the time.
+    /// Excludes the next exchange, whose return gives the time of the step. The span is the reach of
+    /// [`Barrier::Before`].
     Next(Span),
-    /// Those sent before, but not by more than the reach.
+    /// Excludes exchanges sent before a time, by no more than the reach.
     Before(RawTime, Span),
 }
 
-/// What the counters of an exchange say about steps.
+/// Steps that the epochs of an exchange report.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct StepReport {
     pub(super) of_edge: bool,
     pub(super) of_cloud: bool,
-    /// Whether the exchange itself is of the time after the last step that was known before.
+    /// `true` if the exchange itself took place after the last step that was known before.
     pub(super) is_current: bool,
 }
 
 impl StepTracker {
-    /// Takes the edge's counter of steps. Returns whether it is higher than known.
+    /// Updates the edge's epoch. Returns whether it is higher than the known one.
     pub(super) fn edge_stepped(&mut self, epoch: u32) -> bool {
         let is_new = self.edge.is_none_or(|known| known < epoch);
         if is_new {
@@ -52,7 +56,7 @@ impl StepTracker {
         is_new
     }
 
-    /// Takes the cloud's counter of steps. Returns whether it is higher than known.
+    /// Updates the cloud's epoch. Returns whether it is higher than the known one.
     pub(super) fn cloud_stepped(&mut self, epoch: u32) -> bool {
         let is_new = self.cloud.is_none_or(|known| known < epoch);
         if is_new {
@@ -61,7 +65,7 @@ impl StepTracker {
         is_new
     }
 
-    /// Compares the counters of an exchange with those known.
+    /// Compares the epochs of an exchange with the known ones, and updates these.
     pub(super) fn compare(&mut self, observation: &ExchangeObservation) -> StepReport {
         let returned = observation.exchange.returned;
         let edge = *self.edge.get_or_insert(observation.edge_epoch);
@@ -71,6 +75,7 @@ impl StepTracker {
             self.barrier = Barrier::Before(returned, EDGE_REACH);
         }
         let cloud = observation.cloud_epoch.map(|told| (told, *self.cloud.get_or_insert(told)));
+        // Answers can overtake each other, so that a lower epoch is usually a late one.
         let is_overtaken = cloud.is_some_and(|(told, known)| told < known && !self.is_new_counter(told));
         let mut of_cloud = false;
         if let Some((told, known)) = cloud.filter(|_| !is_overtaken) {
@@ -85,7 +90,7 @@ impl StepTracker {
         StepReport { of_edge, of_cloud, is_current }
     }
 
-    /// Whether so many in a row tell of the same older counter that it is a new one.
+    /// Returns whether a lower epoch came often enough in a row to be that of a new process.
     fn is_new_counter(&mut self, told: u32) -> bool {
         let times = match self.older {
             Some((older, times)) if older == told => times + 1,
@@ -95,11 +100,13 @@ impl StepTracker {
         times >= NEW_COUNTER
     }
 
-    /// Returns whether an exchange may have begun before the last step. The first one after a report tells when that was.
+    /// Returns whether an exchange may have begun before the last step. The first exchange after a report gives the
+    /// time of the step.
     pub(super) fn excludes(&mut self, exchange: &Exchange) -> bool {
         match self.barrier {
             Barrier::Open => false,
             Barrier::Next(reach) => {
+                // The step was before this return; exchanges sent before it may have begun before the step.
                 self.barrier = Barrier::Before(exchange.returned, reach);
                 true
             }
@@ -107,7 +114,7 @@ impl StepTracker {
         }
     }
 
-    /// Excludes nothing any more: the step showed in the exchanges themselves, and those that follow began after it.
+    /// Ends the exclusion. Used when the exchanges themselves show the step, so that those which follow began after it.
     pub(super) fn admit_all(&mut self) {
         self.barrier = Barrier::Open;
     }

@@ -1,24 +1,24 @@
-//! Exchanges that contradict the band: they are wrong, or they are the first after a step that nobody announced.
+//! Exchanges that contradict the band: they are wrong, or the first after a step that no host reported.
 
 use super::types::Doubt;
 use crate::band::{Band, Bounds, Contradiction};
 use crate::{RawTime, Span};
 
-/// Number of suspects in agreement that prove an unannounced step.
+/// Number of agreeing suspects that prove an unreported step.
 const SUSPECTS_FOR_STEP: u64 = 4;
 
-/// Longest time between two unannounced steps that are taken for a violated assumption: the clock drifts faster than the
-/// limit, or the peer lies. The doubt lasts as long after the last of them.
+/// Longest time between two unreported steps from which a violated assumption is concluded: the clock drifts faster
+/// than the limit, or the peer sends wrong stamps. The doubt lasts as long after the last of them.
 const DOUBT: Span = Span::from_seconds(60);
 
 /// Exchanges that contradict the band now, and the steps that earlier ones proved.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Contradictions {
-    pub(super) suspects: Suspects,
+    pub(super) suspects: SuspectExchanges,
     pub(super) unannounced_steps: UnannouncedSteps,
 }
 
-/// Times of steps that no host announced, and the doubt that follows from several of them.
+/// Times of steps that no host reported, and the doubt that follows from several of them.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct UnannouncedSteps {
     last: Option<(RawTime, Contradiction)>,
@@ -38,20 +38,20 @@ impl UnannouncedSteps {
 
     /// Returns the assumption that is in doubt at a time because of the steps before it.
     pub(super) fn doubt(&self, at: RawTime) -> Option<Doubt> {
-        // After the edge's clock is set back far, the end of the doubt lies far ahead: the doubt is over then.
+        // After the edge's clock is set back far, the end of the doubt lies far in the future. The doubt is over then.
         self.doubt.filter(|(until, _)| at < *until && *until - at <= DOUBT + DOUBT).map(|(_, doubt)| doubt)
     }
 }
 
-/// Exchanges that contradict the band and agree with each other, and that no later exchange refuted.
+/// Exchanges that contradict the band, agree with each other, and were not refuted by a later exchange.
 #[derive(Clone, Debug, Default)]
-pub(super) struct Suspects {
+pub(super) struct SuspectExchanges {
     band: Option<Band>,
-    /// Each of them once: an answer that arrives twice counts once.
+    /// Each exchange once, so that an answer which arrives twice counts once.
     bounds: Vec<Bounds>,
 }
 
-impl Suspects {
+impl SuspectExchanges {
     /// Adds an exchange that contradicts the band. Returns the band of all suspects once they prove a step.
     pub(super) fn add(&mut self, bounds: &Bounds, empty: impl FnOnce() -> Band) -> Option<Band> {
         let mut band = match self.band.take().filter(|band| band.contradiction(bounds).is_none()) {
@@ -72,30 +72,25 @@ impl Suspects {
         None
     }
 
-    /// Drops the suspects if an exchange that fits the band contradicts them.
+    /// Handles an exchange that fits the band, which contains it already. Removes the suspects if the exchange contradicts
+    /// them, or if they contradict nothing that bounds the offset any more, or are too old to bound it themselves.
     ///
-    /// A wide exchange that fits both refutes nothing: else no step would be recognised under load.
-    pub(super) fn drop_if_refuted(&mut self, bounds: &Bounds) {
-        self.band = self.band.take().filter(|band| band.contradiction(bounds).is_none());
-    }
-
-    /// Drops the suspects once they contradict nothing that bounds the offset at a time, or are too old to bound it themselves.
-    ///
-    /// Exchanges that fit both refute nothing. But either the suspects are wrong, or the exchanges that they contradict are from before
-    /// a change of the clocks: those leave the window no later than a window after the change.
-    pub(super) fn drop_if_settled(&mut self, current: &Band, at: RawTime) {
-        if self.is_empty() {
-            return;
-        }
-        let begin = current.bounds_from(at);
+    /// A wide exchange that fits both refutes nothing. Otherwise no step could be recognised under load. But either the
+    /// suspects are wrong, or the exchanges that they contradict are from before a change of the clocks; those leave the
+    /// window no later than a window after the change.
+    // Suspects are rare, and `learn` is called for every message.
+    #[cold]
+    pub(super) fn reconsider(&mut self, exchange: &Bounds, current: &Band) {
+        let begin = current.bounds_from(exchange.sent());
         let counting = current.since(begin);
         let is_open = |suspect: &Bounds| suspect.sent() >= begin && counting.contradiction(suspect).is_some();
-        if !self.bounds.iter().any(is_open) {
+        let is_contradicted = |band: &Band| band.contradiction(exchange).is_some();
+        if self.band.as_ref().is_some_and(is_contradicted) || !self.bounds.iter().any(is_open) {
             self.band = None;
         }
     }
 
-    /// Whether no exchange contradicts the band.
+    /// Returns whether there are no suspects.
     pub(super) fn is_empty(&self) -> bool {
         self.band.is_none()
     }

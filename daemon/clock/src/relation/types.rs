@@ -1,10 +1,10 @@
-//! What is asked of a relation and what it answers.
+//! Inputs and results of a relation.
 
 use serde::{Deserialize, Serialize};
 
 use crate::{DelaySource, Interval, OneWayDelay, RelatedClocks, Span, Verdict, WallTime};
 
-/// Which way a message went, seen from the edge.
+/// Direction of a message as seen from the edge.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Direction {
@@ -14,25 +14,25 @@ pub enum Direction {
     Down,
 }
 
-/// What an estimate rests on, apart from the exchanges.
+/// Settings that an estimate rests on in addition to the exchanges.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RelationSettings {
-    /// Which clocks of the two hosts are related.
+    /// Clocks of the two hosts that are related.
     pub clocks: RelatedClocks,
-    /// The fastest that the two clocks may drift apart, parts per million. All bounds hold as long as this does.
+    /// Largest drift between the two clocks, parts per million. All bounds hold as long as the clocks keep it.
     pub max_drift_ppm: f64,
-    /// The fastest that their drift may change, parts per million per second. Where both run freely, all bounds hold as long as this
-    /// does, too.
+    /// Largest change of the drift, parts per million per second. Used where both clocks run freely: all bounds then
+    /// hold as long as the clocks keep it, too.
     pub max_drift_change_ppm_per_s: f64,
-    /// How far from its own time an exchange bounds the offset, into the future and into the past. The newest eight bound it
-    /// however far they are.
+    /// Largest distance in time at which an exchange bounds the offset, in both directions. The newest eight exchanges
+    /// bound it at any distance.
     pub window: Span,
-    /// How long exchanges are kept for questions about the past; counts where it is longer than the window.
+    /// Time for which exchanges are kept to answer queries about the past; at least the window.
     pub retention: Span,
-    /// A delay with no other exchange so near in time is `stale`.
+    /// Largest distance in time to the nearest other exchange at which a delay is not `stale`.
     pub fresh: Span,
-    /// Whether what both hosts' time daemons claim narrows the interval. A claim is nothing that an exchange proves: where a
-    /// daemon is wrong about its clock, so is the interval.
+    /// `true` if the claims of both hosts' time daemons narrow the interval. No exchange proves a claim: if a daemon is
+    /// wrong about its clock, the interval is wrong, too.
     pub trust_time_daemons: bool,
 }
 
@@ -50,87 +50,87 @@ impl Default for RelationSettings {
     }
 }
 
-/// Why an exchange was not believed.
+/// Reason why an exchange was refused.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Refusal {
-    /// No two clocks can show this: the answer left before the message came, or the round trip is negative.
+    /// No two clocks can produce the stamps: the answer left before the message came, or the round trip is negative.
     Impossible,
-    /// It contradicts what all the others say; a clock was stepped only if more of its kind follow.
+    /// It contradicts all other exchanges. A step follows only if more exchanges agree with it.
     Outlier,
-    /// A clock was stepped while it was under way.
+    /// A clock was stepped while it was in flight.
     Stepped,
 }
 
-/// What became of an exchange.
+/// Result of learning an exchange.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Learned {
-    /// It counts.
+pub enum LearnResult {
+    /// It was accepted.
     Taken,
-    /// It counts, and is the first of a new window: a clock was stepped before it. The offset moved by this much,
-    /// by the estimates before and after, where there were any.
+    /// It was accepted as the first of a new window, because a clock was stepped before it. The value is the movement
+    /// of the offset by the estimates before and after, where both exist.
     Restarted(Option<Span>),
-    /// It counts, and is the first of a new window: no host noticed a step, but the offset moved by this much at once, more than waiting
-    /// on the way explains. The path between the hosts changed, or a clock jumped. Delays are `limited` until the
-    /// window is full again.
+    /// It was accepted as the first of a new window: no host noticed a step, but the offset moved by this much at once,
+    /// which is more than waiting on the network explains. The path between the hosts changed, or a clock jumped.
+    /// Delays are `limited` until the window is full again.
     Jumped(Span),
-    /// It does not count.
+    /// It was refused.
     Refused(Refusal),
 }
 
-/// An assumption about the two clocks that they seem not to keep.
+/// An assumption about the two clocks that they seem to violate.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Doubt {
-    /// They drift apart faster than [`max_drift_ppm`](RelationSettings::max_drift_ppm).
+    /// The clocks drift apart faster than [`max_drift_ppm`](RelationSettings::max_drift_ppm).
     Drift,
-    /// Their drift changes faster than [`max_drift_change_ppm_per_s`](RelationSettings::max_drift_change_ppm_per_s).
+    /// The drift changes faster than [`max_drift_change_ppm_per_s`](RelationSettings::max_drift_change_ppm_per_s).
     DriftChange,
 }
 
 /// The offset between two clocks at one time: cloud minus edge.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Offset {
-    /// The edge's wall clock.
+    /// Time of the edge's wall clock.
     pub at: WallTime,
-    /// The best guess, within `bounds`; where it is `inconsistent`, that of `source` alone.
+    /// Estimate within `bounds`; if the verdict is `inconsistent`, the estimate of `source` alone.
     pub estimate: Span,
-    /// Contain the truth as long as the clocks drift apart no faster than the stated limit. Where it is `inconsistent`
-    /// they hold what each of the sources says: one of them is wrong, and it is not known which.
+    /// Interval that contains the truth as long as the clocks keep the limits of drift. If the verdict is
+    /// `inconsistent`, it contains the statements of all sources: one of them is wrong, and it is not known which.
     pub bounds: Interval,
-    /// What the bounds rest on; where it is `inconsistent`, what the estimate does.
+    /// Source of the bounds; if the verdict is `inconsistent`, source of the estimate.
     pub source: DelaySource,
-    /// Every source and what it says alone, for comparison: `in-band` first.
+    /// Each source and its own interval, for comparison; `in-band` first.
     pub sources: Vec<(DelaySource, Interval)>,
-    /// `ok`, `stale` or `inconsistent`; other verdicts are a delay's.
+    /// `ok`, `stale` or `inconsistent`. Other verdicts apply to delays only.
     pub verdict: Verdict,
-    /// How fast the offset grows by the exchanges of the window, parts per million; `None` before there are enough.
+    /// Rate of the offset by the exchanges of the window, parts per million; `None` without enough exchanges.
     pub skew_ppm: Option<f64>,
-    /// Exchanges that the window was given.
+    /// Number of exchanges in the window.
     pub exchanges: u64,
-    /// From the newest exchange to `at`; `None` when there is none.
+    /// Time from the newest exchange to `at`; `None` without exchanges.
     pub age: Option<Span>,
 }
 
-/// How many exchanges were taken and refused, since the relation was made.
+/// Numbers of accepted and refused exchanges since the relation was created.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct ExchangeCounts {
-    /// Taken.
+    /// Accepted exchanges.
     pub taken: u64,
-    /// Refused: impossible.
+    /// Refused because impossible.
     pub impossible: u64,
-    /// Refused: outliers.
+    /// Refused as outliers.
     pub outliers: u64,
-    /// Refused: a clock was stepped on the way.
+    /// Refused because a clock was stepped while they were in flight.
     pub stepped: u64,
     /// Windows begun after a step or a suspected jump.
     pub restarts: u32,
 }
 
-/// The delays of a message and of its answer.
+/// Delays of a message and of its answer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Judged {
-    /// What became of the exchange itself.
-    pub learned: Learned,
+pub struct JudgedExchange {
+    /// Result of learning the exchange itself.
+    pub learned: LearnResult,
     /// Edge to cloud.
     pub up: OneWayDelay,
     /// Cloud to edge.

@@ -1,21 +1,21 @@
-//! The window of exchanges that counts now, and those before it that a suspected jump ended.
+//! The current window of exchanges, and the earlier ones that suspected jumps ended.
 
 use std::collections::VecDeque;
 
 use super::RelationSettings;
-use super::jumps::{Floor, Suspicion};
+use super::jumps::{ShortestRoundTrips, Suspicion};
 use crate::band::{Band, Bounds, Contradiction, DriftChangeLimit, DriftLimit, DriftModel, OffsetInterval};
 use crate::{Exchange, RawTime, Span};
 
-/// Largest number of windows before the current one that are kept to judge delays of their time.
+/// Largest number of earlier windows that are kept to judge delays of their time.
 const MAX_PAST: usize = 16;
-/// Time for which past windows are kept beyond `retention`: the longest that a message takes.
+/// Time for which past windows are kept beyond `retention`: the longest duration of a message.
 const LONGEST_MESSAGE: Span = Span::from_seconds(60);
 
-/// What the exchanges prove of the offset, window by window.
+/// Statements of the exchanges about the offset, by window.
 ///
-/// A suspected jump lies at some time between two exchanges. Before the first the earlier window holds, after the second the later
-/// one; in between either may, and the interval is the hull of both.
+/// A suspected jump lies at some time between two exchanges. Before the first one the earlier window holds, after the
+/// second one the later window. In between either may hold, and the interval is the hull of both.
 #[derive(Clone, Debug)]
 pub(super) struct Windows {
     drift: DriftModel,
@@ -23,7 +23,7 @@ pub(super) struct Windows {
     retention: Span,
     current: Band,
     past: VecDeque<PastWindow>,
-    floor: Floor,
+    shortest_round_trips: ShortestRoundTrips,
 }
 
 /// A window that a suspected jump ended.
@@ -41,7 +41,7 @@ struct PastWindow {
 impl Windows {
     pub(super) fn new(settings: &RelationSettings) -> Self {
         let limit = DriftLimit::new(settings.max_drift_ppm);
-        // A time daemon changes the rate of a wall clock at once.
+        // A time daemon may change the rate of a wall clock at once, so that its drift has no limited change.
         let is_free = settings.clocks.are_free_running();
         let change = is_free.then(|| DriftChangeLimit::new(settings.max_drift_change_ppm_per_s, limit));
         let drift = DriftModel { limit, change };
@@ -52,16 +52,16 @@ impl Windows {
             retention,
             current: Band::new(drift, window, retention),
             past: VecDeque::new(),
-            floor: Floor::default(),
+            shortest_round_trips: ShortestRoundTrips::default(),
         }
     }
 
-    /// The limit of drift.
+    /// Returns the limit of drift.
     pub(super) fn limit(&self) -> DriftLimit {
         self.drift.limit
     }
 
-    /// The window that counts now.
+    /// Returns the current window.
     pub(super) fn current(&self) -> &Band {
         &self.current
     }
@@ -76,14 +76,14 @@ impl Windows {
         self.current.contradiction(bounds)
     }
 
-    /// Inserts an exchange that contradicts nothing. Returns by how much the offset seems to have jumped before it, if
-    /// a jump is suspected: the exchange is then the first of a new window.
+    /// Inserts an exchange that contradicts nothing. Returns the movement of the offset if a jump is suspected before
+    /// the exchange, which is then the first of a new window.
     pub(super) fn insert(&mut self, exchange: &Exchange, bounds: &Bounds) -> Option<Span> {
         if self.past.back().is_some_and(|past| exchange.sent < past.next_sent) {
             // The exchange that showed the jump overtook this one, which may be from before the jump.
             return None;
         }
-        let suspicion = self.floor.suspect(exchange, self.drift.limit);
+        let suspicion = self.shortest_round_trips.suspect(exchange, self.drift.limit);
         if let Some(Suspicion { last_before: (sent, returned), .. }) = suspicion {
             let empty = self.empty();
             let mut band = std::mem::replace(&mut self.current, empty);
@@ -92,25 +92,27 @@ impl Windows {
             // The edge's own clock may have jumped back.
             let (until, next_from) = (sent.min(exchange.sent), returned.max(exchange.returned));
             self.past.push_back(PastWindow { band, until, next_from, next_sent: exchange.sent });
+            // Older windows can answer no query any more.
             let start = exchange.returned - self.retention - LONGEST_MESSAGE;
             while self.past.len() > MAX_PAST || self.past.front().is_some_and(|past| past.next_from < start) {
                 self.past.pop_front();
             }
-            self.floor.clear();
+            self.shortest_round_trips.clear();
         }
         self.current.insert(bounds);
-        self.floor.insert(exchange, self.window);
+        self.shortest_round_trips.insert(exchange, self.window);
         suspicion.map(|suspicion| suspicion.moved)
     }
 
     /// Replaces all windows by one, after a step of a clock.
     pub(super) fn restart(&mut self, window: Band) {
         self.current = window;
+        // A step makes all earlier bounds invalid, unlike a suspected jump, whose time is known.
         self.past.clear();
-        self.floor.clear();
+        self.shortest_round_trips.clear();
     }
 
-    /// The interval at a time; `None` without an exchange that says anything of it.
+    /// Returns the interval at a time; `None` without an exchange that bounds the offset then.
     pub(super) fn interval(&self, at: RawTime) -> Option<OffsetInterval> {
         let hull = |one: OffsetInterval, other: OffsetInterval| OffsetInterval {
             interval: one.interval.hull(other.interval),
@@ -119,23 +121,24 @@ impl Windows {
         self.bands(at).filter_map(|band| band.interval(at)).reduce(hull)
     }
 
-    /// The best guess at a time, within the interval of that time.
+    /// Returns the estimate at a time, within the interval of that time.
     pub(super) fn estimate(&self, at: RawTime, known: OffsetInterval) -> Span {
         let band = self.bands(at).next().unwrap_or(&self.current);
         band.estimate(at, known.interval)
     }
 
-    /// Returns by how much the offset most likely grows from one time to another one near it.
+    /// Returns the estimated change of the offset between two neighbouring times.
     pub(super) fn growth(&self, from: RawTime, to: RawTime) -> Span {
         self.current.growth(from, to)
     }
 
-    /// Whether a jump is suspected so shortly before a time that delays are `limited`: within the length of the window.
+    /// Returns whether a jump is suspected within the length of the window before a time, so that delays are `limited`.
     pub(super) fn is_unsettled(&self, at: RawTime) -> bool {
         self.past.iter().any(|past| past.until <= at && at <= past.next_from + self.window)
     }
 
-    /// Exchanges of the current window, and of the one before it where a jump is suspected in between.
+    /// Returns the number of exchanges of the current window, and of the window before it if a suspected jump separates
+    /// them.
     pub(super) fn exchanges(&self) -> u64 {
         self.current.exchanges() + self.past.back().map_or(0, |past| past.band.exchanges())
     }
@@ -143,10 +146,10 @@ impl Windows {
     pub(super) fn memory_bytes(&self) -> usize {
         let past: usize =
             self.past.iter().map(|past| size_of::<PastWindow>() + past.band.memory_bytes()).sum();
-        self.current.memory_bytes() + past + self.floor.memory_bytes()
+        self.current.memory_bytes() + past + self.shortest_round_trips.memory_bytes()
     }
 
-    /// The windows that may hold at a time, the latest first.
+    /// Returns the windows that may hold at a time, the latest first.
     fn bands(&self, at: RawTime) -> impl Iterator<Item = &Band> {
         let past = self.past.iter().rev();
         let begins = past.clone().map(|past| Some(past.until)).chain([None]);

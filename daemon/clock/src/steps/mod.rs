@@ -1,4 +1,5 @@
-//! Noticing that a wall clock was stepped, runs off, or slept. No I/O: told what the clocks show, it says what is odd.
+//! Detection of steps and slews of a wall clock, and of sleeps of the machine. No I/O: the input is the clocks'
+//! readings.
 
 mod step;
 #[cfg(test)]
@@ -6,27 +7,27 @@ mod tests;
 mod watch;
 
 pub(crate) use step::{Paired, StepWatch};
-pub use watch::{Disturbance, Watch};
+pub use watch::{ClockWatch, Disturbance};
 
 use crate::{MonoTime, RawTime, Span, WallTime};
 
 /// All clocks of a host, read together.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Readings {
-    /// `CLOCK_REALTIME`, or what a rehearsal makes of it.
+    /// `CLOCK_REALTIME`, with injected faults if there are any.
     pub wall: WallTime,
-    /// `CLOCK_MONOTONIC`: slewed along with the wall clock, so that only steps show between the two.
+    /// `CLOCK_MONOTONIC`: slewed like the wall clock, so that the two differ by steps only.
     pub mono: MonoTime,
-    /// `CLOCK_MONOTONIC_RAW`: never slewed, so that slews show against it.
+    /// `CLOCK_MONOTONIC_RAW`: never slewed, so that the wall clock's slews show against it.
     pub raw: RawTime,
-    /// `CLOCK_BOOTTIME`: goes on while the machine sleeps.
+    /// `CLOCK_BOOTTIME`: continues while the machine sleeps.
     pub boot: MonoTime,
 }
 
-/// Below this a change between two clocks may be the reading of them.
+/// Smallest change between two clocks that is a step. Smaller changes may come from the time that reading takes.
 const LEAST_STEP: Span = Span::from_micros(20);
 
-/// `ppm` parts per million of a span.
+/// Returns `ppm` parts per million of a span.
 fn parts(ppm: f64, of: Span) -> Span {
     Span::from_nanos((of.nanos() as f64 * ppm * 1e-6).round() as i64)
 }

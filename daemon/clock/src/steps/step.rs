@@ -1,11 +1,11 @@
-//! Steps of one clock against another, found by whoever looks first.
+//! Detection of steps of one clock against another, at each query.
 
 use std::ops::Sub;
 
 use super::{LEAST_STEP, parts};
 use crate::{MonoTime, Span};
 
-/// Something read between two looks at a clock: what another clock showed in nanoseconds, or several clocks.
+/// A value read between two reads of a clock: another clock's time in nanoseconds, or several clocks.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Paired<T = i64, C = MonoTime> {
     pub(crate) before: C,
@@ -13,12 +13,12 @@ pub(crate) struct Paired<T = i64, C = MonoTime> {
     pub(crate) after: C,
 }
 
-/// So near together, two reads were not interrupted.
+/// Longest gap between two reads that were not interrupted.
 const NEAR: Span = Span::from_micros(3);
 const TRIES: u32 = 8;
 
 impl<T, C: Copy + Sub<Output = Span>> Paired<T, C> {
-    /// Reads until nothing came in between; if something always does, the best of several.
+    /// Reads until a read is not interrupted. Returns the one with the shortest gap if all of them are.
     pub(crate) fn read(mut once: impl FnMut() -> Self) -> Self {
         let mut best = once();
         for _ in 1..TRIES {
@@ -39,15 +39,15 @@ impl<T, C: Copy + Sub<Output = Span>> Paired<T, C> {
 }
 
 impl Paired {
-    /// The other clock minus the monotonic one; off by half the gap at most.
+    /// Returns the other clock minus the monotonic one; the error is at most half the gap.
     fn ahead(&self) -> Span {
         let mono = self.before.nanos() + self.gap().nanos() / 2;
         Span::from_nanos(self.between.saturating_sub(mono))
     }
 }
 
-/// Counts the steps of a clock against `CLOCK_MONOTONIC`, which is slewed together with the wall clock, so that the two move apart by
-/// steps alone; `CLOCK_BOOTTIME` and it move apart by sleeps alone.
+/// Counter of the steps of a clock against `CLOCK_MONOTONIC`. That clock is slewed together with the wall clock, so
+/// that the two move apart by steps only; `CLOCK_BOOTTIME` moves away from it by sleeps only.
 #[derive(Debug, Default)]
 pub(crate) struct StepWatch {
     last: Option<Paired>,
@@ -56,19 +56,20 @@ pub(crate) struct StepWatch {
 }
 
 impl StepWatch {
-    /// Under libfaketime the wall clock may be given a rate of its own; that is no step.
+    /// Largest difference in rate that is no step: libfaketime can give the wall clock another rate.
     const RATE_PPM: f64 = 200.0;
 
-    /// Looks, and says how often the clock was stepped so far.
-    pub(crate) fn look(&mut self, now: Paired) -> u32 {
+    /// Compares a new reading with the last one. Returns the number of steps so far.
+    pub(crate) fn compare(&mut self, now: Paired) -> u32 {
         let Some(last) = self.last.replace(now) else { return self.epoch };
         let moved = now.ahead() - last.ahead();
+        // Each reading is uncertain by half of its gap.
         let unsure = Span::from_nanos((now.gap() + last.gap()).nanos() / 2);
         if moved.abs() > LEAST_STEP + unsure + parts(Self::RATE_PPM, now.after - last.before) {
             self.epoch += 1;
             self.last_step = Some(moved);
         } else if now.gap() > NEAR && last.gap() < now.gap() {
-            // An interrupted read could hide a step from all that follow.
+            // An interrupted reading could hide a step from all readings that follow, so that the better one is kept.
             self.last = Some(last);
         }
         self.epoch

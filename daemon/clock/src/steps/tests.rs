@@ -4,7 +4,7 @@ fn micros(micros: i64) -> Span {
     Span::from_micros(micros)
 }
 
-/// The clocks after so long awake, set ahead by so much.
+/// Returns the clocks after `awake`, with a wall clock that is `ahead`.
 fn readings(awake: Span, ahead: Span) -> Readings {
     let mono = MonoTime::default() + awake;
     let raw = RawTime::from_nanos(1 << 50) + awake;
@@ -21,27 +21,28 @@ fn pair(at: Span, ahead: Span, gap: Span) -> Paired {
 fn only_what_reading_cannot_explain_is_a_step() {
     let calm = Span::from_nanos(80);
     let mut steps = StepWatch::default();
-    let look =
-        |steps: &mut StepWatch, millis, ahead, gap| steps.look(pair(Span::from_millis(millis), ahead, gap));
-    assert_eq!(look(&mut steps, 0, Span::ZERO, calm), 0);
-    assert_eq!(look(&mut steps, 10, micros(15), calm), 0);
-    assert_eq!(look(&mut steps, 20, micros(50), calm), 1);
+    let compare = |steps: &mut StepWatch, millis, ahead, gap| {
+        steps.compare(pair(Span::from_millis(millis), ahead, gap))
+    };
+    assert_eq!(compare(&mut steps, 0, Span::ZERO, calm), 0);
+    assert_eq!(compare(&mut steps, 10, micros(15), calm), 0);
+    assert_eq!(compare(&mut steps, 20, micros(50), calm), 1);
     assert_eq!(steps.last_step(), Some(micros(35)));
-    assert_eq!(look(&mut steps, 30, micros(-3_000_000), calm), 2);
-    // Interrupted while reading: 40 µs apart, but nobody can tell.
-    assert_eq!(look(&mut steps, 40, micros(-3_000_040), micros(200)), 2);
-    // A calm look sees the same difference, and now it is certain.
-    assert_eq!(look(&mut steps, 41, micros(-3_000_040), calm), 3);
+    assert_eq!(compare(&mut steps, 30, micros(-3_000_000), calm), 2);
+    // The reading was interrupted, so that a step of 40 µs cannot be told from the gap.
+    assert_eq!(compare(&mut steps, 40, micros(-3_000_040), micros(200)), 2);
+    // An uninterrupted reading shows the same difference, which is now certain.
+    assert_eq!(compare(&mut steps, 41, micros(-3_000_040), calm), 3);
     steps.begin();
-    assert_eq!(look(&mut steps, 42, micros(-3_000_040), calm), 4);
+    assert_eq!(compare(&mut steps, 42, micros(-3_000_040), calm), 4);
 }
 
 #[test]
-fn a_rate_of_its_own_is_no_step() {
+fn constant_drift_is_no_step() {
     let mut steps = StepWatch::default();
     for second in 0..600 {
         let at = Span::from_seconds(second);
-        assert_eq!(steps.look(pair(at, Span::from_micros(100 * second), Span::from_nanos(80))), 0);
+        assert_eq!(steps.compare(pair(at, Span::from_micros(100 * second), Span::from_nanos(80))), 0);
     }
 }
 
@@ -56,14 +57,14 @@ fn an_interrupted_read_is_repeated() {
     assert_eq!(best.after - best.before, micros(20));
 }
 
-/// What a watch says, looking ten times a second.
+/// Returns the disturbances that a watch reports in ten readings per second.
 fn watched(ppm: f64, seconds: i64, ahead: impl Fn(i64) -> Readings) -> Vec<Disturbance> {
-    let mut watch = Watch::new(ppm);
-    (0..seconds * 10).flat_map(|tenth| watch.look(ahead(tenth))).collect()
+    let mut watch = ClockWatch::new(ppm);
+    (0..seconds * 10).flat_map(|tenth| watch.compare(ahead(tenth))).collect()
 }
 
 #[test]
-fn a_calm_clock_disturbs_nobody_and_a_step_is_told_once() {
+fn step_is_reported_once_and_calm_clock_never() {
     let tenths = |tenth: i64| Span::from_millis(100 * tenth);
     assert_eq!(watched(50.0, 60, |tenth| readings(tenths(tenth), Span::ZERO)), []);
     for by in [micros(150), micros(-150), Span::from_seconds(3), Span::from_seconds(-3600)] {
@@ -73,12 +74,12 @@ fn a_calm_clock_disturbs_nobody_and_a_step_is_told_once() {
 }
 
 #[test]
-fn a_slew_is_a_change_of_rate_not_a_crystals_own() {
-    // 60 ppm for ever: made up for by a time daemon.
+fn slew_is_distinguished_from_constant_drift() {
+    // A constant 60 ppm, for which a time daemon compensates.
     let rate =
         |tenth: i64, ppm: i64| readings(Span::from_millis(100 * tenth), Span::from_nanos(tenth * 100 * ppm));
     assert_eq!(watched(50.0, 60, |tenth| rate(tenth, 60)), []);
-    // Then 300 ppm more for twenty seconds, slewed along with the monotonic clock so that no step shows.
+    // Then 300 ppm more for twenty seconds. The monotonic clock is slewed as well, so that no step shows.
     let slewed = |tenth: i64| {
         let slew = Span::from_nanos((tenth - 300).clamp(0, 200) * 100 * 300);
         let plain = rate(tenth, 60);
@@ -90,13 +91,13 @@ fn a_slew_is_a_change_of_rate_not_a_crystals_own() {
         told.iter().all(|odd| matches!(odd, Disturbance::Slew(ppm) if (100.0..320.0).contains(ppm))),
         "{told:?}"
     );
-    // No crystal is off by so much: told from the start, again and again.
+    // No crystal is off by 400 ppm. The slew is reported from the start, and repeatedly.
     assert!(watched(50.0, 60, |tenth| rate(tenth, 400)).len() >= 9);
     assert_eq!(watched(150.0, 60, |tenth| rate(tenth, 100)), []);
 }
 
 #[test]
-fn a_sleep_is_told_and_is_no_step_when_the_wall_clock_kept_up() {
+fn suspend_is_reported_and_is_no_step() {
     let slept = Span::from_seconds(7);
     let nap = |late: Span| {
         move |tenth: i64| {

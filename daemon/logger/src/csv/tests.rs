@@ -4,7 +4,7 @@ use proptest::prelude::*;
 use super::*;
 use crate::{Anchor, HostId, Measure, Unit, stage};
 
-/// A tree from `(path, value)` pairs in the order of logging; containers where there is no value.
+/// Builds a tree from `(path, value)` pairs in the order of logging. Nodes without a value are containers.
 fn tree(nodes: &[(&str, Option<f64>)]) -> Tree {
     let anchor = Anchor { host: HostId::random(), wall: WallTime::from_unix_nanos(0) };
     let mut tree = Tree::new(stage::ITERATION, anchor);
@@ -42,7 +42,7 @@ fn nested_nodes_are_joined_and_values_with_children_are_marked() {
 }
 
 #[test]
-fn columns_of_later_rows_stand_where_those_rows_have_them() {
+fn columns_of_later_rows_keep_their_order() {
     let rows = [
         tree(&[("a", Some(1.0)), ("c", Some(3.0))]),
         tree(&[("a", Some(1.0)), ("b", Some(2.0)), ("c", Some(3.0)), ("d", Some(4.0))]),

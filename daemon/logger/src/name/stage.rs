@@ -1,4 +1,4 @@
-//! The standard names of nodes, written the same way in code, storage, API and pages.
+//! The standard names of nodes, spelt alike in code, storage, API and pages.
 
 use crate::Name;
 
@@ -9,10 +9,10 @@ macro_rules! standard_names {
     ) => {
         $($(#[$doc])* pub const $constant: Name = Name::from_static($name);)*
 
-        /// All standard names; the position is the number that stands for the name on the wire.
+        /// All standard names. The position is the number of the name on the wire.
         const NAMES: &[&str] = &[$($name),*];
 
-        /// The static form of a standard name, of a standard unit's symbol, or `None` for any other text.
+        /// Returns the static form of a standard name or of a standard unit's symbol; `None` for any other text.
         pub(crate) fn standard(name: &str) -> Option<&'static str> {
             match name {
                 $($name => Some($name),)*
@@ -21,7 +21,7 @@ macro_rules! standard_names {
             }
         }
 
-        /// The number that stands for a standard name on the wire.
+        /// Returns the number of a standard name on the wire.
         pub(crate) fn code(name: &str) -> Option<u8> {
             #[expect(non_camel_case_types, clippy::upper_case_acronyms, reason = "counts the constants")]
             enum Position { $($constant),* }
@@ -33,85 +33,87 @@ macro_rules! standard_names {
     };
 }
 
-/// All standard names, in the order of the numbers that stand for them on the wire.
+/// Returns all standard names in the order of their numbers on the wire.
 pub fn all() -> impl Iterator<Item = Name> {
     NAMES.iter().copied().map(Name::from_static)
 }
 
-/// The standard name of a number on the wire.
+/// Returns the standard name with a number on the wire.
 pub(crate) fn decode(code: u64) -> Option<Name> {
     NAMES.get(usize::try_from(code).ok()?).copied().map(Name::from_static)
 }
 
-// On the wire a standard name is its position in this list: append only, and raise `wire::VERSION` when doing so.
+// A standard name on the wire is its position in this list: only append, and raise `wire::VERSION` when doing so.
 standard_names! {
     names {
-        /// The root of every tree: one sample's trip through a pipeline.
+        /// Root of every tree: the processing of one sample by a pipeline.
         ITERATION = "iteration";
-        /// Edge: asking the sensor → sample ready to send. Parent of `capture` and `transform`.
+        /// Edge: from the request to the sensor until the sample is ready to send. Parent of `capture` and `transform`.
         SENSING = "sensing";
-        /// Edge: the sensor's own part of `sensing`.
+        /// Edge: the sensor's part of `sensing`.
         CAPTURE = "capture";
         /// Edge: the transforms' part of `sensing`.
         TRANSFORM = "transform";
-        /// Edge: sample → wire frames.
+        /// Edge: conversion of the sample to wire frames.
         ENCODE = "encode";
-        /// Edge: ready → handed to the network (waiting for a free place in flight).
+        /// Edge: from ready until handed to the network, including the wait for a free place in flight.
         SEND_QUEUE = "send-queue";
-        /// Edge → cloud: handed to the network → whole message received. A transit, with bounds.
+        /// Edge to cloud: from handed to the network until the whole message is received. A transit, with bounds.
         UPLOAD = "upload";
-        /// Cloud or edge: received → worker starts.
+        /// Cloud or edge: from received until a worker starts.
         QUEUE = "queue";
-        /// Cloud or edge: input of the model made ready.
+        /// Cloud or edge: preparation of the model's input.
         PREPROCESSING = "preprocessing";
-        /// Cloud or edge: the model itself, until the result is really there.
+        /// Cloud or edge: execution of the model until the result is available.
         INFERENCE = "inference";
-        /// Cloud or edge: output of the model made into an answer.
+        /// Cloud or edge: conversion of the model's output to an answer.
         POSTPROCESSING = "postprocessing";
-        /// Cloud → edge: as `upload`.
+        /// Cloud to edge: like `upload`.
         DOWNLOAD = "download";
-        /// Edge: answer → actuator done.
+        /// Edge: from the answer until the actuator is done.
         ACTUATION = "actuation";
-        /// Edge: intended start → end, monotonic, no cross-host error.
+        /// Edge: from the intended start to the end, on the monotonic clock, without error between hosts.
         TOTAL = "total";
-        /// Sum of the stages: what the paper calls Total.
+        /// Sum of the stages, called Total in the paper.
         STAGES_TOTAL = "stages-total";
-        /// What `total` holds beyond the sum of its stages.
+        /// Part of `total` that no stage accounts for.
         UNATTRIBUTED = "unattributed";
-        /// Payload bytes sent up.
+        /// Payload bytes that the edge sent.
         UPLOAD_BYTES = "upload-bytes";
-        /// Bytes of metadata (header and logger tree) sent up.
+        /// Bytes of metadata (header and logger tree) that the edge sent.
         UPLOAD_LOGGER_BYTES = "upload-logger-bytes";
-        /// Payload bytes sent down.
+        /// Payload bytes that the cloud sent.
         DOWNLOAD_BYTES = "download-bytes";
-        /// Bytes of metadata sent down.
+        /// Bytes of metadata that the cloud sent.
         DOWNLOAD_LOGGER_BYTES = "download-logger-bytes";
-        /// Payload and metadata over `upload`, bits per second, with the bounds that follow from the delay's.
+        /// Payload and metadata divided by `upload`, bits per second, with the bounds that follow from the delay's.
         UPLOAD_THROUGHPUT = "upload-throughput";
-        /// As `upload-throughput`, the other way.
+        /// Throughput of the download, computed like `upload-throughput`.
         DOWNLOAD_THROUGHPUT = "download-throughput";
-        /// Time from asking a language model to its first token. Child of a token rate.
+        /// Time from the request to a language model until its first token. Child of a token rate.
         TIME_TO_FIRST_TOKEN = "time-to-first-token";
-        /// How many tokens a language model gave. Child of a token rate.
+        /// Number of tokens that a language model returned. Child of a token rate.
         TOKENS = "tokens";
-        /// How many nodes a recorder left out because the tree had reached its limits ([`crate::limits`]).
+        /// Number of nodes that a recorder left out because the tree had reached its limits ([`crate::limits`]).
         SKIPPED_NODES = "skipped-nodes";
     }
     symbols { "" "s" "B" "bit/s" "token/s" "W" "°C" "J" "token" }
 }
 
-/// Cloud or edge: what the border of a worker process costs around the model's code in it, both ways. On the wire it is
-/// spelt out, as names of users' own are.
+/// Cloud or edge: overhead of the communication with the worker process that runs the model's code, in both directions.
+/// The wire form contains it as text, like names supplied by users.
 pub const IPC: Name = Name::from_static("ipc");
-/// The same of a sensor, below `capture`. It has a name of its own because summaries go by name.
+/// Overhead of the communication with a sensor's worker process, below `capture`. It has a separate name because
+/// summaries are grouped by name.
 pub const CAPTURE_IPC: Name = Name::from_static("capture-ipc");
 
-/// Cloud or edge: a sample's wait for a model's worker that was started anew, because the last one had died. No stage:
-/// it belongs to the death before it, and is part of `unattributed`. Spelt out on the wire.
+/// Cloud or edge: wait of a sample for a model's worker that is restarted because the last one died. It is no stage,
+/// because it is caused by that death and not by the loop; it is part of `unattributed`. The wire form contains it as
+/// text.
 pub const RESTART: Name = Name::from_static("restart");
-/// The same of a sensor, below `capture` and part of it.
+/// Wait for a sensor's restarted worker, below `capture` and part of it.
 pub const CAPTURE_RESTART: Name = Name::from_static("capture-restart");
-/// The same of an actuator, below `actuation` and part of it.
+/// Wait for an actuator's restarted worker, below `actuation` and part of it.
 pub const ACTUATION_RESTART: Name = Name::from_static("actuation-restart");
 
 /// The stages that add up to `stages-total`, in the order of every stack, key and table.

@@ -1,4 +1,4 @@
-//! Nodes that are open as long as a guard lives: timers, meters, token counters.
+//! Guards of open nodes: timers, meters, token counters.
 
 use std::ops::{Deref, DerefMut};
 
@@ -6,7 +6,7 @@ use peernet_clock::{MonoTime, Span};
 
 use crate::{Measure, Meter, NodeId, Recorder, Unit, stage};
 
-/// An open node: everything recorded through it becomes its child, and dropping it closes it.
+/// Guard of an open node. Nodes recorded through it become its children; dropping it closes the node.
 #[derive(Debug)]
 pub struct Timing<'a> {
     pub(crate) recorder: &'a mut Recorder,
@@ -17,7 +17,7 @@ pub struct Timing<'a> {
 }
 
 impl Timing<'_> {
-    /// The open node.
+    /// Returns the open node.
     pub const fn id(&self) -> NodeId {
         self.node
     }
@@ -40,6 +40,7 @@ impl Drop for Timing<'_> {
     #[inline]
     fn drop(&mut self) {
         let recorder = &mut *self.recorder;
+        // Guards are dropped innermost first, so the outer node is open again.
         (recorder.open, recorder.level) = (self.outer, self.outer_level);
         if let Some(node) = recorder.tree.nodes.get_mut(self.node.index())
             && let Measure::Timer(duration) = &mut node.measure
@@ -49,7 +50,7 @@ impl Drop for Timing<'_> {
     }
 }
 
-/// An open node that an instrument of the user's own measures; made by [`Recorder::measure`].
+/// Guard of an open node that a user's instrument measures, created by [`Recorder::measure`].
 #[derive(Debug)]
 pub struct Measuring<'a, M: Meter> {
     open: Timing<'a>,
@@ -62,12 +63,12 @@ impl<'a, M: Meter> Measuring<'a, M> {
         Self { open, meter }
     }
 
-    /// The open node.
+    /// Returns the open node.
     pub const fn id(&self) -> NodeId {
         self.open.node
     }
 
-    /// The instrument.
+    /// Returns the instrument.
     pub const fn meter(&mut self) -> &mut M {
         &mut self.meter
     }
@@ -96,11 +97,11 @@ impl<M: Meter> Drop for Measuring<'_, M> {
     }
 }
 
-/// An open token rate: tells of each token, and closes with `tokens` and `time-to-first-token` as children; made
-/// by [`Recorder::tokens`].
+/// Guard of an open token rate, created by [`Recorder::tokens`]. When it is dropped it adds `tokens` and
+/// `time-to-first-token` as children.
 ///
-/// The rate is the number of tokens over the time from opening to the last token, the wait for the first
-/// included: what a user of the answer sees.
+/// The rate is the number of tokens divided by the time from opening to the last token. That time includes the wait for
+/// the first token, as a user of the answer experiences it.
 #[derive(Debug)]
 pub struct Tokens<'a> {
     open: Timing<'a>,
@@ -115,17 +116,17 @@ impl<'a> Tokens<'a> {
         Self { open, started, count: 0, first: None, last: started }
     }
 
-    /// The open node.
+    /// Returns the open node.
     pub const fn id(&self) -> NodeId {
         self.open.node
     }
 
-    /// A token is there.
+    /// Counts one token.
     pub fn token(&mut self) {
         self.several(1);
     }
 
-    /// So many tokens are there, come at once.
+    /// Counts several tokens that arrived at once.
     pub fn several(&mut self, tokens: u64) {
         if tokens > 0 {
             self.last = self.open.clock().mono();

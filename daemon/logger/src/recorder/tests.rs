@@ -16,7 +16,7 @@ fn paths(tree: &Tree) -> Vec<(Option<u32>, String)> {
 }
 
 #[test]
-fn guards_nest_and_close_what_they_opened() {
+fn guards_close_their_nodes() {
     let (clock, mut log) = recorder();
     {
         let mut sensing = log.time(stage::SENSING);
@@ -51,7 +51,7 @@ fn guards_nest_and_close_what_they_opened() {
 }
 
 #[test]
-fn tokens_are_counted_and_the_wait_for_the_first_is_measured() {
+fn tokens_and_time_to_first_are_recorded() {
     let (clock, mut log) = recorder();
     {
         let mut tokens = log.tokens("answer".into());
@@ -72,7 +72,7 @@ fn tokens_are_counted_and_the_wait_for_the_first_is_measured() {
 }
 
 #[test]
-fn a_reading_that_failed_is_recorded_as_such() {
+fn failed_reading_is_recorded_without_value() {
     struct Broken;
     impl Meter for Broken {
         fn kind(&self) -> Name {
@@ -98,7 +98,7 @@ fn a_reading_that_failed_is_recorded_as_such() {
 }
 
 #[test]
-fn a_tree_never_grows_beyond_its_limits_and_says_what_is_missing() {
+fn tree_stays_within_limits_and_counts_missing_nodes() {
     let (_, mut log) = recorder();
     for _ in 0..MAX_NODES {
         log.start(stage::CAPTURE);
@@ -116,7 +116,7 @@ fn a_tree_never_grows_beyond_its_limits_and_says_what_is_missing() {
 }
 
 #[test]
-fn nodes_below_the_deepest_level_are_left_out_and_their_elders_stay() {
+fn nodes_below_depth_limit_are_discarded() {
     fn descend(log: &mut Recorder, levels: usize) {
         if levels > 0 {
             let mut deeper = log.time("step".into());
@@ -134,7 +134,7 @@ fn nodes_below_the_deepest_level_are_left_out_and_their_elders_stay() {
     assert!(tree.nodes()[1..].iter().all(|node| !node.measure.is_open()));
 }
 
-/// A tree of a worker on another host, and of a third that the worker asked.
+/// Returns a tree of a worker on another host, with nodes of a third host that the worker asked.
 fn foreign(third: HostId) -> Tree {
     let (clock, mut log) = recorder();
     clock.advance(Span::from_nanos(50));
@@ -144,18 +144,18 @@ fn foreign(third: HostId) -> Tree {
     let tree = log.tree().clone();
     let mut remote = Recorder::resume(log.clock().clone(), third, tree, upload, sent).expect("under way");
     remote.value("grip".into(), 3.0, Unit::new("N"));
-    let growth = remote.into_growth().expect("resumed");
-    log.tree_mut().absorb(growth).expect("fits");
+    let delta = remote.into_tree_delta().expect("resumed");
+    log.tree_mut().absorb(delta).expect("fits");
     log.finish()
 }
 
 #[test]
-fn an_inserted_tree_keeps_its_shape_its_hosts_and_its_place_in_time() {
+fn inserted_tree_keeps_shape_hosts_and_times() {
     let third = HostId::random();
     let other = foreign(third);
     let (clock, _) = recorder();
     clock.advance(Span::from_nanos(7));
-    // The third host is the one that inserts: it is already there.
+    // The inserting host is the third host, which the tree already contains.
     let mut log = Recorder::begin(Arc::<ManualClock>::clone(&clock), third);
     let root = {
         let mut inference = log.container(stage::INFERENCE);
@@ -177,7 +177,7 @@ fn an_inserted_tree_keeps_its_shape_its_hosts_and_its_place_in_time() {
 }
 
 #[test]
-fn a_tree_inserted_on_another_host_travels_back_with_the_growth() {
+fn inserted_tree_returns_with_delta() {
     let other = foreign(HostId::random());
     let (_, mut log) = recorder();
     let sent = log.clock().stamp();
@@ -186,9 +186,9 @@ fn a_tree_inserted_on_another_host_travels_back_with_the_growth() {
     let mut remote =
         Recorder::resume(log.clock().clone(), HostId::random(), tree, upload, sent).expect("under way");
     remote.insert(&other).expect("fits");
-    let growth = remote.into_growth().expect("resumed");
-    assert_eq!(growth.others.len(), 2);
-    log.tree_mut().absorb(growth).expect("fits");
+    let delta = remote.into_tree_delta().expect("resumed");
+    assert_eq!(delta.others.len(), 2);
+    log.tree_mut().absorb(delta).expect("fits");
     let tree = log.finish();
     assert_eq!((tree.anchors().len(), tree.check(0)), (4, Ok(())));
     assert!(tree.find(&["iteration", "grip"]).is_some());
@@ -215,7 +215,7 @@ fn an_insertion_that_does_not_fit_changes_nothing() {
 }
 
 #[test]
-fn only_an_open_transit_can_be_continued_and_a_growth_fits_once() {
+fn transit_is_continued_once_by_one_delta() {
     let (_, mut log) = recorder();
     let sent = log.clock().stamp();
     let upload = log.depart(stage::UPLOAD, sent);
@@ -224,8 +224,8 @@ fn only_an_open_transit_can_be_continued_and_a_growth_fits_once() {
     };
     assert!(matches!(resume(&log, NodeId::ROOT), Err(TreeError::NotUnderWay(0))));
     assert!(matches!(resume(&log, NodeId::NOWHERE), Err(TreeError::NotUnderWay(_))));
-    let growth = resume(&log, upload).expect("under way").into_growth().expect("resumed");
-    let mut crooked = growth.clone();
+    let delta = resume(&log, upload).expect("under way").into_tree_delta().expect("resumed");
+    let mut crooked = delta.clone();
     crooked.nodes.push(Node {
         parent: Some(NodeId(9)),
         name: stage::QUEUE,
@@ -236,6 +236,6 @@ fn only_an_open_transit_can_be_continued_and_a_growth_fits_once() {
     let before = log.tree().clone();
     assert_eq!(log.tree_mut().absorb(crooked), Err(TreeError::Order(2)));
     assert_eq!(log.tree(), &before);
-    assert_eq!(log.tree_mut().absorb(growth.clone()), Ok(()));
-    assert_eq!(log.tree_mut().absorb(growth), Err(TreeError::NotUnderWay(1)));
+    assert_eq!(log.tree_mut().absorb(delta.clone()), Ok(()));
+    assert_eq!(log.tree_mut().absorb(delta), Err(TreeError::NotUnderWay(1)));
 }

@@ -1,4 +1,4 @@
-//! Bytes to values, from whoever sent them.
+//! Decoding of the wire form from an untrusted source.
 
 use peernet_clock::{DelaySource, Interval, OneWayDelay, RawTime, Span, Verdict, WallTime};
 use rmp::{Marker, decode};
@@ -7,9 +7,9 @@ use super::{VERSION, WireError};
 use crate::limits::{MAX_ANCHORS, MAX_BYTES, MAX_NAME_BYTES, MAX_NODES};
 use crate::{Anchor, HostId, HostIndex, Measure, Name, Node, NodeId, Rate, RawStamps, Transit, Unit, stage};
 
-/// The shortest node on the wire: what room is made for beforehand follows from it and the bytes that are there.
+/// Length of the shortest node in bytes. Together with the input's length it limits the capacity reserved for nodes.
 const SHORTEST_NODE: usize = 6;
-/// Likewise for an anchor.
+/// Length of the shortest anchor in bytes, for the same purpose.
 const SHORTEST_ANCHOR: usize = 20;
 
 pub(super) struct Reader<'a> {
@@ -20,7 +20,7 @@ pub(super) struct Reader<'a> {
 type Read<T> = Result<T, WireError>;
 
 impl<'a> Reader<'a> {
-    /// Reads the head that trees and growths share.
+    /// Reads the header that trees and tree deltas share.
     pub(super) fn begin(bytes: &'a [u8], fields: u32, what: &'static str) -> Read<Self> {
         if bytes.len() > MAX_BYTES {
             return Err(WireError::TooLong(bytes.len()));
@@ -57,7 +57,7 @@ impl<'a> Reader<'a> {
         decode::read_int(&mut self.rest).map_err(|_| error)
     }
 
-    /// A position within a tree.
+    /// Reads a position within a tree.
     pub(super) fn small(&mut self, expected: &'static str) -> Read<u32> {
         let number = self.uint(expected)?;
         match u32::try_from(number) {
@@ -82,6 +82,7 @@ impl<'a> Reader<'a> {
     }
 
     fn number(&mut self, expected: &'static str) -> Read<f64> {
+        // Whole numbers are written as integers, which are shorter.
         if self.marker() == Some(Marker::F64) {
             let error = self.malformed(expected);
             return decode::read_f64(&mut self.rest).map_err(|_| error);
@@ -139,6 +140,7 @@ impl<'a> Reader<'a> {
         if count > MAX_ANCHORS {
             return Err(WireError::Limit { what: "hosts", found: count, limit: MAX_ANCHORS });
         }
+        // The stated number is not trusted: the capacity is limited by what the input can hold.
         let mut anchors = Vec::with_capacity(count.min(self.rest.len() / SHORTEST_ANCHOR));
         for _ in 0..count {
             anchors.push(self.anchor()?);
@@ -151,7 +153,7 @@ impl<'a> Reader<'a> {
         if count > MAX_NODES {
             return Err(WireError::Limit { what: "nodes", found: count, limit: MAX_NODES });
         }
-        // A little more room than needed: the edge adds what it computes.
+        // A little more capacity than needed, because the edge adds computed nodes.
         let mut nodes = Vec::with_capacity(count.min(self.rest.len() / SHORTEST_NODE) + 8);
         for _ in 0..count {
             nodes.push(self.node()?);
@@ -166,6 +168,7 @@ impl<'a> Reader<'a> {
         let name = self.name()?;
         let host = u8::try_from(self.uint("a host")?).map(HostIndex).map_err(|_| error)?;
         let start = self.span("a start")?;
+        // The kind determines the number of fields; a mismatch is refused.
         let measure = match (self.uint("a kind")?, length) {
             (0, 5) => Measure::Container,
             (1, 6) => Measure::Timer(self.optional(|reader| reader.span("a duration"))?),
@@ -215,7 +218,7 @@ impl<'a> Reader<'a> {
     }
 }
 
-/// Both, or neither; `None` for one without the other.
+/// Returns both ends or neither; `None` if only one of them exists.
 fn both<T>(lo: Option<T>, hi: Option<T>) -> Option<Option<(T, T)>> {
     match (lo, hi) {
         (Some(lo), Some(hi)) => Some(Some((lo, hi))),

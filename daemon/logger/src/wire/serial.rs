@@ -1,13 +1,13 @@
-//! Trees and growths inside other serialised things: bytes for machines, objects for people, checked both ways.
+//! Serde implementations of trees and tree deltas: bytes in binary formats, objects in human-readable ones.
 
 use serde::de::Error as _;
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
 use peernet_clock::WallTime;
 
-use super::{decode, decode_growth, encode, encode_growth};
+use super::{decode, decode_tree_delta, encode, encode_tree_delta};
 use crate::limits::MAX_NODES;
-use crate::{Anchor, Growth, Node, NodeId, Tree, TreeError};
+use crate::{Anchor, Node, NodeId, Tree, TreeDelta, TreeError};
 
 #[derive(Deserialize)]
 #[serde(rename = "Tree")]
@@ -65,19 +65,19 @@ impl<'de> Deserialize<'de> for Tree {
     }
 }
 
-impl Serialize for Growth {
+impl Serialize for TreeDelta {
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
         if serializer.is_human_readable() {
             let Self { base, anchor, others, closed, nodes } = self;
             return GrowthView { base: *base, anchor, others, closed: *closed, nodes }.serialize(serializer);
         }
         let mut wire = Vec::with_capacity(self.nodes.len() * 24 + 64);
-        encode_growth(self, &mut wire);
+        encode_tree_delta(self, &mut wire);
         serializer.serialize_bytes(&wire)
     }
 }
 
-impl<'de> Deserialize<'de> for Growth {
+impl<'de> Deserialize<'de> for TreeDelta {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
         if deserializer.is_human_readable() {
             let PlainGrowth { base, anchor, others, closed, nodes } = PlainGrowth::deserialize(deserializer)?;
@@ -87,6 +87,6 @@ impl<'de> Deserialize<'de> for Growth {
             return Ok(Self { base, anchor, others, closed, nodes });
         }
         let wire: std::borrow::Cow<'de, [u8]> = serde_bytes::deserialize(deserializer)?;
-        decode_growth(&wire).map_err(D::Error::custom)
+        decode_tree_delta(&wire).map_err(D::Error::custom)
     }
 }

@@ -74,7 +74,7 @@ fn tree() -> impl Strategy<Value = Tree> {
             let hosts = anchors.len();
             let mut grown: Vec<Node> = Vec::new();
             for (at, (parent, name, host, start, measure)) in nodes.into_iter().enumerate() {
-                // Near the root, so that no branch grows deeper than is allowed.
+                // Parents near the root, so that no branch exceeds the largest depth.
                 let parent = (at > 0).then(|| NodeId(parent.index(at.min(MAX_DEPTH - 1)) as u32));
                 let host = HostIndex(host.index(hosts) as u8);
                 grown.push(Node { parent, name, host, start, measure });
@@ -90,9 +90,9 @@ fn wire(tree: &Tree) -> Vec<u8> {
     out
 }
 
-fn growth_of(tree: &Tree, anchor: Anchor) -> Growth {
+fn delta_of(tree: &Tree, anchor: Anchor) -> TreeDelta {
     let (nodes, closed) = (tree.nodes().to_vec(), (NodeId(3), anchor.wall));
-    Growth { base: 7, others: tree.anchors()[1..].to_vec(), anchor, closed, nodes }
+    TreeDelta { base: 7, others: tree.anchors()[1..].to_vec(), anchor, closed, nodes }
 }
 
 proptest! {
@@ -101,17 +101,17 @@ proptest! {
         let bytes = wire(&tree);
         let read = decode(&bytes).expect("our own");
         prop_assert_eq!(&read, &tree);
-        // Equality alone would not see the sign of a zero.
+        // Equality does not distinguish the signs of zero.
         prop_assert_eq!(wire(&read), bytes);
         let packed = rmp_serde::to_vec(&tree).expect("plain data");
         prop_assert_eq!(&rmp_serde::from_slice::<Tree>(&packed).expect("our own"), &tree);
 
-        let growth = growth_of(&tree, anchor);
+        let delta = delta_of(&tree, anchor);
         let mut bytes = Vec::new();
-        encode_growth(&growth, &mut bytes);
-        prop_assert_eq!(&decode_growth(&bytes), &Ok(growth.clone()));
-        let packed = rmp_serde::to_vec(&growth).expect("plain data");
-        prop_assert_eq!(&rmp_serde::from_slice::<Growth>(&packed).expect("our own"), &growth);
+        encode_tree_delta(&delta, &mut bytes);
+        prop_assert_eq!(&decode_tree_delta(&bytes), &Ok(delta.clone()));
+        let packed = rmp_serde::to_vec(&delta).expect("plain data");
+        prop_assert_eq!(&rmp_serde::from_slice::<TreeDelta>(&packed).expect("our own"), &delta);
     }
 
     #[test]
@@ -133,17 +133,17 @@ proptest! {
         if let Ok(other) = decode(&bytes) {
             prop_assert_eq!(decode(&wire(&other)), Ok(other));
         }
-        let _ = decode_growth(&bytes);
+        let _ = decode_tree_delta(&bytes);
     }
 
     #[test]
     fn no_bytes_panic(bytes: Vec<u8>) {
-        let _ = (decode(&bytes), decode_growth(&bytes));
+        let _ = (decode(&bytes), decode_tree_delta(&bytes));
     }
 }
 
 #[test]
-fn for_people_a_tree_is_an_object_and_is_checked_as_well() {
+fn human_readable_tree_is_checked_object() {
     let mut tree = Tree::new(stage::ITERATION, Anchor { host: HostId::random(), wall: WallTime::default() });
     tree.add(NodeId::ROOT, stage::INFERENCE, Span::ZERO, Measure::Timer(Some(Span::from_nanos(5))));
     let text = serde_json::to_string(&tree).expect("plain data");
@@ -154,7 +154,7 @@ fn for_people_a_tree_is_an_object_and_is_checked_as_well() {
     assert!(error.contains("stands before its parent"), "{error}");
 }
 
-/// A tree on the wire by hand: what our own writer would never write.
+/// Builds a wire form by hand that the writer never produces.
 fn by_hand(anchors: usize, nodes: &[&[u8]]) -> Vec<u8> {
     let mut out = vec![0x93, 1];
     writer::array(&mut out, anchors as u32);
@@ -187,7 +187,7 @@ fn each_limit_is_named_when_it_is_broken() {
 }
 
 #[test]
-fn what_is_not_a_tree_is_refused_with_the_reason() {
+fn invalid_tree_is_refused_with_reason() {
     let tree = |nodes: &[&[u8]]| match decode(&by_hand(1, nodes)) {
         Err(WireError::Tree(error)) => error,
         other => panic!("{other:?}"),
@@ -212,7 +212,7 @@ fn what_is_not_a_tree_is_refused_with_the_reason() {
 }
 
 #[test]
-fn the_wire_form_stays_what_it_is() {
+fn wire_form_is_unchanged() {
     let host = HostId::from_bytes([0xaa; 16]);
     let mut tree = Tree::new(stage::ITERATION, Anchor { host, wall: WallTime::from_unix_nanos(1) });
     tree.add(NodeId::ROOT, stage::SENSING, Span::from_nanos(2), Measure::Timer(Some(Span::from_nanos(300))));
@@ -251,6 +251,6 @@ fn transit_without_raw_stamps_keeps_its_earlier_form() {
     assert_eq!(wire(&transit(Some(stamps))), by_hand(1, &[ROOT, &later]));
     let json = serde_json::to_string(&transit(Some(stamps))).expect("plain data");
     assert_eq!(serde_json::from_str::<Tree>(&json).expect("our own"), transit(Some(stamps)));
-    // One of the two alone is no form.
+    // A node with only one of the two stamps is malformed.
     assert!(decode(&by_hand(1, &[ROOT, &[0x99, 0, name, 0, 2, 2, 3, 4, 0xc0, 5]])).is_err());
 }

@@ -1,18 +1,18 @@
-//! Values to bytes.
+//! Encoding of the wire form.
 
 use peernet_clock::{OneWayDelay, Span};
 use rmp::encode;
 
 use crate::{Anchor, Measure, Name, Node, Unit, stage};
 
-/// Writing into memory cannot fail; the library's results are made for sockets and files.
+/// Unwraps the result of a write to memory, which cannot fail. The library's signatures are made for sockets and files.
 macro_rules! infallible {
     ($result:expr) => {
         $result.expect("a vector takes all bytes")
     };
 }
 
-/// The largest magnitude below which every integer is an exact `f64`.
+/// Largest magnitude up to which every integer is an exact `f64`.
 const EXACT: f64 = 9_007_199_254_740_992.0;
 
 pub(super) fn array(out: &mut Vec<u8>, length: u32) {
@@ -38,9 +38,10 @@ fn optional<T>(out: &mut Vec<u8>, value: Option<T>, write: impl Fn(&mut Vec<u8>,
     }
 }
 
-/// Sizes and counts are whole numbers: five bytes instead of nine.
+/// Writes a number. Whole numbers such as sizes and counts take five bytes instead of nine.
 fn number(out: &mut Vec<u8>, number: f64) {
     let whole = number as i64;
+    // Compared by bits, because -0.0 would lose its sign as an integer.
     if number.abs() < EXACT && (whole as f64).to_bits() == number.to_bits() {
         int(out, whole);
     } else {

@@ -1,7 +1,7 @@
 //! Tests that compare the wire form of the session protocol with the files in `tests/fixtures/wire/session`.
 //!
-//! A file holds the bytes of a header (frame 0), or of a tree or a growth (frame 1). Payload frames have no fixtures
-//! because they are sent unchanged.
+//! A file holds the bytes of a header (frame 0), or of a tree or a tree delta (frame 1). Payload frames have no
+//! fixtures because they are sent unchanged.
 //!
 //! The names of variants are on the wire. So are the names of fields in all headers except requests and replies, whose
 //! fields are identified by their order. The files detect a rename or a moved field that changes the bytes. Neither the
@@ -23,9 +23,9 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use bytes::Bytes;
-use peernet_logger::{Growth, Tree};
+use peernet_logger::{Tree, TreeDelta};
 
-use super::{Header, decode_growth, decode_tree, encode_growth, encode_tree};
+use super::{Header, decode_tree, decode_tree_delta, encode_tree, encode_tree_delta};
 
 /// Contents of fixture files by file name.
 type Files = BTreeMap<String, Bytes>;
@@ -50,7 +50,7 @@ fn files() -> Files {
 enum Content {
     Header(Header),
     Tree(Tree),
-    Growth(Growth),
+    TreeDelta(TreeDelta),
 }
 
 impl Content {
@@ -61,8 +61,8 @@ impl Content {
             Some(variants::TREE_NAME) => {
                 decode_tree(frame).map(Self::Tree).map_err(|error| error.to_string())
             }
-            Some(variants::GROWTH_NAME) => {
-                decode_growth(frame).map(Self::Growth).map_err(|error| error.to_string())
+            Some(variants::DELTA_NAME) => {
+                decode_tree_delta(frame).map(Self::TreeDelta).map_err(|error| error.to_string())
             }
             _ => Header::decode(frame).map(Self::Header).map_err(|error| error.to_string()),
         };
@@ -73,7 +73,9 @@ impl Content {
         match self {
             Self::Header(header) => header.encode().expect("the headers of the fixtures are short"),
             Self::Tree(tree) => encode_tree(tree).expect("the trees of the fixtures are small"),
-            Self::Growth(growth) => encode_growth(growth).expect("the growths of the fixtures are small"),
+            Self::TreeDelta(delta) => {
+                encode_tree_delta(delta).expect("the growths of the fixtures are small")
+            }
         }
     }
 
@@ -82,7 +84,7 @@ impl Content {
         match self {
             Self::Header(header) => variants::header_name(header),
             Self::Tree(_) => variants::TREE_NAME,
-            Self::Growth(_) => variants::GROWTH_NAME,
+            Self::TreeDelta(_) => variants::DELTA_NAME,
         }
     }
 }

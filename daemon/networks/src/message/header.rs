@@ -58,7 +58,7 @@ pub(crate) enum Header {
     Refused(Refused),
     /// The edge sends a sample. The tree and the payload follow.
     Request(Request),
-    /// The cloud answers a request. The tree's growth and the payload follow.
+    /// The cloud answers a request. The tree delta and the payload follow.
     Reply(Reply),
     /// The cloud reports the state of its clocks.
     Clock(Box<ClockUpdate>),
@@ -146,7 +146,7 @@ pub(crate) struct Request {
 pub(crate) struct Reply {
     pub(crate) session: SessionId,
     pub(crate) request: u64,
-    /// Present if and only if the tree's growth is. An answer that no model computed has neither.
+    /// Present if and only if the tree delta is. An answer that no model computed has neither.
     pub(crate) departure: Option<Departure>,
     /// Cloud's epoch right before the arrival of the request was stamped. If it differs from the epoch of the
     /// departure, the cloud's clock was stepped in between.

@@ -2,7 +2,7 @@
 
 use std::fmt;
 
-use peernet_clock::{ClockIdentity, Discipline, Interval, RehearsalDescription};
+use peernet_clock::{ClockFaults, ClockIdentity, Discipline, Interval};
 use peernet_logger::{HostId, Slug};
 use peernet_stream::{Condition, Hardware, Release, VersionRange};
 use serde::de::Error as _;
@@ -146,7 +146,7 @@ pub struct PeerClock {
     pub text: String,
     /// Clock fault that is injected on this host, if any.
     #[serde(deserialize_with = "finite")]
-    pub rehearsal: Option<RehearsalDescription>,
+    pub rehearsal: Option<ClockFaults>,
     /// State of the free-running clock; `None` in versions before [`RAW_STAMPS_SINCE`].
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub raw: Option<RawClock>,
@@ -241,8 +241,8 @@ fn ordered<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<Discipli
     }
 }
 
-fn finite<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<RehearsalDescription>, D::Error> {
-    let rehearsal: Option<RehearsalDescription> = Option::deserialize(deserializer)?;
+fn finite<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<ClockFaults>, D::Error> {
+    let rehearsal: Option<ClockFaults> = Option::deserialize(deserializer)?;
     match rehearsal {
         Some(rehearsal) if !rehearsal.drift_ppm.is_finite() => {
             Err(D::Error::custom("a drift that is no number"))

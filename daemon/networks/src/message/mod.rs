@@ -5,7 +5,7 @@
 //! | open | edge | hello, limits | | |
 //! | accepted, refused | cloud | session id and acceptance, or the reason | | |
 //! | request | edge | session, number, departure, description of the sample | tree | payload parts, unchanged |
-//! | reply | cloud | session, number, departure, outcome | growth of the tree | payload parts, unchanged |
+//! | reply | cloud | session, number, departure, outcome | tree delta | payload parts, unchanged |
 //! | clock | cloud | session, state of the cloud's clocks | | |
 //! | statistics | cloud | session, statistics of the cloud's end of the connection | | |
 //! | unknown-session | cloud | session, number | | |
@@ -40,7 +40,9 @@ pub use hello::{
     SessionId,
 };
 pub use probe_key::ProbeKey;
-pub(crate) use tree::{TreeFrameError, add_upload, decode_growth, decode_tree, encode_growth, encode_tree};
+pub(crate) use tree::{
+    TreeFrameError, add_upload, decode_tree, decode_tree_delta, encode_tree, encode_tree_delta,
+};
 
 use peernet_sample::printable_line;
 use serde::{Deserialize, Deserializer};

@@ -1,8 +1,7 @@
 //! Proptest strategies for messages.
 
 use peernet_clock::{
-    ClockIdentity, DelaySource, Discipline, Interval, RawTime, RehearsalDescription, RehearsedStep, Span,
-    WallTime,
+    ClockFaultStep, ClockFaults, ClockIdentity, DelaySource, Discipline, Interval, RawTime, Span, WallTime,
 };
 use peernet_logger::{HostId, Slug};
 use peernet_sample::{Description, ElementType, MediaType, PixelFormat};
@@ -65,11 +64,14 @@ fn discipline() -> impl Strategy<Value = Discipline> {
     })
 }
 
-fn rehearsal() -> impl Strategy<Value = RehearsalDescription> {
-    let step = (span(), span()).prop_map(|(at, by)| RehearsedStep::of_wall(at, by));
+fn rehearsal() -> impl Strategy<Value = ClockFaults> {
+    let step = (span(), span()).prop_map(|(at, by)| ClockFaultStep::of_wall(at, by));
     let steps = proptest::collection::vec(step, 0..3);
-    (span(), -1e3..1e3_f64, steps, any::<i64>()).prop_map(|(offset, drift_ppm, steps, since)| {
-        RehearsalDescription { offset, drift_ppm, steps, since: WallTime::from_unix_nanos(since) }
+    (span(), -1e3..1e3_f64, steps, any::<i64>()).prop_map(|(offset, drift_ppm, steps, since)| ClockFaults {
+        offset,
+        drift_ppm,
+        steps,
+        since: WallTime::from_unix_nanos(since),
     })
 }
 

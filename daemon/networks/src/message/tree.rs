@@ -1,13 +1,13 @@
-//! Frame 1 of a message: the tree of a request or the growth of a reply, in the wire form and within the limits of the
-//! logger.
+//! Frame 1 of a message: the tree of a request or the tree delta of a reply, in the wire form and within the limits of
+//! the logger.
 
 use bytes::Bytes;
 use peernet_logger::limits::MAX_BYTES;
-use peernet_logger::{Growth, Measure, NodeId, Transit, Tree, stage, wire};
+use peernet_logger::{Measure, NodeId, Transit, Tree, TreeDelta, stage, wire};
 
 use super::Departure;
 
-/// Error: a tree or a growth cannot be sent or cannot be read.
+/// Error: a tree or a tree delta cannot be sent or cannot be read.
 #[derive(Debug, thiserror::Error)]
 pub(crate) enum TreeFrameError {
     #[error("the tree takes {0} bytes, more than {MAX_BYTES}")]
@@ -33,14 +33,14 @@ pub(crate) fn decode_tree(bytes: &[u8]) -> Result<Tree, TreeFrameError> {
     Ok(wire::decode(bytes)?)
 }
 
-pub(crate) fn encode_growth(growth: &Growth) -> Result<Bytes, TreeFrameError> {
+pub(crate) fn encode_tree_delta(delta: &TreeDelta) -> Result<Bytes, TreeFrameError> {
     let mut out = Vec::with_capacity(512);
-    wire::encode_growth(growth, &mut out);
+    wire::encode_tree_delta(delta, &mut out);
     sendable(out)
 }
 
-pub(crate) fn decode_growth(bytes: &[u8]) -> Result<Growth, TreeFrameError> {
-    Ok(wire::decode_growth(bytes)?)
+pub(crate) fn decode_tree_delta(bytes: &[u8]) -> Result<TreeDelta, TreeFrameError> {
+    Ok(wire::decode_tree_delta(bytes)?)
 }
 
 fn sendable(out: Vec<u8>) -> Result<Bytes, TreeFrameError> {

@@ -182,7 +182,7 @@ impl Session {
     }
 
     /// Handles an answer. The cloud extended the tree as it was sent, so nothing may be added to the tree before the
-    /// growth is absorbed.
+    /// tree delta is absorbed.
     fn take(&self, exchange: &mut Exchange, sent: &PendingRequest<'_>, arrived: ArrivedReply) {
         let shared = &*self.inner.shared;
         let sizes = Sizes::of(&arrived.frames);

@@ -7,7 +7,7 @@ use peernet_logger::{
 };
 use peernet_sample::Sample;
 
-use crate::message::{Departure, Outcome, Reply, TreeFrameError, decode_growth};
+use crate::message::{Departure, Outcome, Reply, TreeFrameError, decode_tree_delta};
 use crate::transport::Frames;
 
 /// Result of a request. The log is returned in every case.
@@ -102,9 +102,9 @@ impl Sizes {
     }
 }
 
-/// Error: a growth does not fit the tree that was sent.
+/// Error: a tree delta does not fit the tree that was sent.
 #[derive(Debug, thiserror::Error)]
-pub(crate) enum GrowthError {
+pub(crate) enum TreeDeltaError {
     #[error(transparent)]
     Frame(#[from] TreeFrameError),
     #[error("the cloud closed another node than upload")]
@@ -127,41 +127,41 @@ pub(crate) enum GrowthError {
 /// of `download` and the stamps, or `None` if no model answered. `raw` is `true` if the session's version has stamps of
 /// the cloud's free-running clock.
 ///
-/// A growth may only add nodes of the host that made it.
+/// A tree delta may only add nodes of the host that made it.
 ///
 /// # Errors
-/// If the growth does not fit the tree. The tree is then unchanged.
+/// If the delta does not fit the tree. The tree is then unchanged.
 pub(crate) fn absorb(
     log: &mut Recorder,
     cloud: HostId,
     raw: bool,
     departed: &DepartedRequest,
     arrived: &ArrivedReply,
-) -> Result<Option<(NodeId, Option<ExchangeObservation>)>, GrowthError> {
-    let (Some(departure), Some(growth)) = (arrived.reply.departure, arrived.frames.get(1)) else {
+) -> Result<Option<(NodeId, Option<ExchangeObservation>)>, TreeDeltaError> {
+    let (Some(departure), Some(delta)) = (arrived.reply.departure, arrived.frames.get(1)) else {
         return Ok(None);
     };
-    let mut growth = decode_growth(growth)?;
-    if growth.closed.0 != departed.upload {
-        return Err(GrowthError::OtherNodeClosed);
+    let mut delta = decode_tree_delta(delta)?;
+    if delta.closed.0 != departed.upload {
+        return Err(TreeDeltaError::OtherNodeClosed);
     }
-    if growth.anchor.host != cloud {
-        return Err(GrowthError::OtherHost);
+    if delta.anchor.host != cloud {
+        return Err(TreeDeltaError::OtherHost);
     }
-    let joined = u8::try_from(log.tree().anchors().len()).map_err(|_| GrowthError::TooManyHosts)?;
+    let joined = u8::try_from(log.tree().anchors().len()).map_err(|_| TreeDeltaError::TooManyHosts)?;
     let host = HostIndex(joined);
-    if growth.nodes.iter().any(|node| node.host < host) {
-        return Err(GrowthError::EarlierHost);
+    if delta.nodes.iter().any(|node| node.host < host) {
+        return Err(TreeDeltaError::EarlierHost);
     }
     let cloud_times = match (raw, arrived.reply.arrived_raw, departure.sent_raw) {
         // The cloud's wall clock replaces its free-running clock.
-        (false, ..) => (RawTime::of_wall(growth.closed.1), RawTime::of_wall(departure.sent)),
+        (false, ..) => (RawTime::of_wall(delta.closed.1), RawTime::of_wall(departure.sent)),
         (true, Some(received), Some(replied)) => (received, replied),
-        (true, ..) => return Err(GrowthError::NoRawStamps),
+        (true, ..) => return Err(TreeDeltaError::NoRawStamps),
     };
     let raw_stamps = Some(RawStamps { sent: cloud_times.1, received: arrived.at.raw });
     let transit = Transit { sent: departure.sent, received: Some(arrived.at.wall), delay: None, raw_stamps };
-    growth.nodes.push(Node {
+    delta.nodes.push(Node {
         parent: Some(NodeId::ROOT),
         name: stage::DOWNLOAD,
         host,
@@ -169,11 +169,11 @@ pub(crate) fn absorb(
         measure: Measure::Transit(Box::new(transit)),
     });
     let observation = observation(departed, raw, cloud_times, departure, arrived);
-    log.tree_mut().absorb(growth)?;
+    log.tree_mut().absorb(delta)?;
     let up = RawStamps { sent: departed.at.raw, received: cloud_times.0 };
     set_raw_stamps(log.tree_mut(), departed.upload, up);
     let last = log.tree().nodes().len() - 1;
-    let download = u32::try_from(last).map(NodeId).map_err(|_| GrowthError::TooManyNodes)?;
+    let download = u32::try_from(last).map(NodeId).map_err(|_| TreeDeltaError::TooManyNodes)?;
     Ok(Some((download, observation)))
 }
 

@@ -5,8 +5,8 @@ use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
 use peernet_clock::{
-    Clock, ClockIdentity, DelaySource, Discipline, Interval, MonoTime, RawTime, RehearsalDescription,
-    RehearsedStep, RelatedClocks, Span, Stamp, SteppedClock, SystemClock, WallTime,
+    Clock, ClockFaultStep, ClockFaults, ClockIdentity, DelaySource, Discipline, Interval, MonoTime, RawTime,
+    RelatedClocks, Span, Stamp, SteppedClock, SystemClock, WallTime,
 };
 use peernet_logger::{Measure, NodeId, Transit};
 use peernet_networks::{Exchange, PeerClock, RawClock, RequestError};
@@ -177,7 +177,7 @@ async fn session_of_version_four_has_wall_stamps_of_cloud() {
     assert!(Span::ZERO <= there && there <= stamps.returned - stamps.sent, "{there}");
 
     let mut now = PeerClock { epoch: 1, ..raw_news() };
-    let raw_step = RehearsedStep { clock: SteppedClock::Raw, ..RehearsedStep::of_wall(HOUR, HOUR) };
+    let raw_step = ClockFaultStep { clock: SteppedClock::Raw, ..ClockFaultStep::of_wall(HOUR, HOUR) };
     now.rehearsal.as_mut().expect("rehearsed").steps.push(raw_step);
     cloud.listener.announcer().announce(now);
     let mut told = session.peer_clock();
@@ -300,12 +300,12 @@ async fn request_without_model_answer_yields_no_observation() {
 
 fn news() -> PeerClock {
     let error = Interval { lo: Span::from_micros(-20), hi: Span::from_micros(30) };
-    let step = RehearsedStep::of_wall(Span::from_seconds(5), Span::from_seconds(3));
+    let step = ClockFaultStep::of_wall(Span::from_seconds(5), Span::from_seconds(3));
     PeerClock {
         epoch: 2,
         discipline: Some(Discipline { source: DelaySource::Chrony, error }),
         text: "chrony, 3 sources".into(),
-        rehearsal: Some(RehearsalDescription {
+        rehearsal: Some(ClockFaults {
             offset: Span::from_millis(-1_000),
             drift_ppm: 49.5,
             steps: vec![step],

@@ -2,7 +2,9 @@
 
 use bytes::Bytes;
 use peernet_clock::{Span, WallTime};
-use peernet_logger::{Anchor, Growth, HostId, HostIndex, Measure, Node, NodeId, Tree, stage, wire as logger};
+use peernet_logger::{
+    Anchor, HostId, HostIndex, Measure, Node, NodeId, Tree, TreeDelta, stage, wire as logger,
+};
 use peernet_networks::{CloseReason, Incoming, RequestError, SessionSettings};
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::net::TcpStream;
@@ -255,8 +257,8 @@ async fn session_unknown_to_cloud_ends() {
     assert_eq!(within(session.closed()).await, CloseReason::UnknownSession);
 }
 
-/// Returns the growth that a cloud adds to an edge's tree with three nodes: root, encode, upload.
-fn growth(base: u32, host: u8, closed: u32, node_host: u8) -> Bytes {
+/// Returns the delta that a cloud adds to an edge's tree with three nodes: root, encode, upload.
+fn delta(base: u32, host: u8, closed: u32, node_host: u8) -> Bytes {
     let anchor = Anchor { host: HostId::from_bytes([host; 16]), wall: WallTime::default() };
     let node = Node {
         parent: Some(NodeId::ROOT),
@@ -266,9 +268,9 @@ fn growth(base: u32, host: u8, closed: u32, node_host: u8) -> Bytes {
         measure: Measure::Timer(Some(Span::ZERO)),
     };
     let closed = (NodeId(closed), WallTime::default());
-    let growth = Growth { base, anchor, others: Vec::new(), closed, nodes: vec![node] };
+    let delta = TreeDelta { base, anchor, others: Vec::new(), closed, nodes: vec![node] };
     let mut out = Vec::new();
-    logger::encode_growth(&growth, &mut out);
+    logger::encode_tree_delta(&delta, &mut out);
     out.into()
 }
 
@@ -278,14 +280,14 @@ async fn invalid_answers_change_no_tree() {
     let (session, to, id) = cloud.session().await;
     let bad = [
         Bytes::from("garbage"),
-        growth(2, 2, 2, 1),
-        growth(3, 9, 2, 1),
-        growth(3, 2, 1, 1),
-        growth(3, 2, 2, 0),
-        growth(3, 2, 2, 7),
+        delta(2, 2, 2, 1),
+        delta(3, 9, 2, 1),
+        delta(3, 2, 1, 1),
+        delta(3, 2, 2, 0),
+        delta(3, 2, 2, 7),
     ];
     let count = bad.len() as u64;
-    for growth in bad {
+    for delta in bad {
         let pending = request(&session, "x", PATIENCE);
         let (_, header) = cloud.receive_message().await;
         let Header::Request(_, number, ..) = header else { panic!("{header:?}") };
@@ -294,7 +296,7 @@ async fn invalid_answers_change_no_tree() {
             .send_message(
                 &to,
                 &Header::Reply(id.clone(), number, Some(wire::Departure(1, 1, 0, None)), 0, answer),
-                vec![growth],
+                vec![delta],
             )
             .await;
         let exchange = within(pending).await.expect("no panic");
@@ -329,7 +331,7 @@ async fn invalid_answers_change_no_tree() {
         .send_message(
             &to,
             &Header::Reply(id, number, Some(wire::Departure(1, 1, 0, None)), 0, answer),
-            vec![growth(3, 2, 2, 1)],
+            vec![delta(3, 2, 2, 1)],
         )
         .await;
     assert!(within(pending).await.expect("no panic").result.is_ok());
@@ -351,7 +353,7 @@ async fn version_five_reply_without_raw_stamps_is_invalid() {
         .send_message(
             &to,
             &Header::Reply(id, number, Some(wire::Departure(1, 1, 0, None)), 0, answer),
-            vec![growth(3, 2, 2, 1)],
+            vec![delta(3, 2, 2, 1)],
         )
         .await;
     let exchange = within(pending).await.expect("no panic");

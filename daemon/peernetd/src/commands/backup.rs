@@ -8,7 +8,7 @@ use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use peernet_cli::exit::{Exit, Failure};
 use peernet_cli::output::{complain, say};
 use peernet_statistics::number::bytes;
-use peernet_store::maintenance::{Backup, BackupError, Copied};
+use peernet_store::maintenance::{Backup, BackupError, FinishedCopy};
 use tokio::signal::unix::{SignalKind, signal};
 use tokio_util::sync::CancellationToken;
 
@@ -38,7 +38,7 @@ pub(crate) fn backup(database: Database, target: &Path) -> Exit {
     }
 }
 
-async fn copy(database: &Path, target: &Path) -> Result<Copied, Failure> {
+async fn copy(database: &Path, target: &Path) -> Result<FinishedCopy, Failure> {
     let failed = |error: BackupError| {
         let exit = match error {
             BackupError::Stopped => Exit::Interrupted,

@@ -10,7 +10,7 @@ use peernet_agent::config::{
     SpoolConfig,
 };
 use peernet_aggregator::{Aggregator, AggregatorConfig};
-use peernet_cli::expected::told;
+use peernet_cli::expected::describe_error;
 use peernet_cli::{clock, small_file};
 use peernet_clock::{ClockIdentity, SharedClock};
 use peernet_inference::{BankConfig, ModelConfig, OnnxRuntimeConfig};
@@ -158,7 +158,7 @@ fn unread(path: &Path, mistake: Mistake, locator: &Locator<'_>) -> Problem {
     let Mistake { key, error } = mistake;
     // Within tables that are told apart by their `kind` the span is that of the first of them; the key knows better.
     let line = error.span().map(|span| locator.line_at(span.start)).max(locator.line(&key));
-    let mut text = told(&error);
+    let mut text = describe_error(&error);
     if text.starts_with("unknown field")
         && let Some((_, hint)) = MISPLACED.iter().find(|(table, _)| *table == key)
     {

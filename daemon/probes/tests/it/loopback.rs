@@ -3,8 +3,8 @@
 use std::time::Duration;
 
 use peernet_clock::{
-    Clock, ClockIdentity, ExchangeObservation, Interval, MonoTime, RawTime, RehearsalDescription,
-    RehearsedClock, RehearsedStep, RelatedClocks, SharedClock, Span, SystemClock, WallTime,
+    Clock, ClockFaultStep, ClockFaults, ClockIdentity, ExchangeObservation, FaultyClock, Interval, MonoTime,
+    RawTime, RelatedClocks, SharedClock, Span, SystemClock, WallTime,
 };
 use peernet_probes::{BindError, ProbeResult, Prober, Reflector, ReflectorConfig, Refusal, Stamps};
 use tokio::net::UdpSocket;
@@ -121,9 +121,8 @@ async fn reflector_without_sessions_or_kernel_stamps_refines_nothing() {
 async fn bounds_contain_offset_of_shifted_clock() {
     let truth = system_clock("edge");
     let ahead = Span::from_millis(1370);
-    let description =
-        RehearsalDescription { offset: ahead, drift_ppm: 0.0, steps: Vec::new(), since: truth.wall() };
-    let cloud: SharedClock = std::sync::Arc::new(RehearsedClock::new(
+    let description = ClockFaults { offset: ahead, drift_ppm: 0.0, steps: Vec::new(), since: truth.wall() };
+    let cloud: SharedClock = std::sync::Arc::new(FaultyClock::new(
         system_clock("cloud"),
         ClockIdentity::new("test", "rehearsal"),
         description,
@@ -144,14 +143,10 @@ async fn bounds_contain_offset_of_shifted_clock() {
 fn set_all_the_time(name: &str, every: Span, by: [Span; 2]) -> SharedClock {
     let truth = system_clock(name);
     let at = |number: i64| Span::from_nanos(every.nanos() * number);
-    let steps = (1..=1000).map(|number| RehearsedStep::of_wall(at(number), by[number as usize % 2]));
-    let description = RehearsalDescription {
-        offset: Span::ZERO,
-        drift_ppm: 0.0,
-        steps: steps.collect(),
-        since: truth.wall(),
-    };
-    std::sync::Arc::new(RehearsedClock::new(truth, ClockIdentity::new("test", name), description))
+    let steps = (1..=1000).map(|number| ClockFaultStep::of_wall(at(number), by[number as usize % 2]));
+    let description =
+        ClockFaults { offset: Span::ZERO, drift_ppm: 0.0, steps: steps.collect(), since: truth.wall() };
+    std::sync::Arc::new(FaultyClock::new(truth, ClockIdentity::new("test", name), description))
 }
 
 #[tokio::test]

@@ -8,27 +8,27 @@ use std::path::{Path, PathBuf};
 
 use super::pages::be32;
 
-/// Bytes of the log's header.
+/// Size of the log's header.
 const HEADER_BYTES: u64 = 32;
-/// Bytes of the header of a frame, which is one page.
+/// Size of the header of a frame, which holds one page.
 const FRAME_BYTES: u64 = 24;
-/// The first bytes of every log, but for the lowest bit, which tells the byte order of the checksums.
+/// First word of every log, except for the lowest bit, which gives the byte order of the checksums.
 const MAGIC: u32 = 0x377f_0682;
 
-/// The newest form of each page that is in the log.
+/// The newest version of each page that is in the log.
 ///
 /// A checkpoint copies pages from the log into the main file one after the other, and leaves some out while readers need
-/// their older form: the main file alone is not the database of any one moment. Checksums are not verified, so that this
-/// may hold pages of a transaction that is not committed.
+/// their older version: the main file alone is not the database of any one moment. Checksums are not verified, so this may
+/// hold pages of a transaction that is not committed.
 #[derive(Debug)]
 pub(super) struct LogPages {
     file: File,
     page_bytes: usize,
-    /// Where each page begins.
+    /// Offset of each page in the file.
     offsets: HashMap<u32, u64>,
 }
 
-/// Path of the log of a database: beside the file itself, also when that is named by a link.
+/// Returns the path of the log of a database. A link is resolved: the log lies beside the file itself.
 pub(crate) fn log_path(database: &Path) -> PathBuf {
     let mut path = std::fs::canonicalize(database).unwrap_or_else(|_| database.to_owned()).into_os_string();
     path.push("-wal");
@@ -36,10 +36,10 @@ pub(crate) fn log_path(database: &Path) -> PathBuf {
 }
 
 impl LogPages {
-    /// Reads which pages are in the log; `None` without a log, or while it is empty.
+    /// Reads which pages are in the log. `None` without a log, or while it is empty.
     ///
     /// # Errors
-    /// When the log cannot be read; so for the other functions.
+    /// When the log cannot be read; the same for the other functions.
     pub(super) fn of(log: &Path, page_bytes: usize) -> io::Result<Option<Self>> {
         let file = match File::open(log) {
             Err(error) if error.kind() == ErrorKind::NotFound => return Ok(None),
@@ -55,7 +55,7 @@ impl LogPages {
         let mut offsets = HashMap::new();
         let mut at = HEADER_BYTES;
         let mut frame = [0; FRAME_BYTES as usize];
-        // Frames of an earlier use of the log have other salts. Those are in the main file already.
+        // Frames of an earlier use of the log have other salts. Their pages are in the main file already.
         while read_whole(&file, &mut frame, at)? && frame[8..16] == header[16..24] {
             offsets.insert(be32(&frame, 0), at + FRAME_BYTES);
             at += FRAME_BYTES + page_bytes as u64;
@@ -63,17 +63,17 @@ impl LogPages {
         Ok(Some(Self { file, page_bytes, offsets }))
     }
 
-    /// Numbers of the pages in it.
+    /// Returns the numbers of the pages in it.
     pub(super) fn numbers(&self) -> impl Iterator<Item = u32> {
         self.offsets.keys().copied()
     }
 
-    /// Whether a page is in it.
+    /// Returns whether a page is in it.
     pub(super) fn holds(&self, number: u32) -> bool {
         self.offsets.contains_key(&number)
     }
 
-    /// One page; `None` when the log has it not.
+    /// Reads one page; `None` if it is not in the log.
     pub(super) fn read(&self, number: u32) -> io::Result<Option<Vec<u8>>> {
         let Some(at) = self.offsets.get(&number) else { return Ok(None) };
         let mut bytes = vec![0; self.page_bytes];
@@ -81,7 +81,7 @@ impl LogPages {
     }
 }
 
-/// Fills the buffer; false at the end of the file.
+/// Fills the buffer; returns `false` at the end of the file.
 fn read_whole(file: &File, buffer: &mut [u8], offset: u64) -> io::Result<bool> {
     match file.read_exact_at(buffer, offset) {
         Err(error) if error.kind() == ErrorKind::UnexpectedEof => Ok(false),

@@ -1,4 +1,11 @@
-//! Whether the database's file is damaged: who finds it says so here, and nothing is stored into it from then on.
+//! Damage of the database's file: its detection, and the record that stops all storing into it.
+//!
+//! The check reads the main file with `pread`, through the descriptor that is locked, because closing another one would release
+//! what SQLite has locked in this process. It reads page by page at a bounded rate and parses the pages as SQLite's file format
+//! describes them. SQLite's own `quick_check` of a table is one read transaction, which for a large table would keep the log
+//! from being carried over; it also goes through a cache and costs several times as much. Page checksums would find a changed
+//! value, too, but SQLite's `cksumvfs` is not in the bundled library, and checksums beside the file would have to be written with
+//! every checkpoint, which needs a virtual file system of our own.
 
 mod log_pages;
 mod page_check;
@@ -22,41 +29,41 @@ pub(crate) use self::task::{IntegrityCheck, sqlite_finds};
 
 use self::pages::PageFile;
 
-/// What is known of the damage of one database, shared by all who read or write it.
+/// Record of the damage of one database, shared by everything that reads or writes it.
 ///
-/// It is remembered in a file beside the database, `<database>-damaged`, because the page that is damaged may be one that
-/// nobody reads for long: an aggregator that finds the file stores nothing until the whole database was checked.
+/// It is also kept in a file beside the database, `<database>-damaged`, because the damaged page may be one that is rarely
+/// read: an aggregator that finds this file stores nothing until the whole database was checked.
 #[derive(Clone, Debug)]
 pub struct Integrity {
     database: Arc<Path>,
     damage: watch::Sender<Option<Damage>>,
-    /// The file while it is open here: a descriptor of its own would let go of what SQLite has locked, once it is closed.
+    /// The file while it is open here. A second descriptor would release SQLite's locks when it is closed.
     file: Arc<Mutex<Weak<File>>>,
 }
 
-/// What is damaged.
+/// Description of damage.
 #[derive(Clone, Debug)]
 struct Damage {
     what: String,
-    /// Rows can be found.
+    /// `true` if rows can be found.
     is_repairable: bool,
 }
 
 impl Integrity {
-    /// Of that database.
+    /// Makes the record of a database, without damage.
     pub fn of(database: &Path) -> Self {
         Self { database: database.into(), damage: watch::Sender::new(None), file: Arc::default() }
     }
 
-    /// Takes up what is remembered of the file that stands there now.
+    /// Reads the recorded damage of the file that is now at the path.
     pub(crate) fn recall(&self) -> io::Result<()> {
         let remembered = remembered(&self.database)?;
         self.damage.send_replace(remembered.map(|what| Damage { what, is_repairable: true }));
         Ok(())
     }
 
-    /// Takes the file that was opened: it tells what helps against damage.
-    pub(crate) fn look_at(&self, file: &Arc<File>) {
+    /// Remembers the opened file, which shows whether a repair is possible.
+    pub(crate) fn attach_file(&self, file: &Arc<File>) {
         *self.file.lock().unwrap_or_else(PoisonError::into_inner) = Arc::downgrade(file);
         let is_repairable = self.is_repairable();
         self.damage.send_if_modified(|damage| {
@@ -66,13 +73,13 @@ impl Integrity {
         });
     }
 
-    /// Whether rows can be found in the file, as far as that is known.
+    /// Returns whether rows can be found in the file; `true` if no file is open.
     fn is_repairable(&self) -> bool {
         let file = self.file.lock().unwrap_or_else(PoisonError::into_inner).upgrade();
         file.is_none_or(has_table_list)
     }
 
-    /// What is damaged, if anything is.
+    /// Returns the description of the damage, if there is any.
     pub fn damage(&self) -> Option<String> {
         self.damage.borrow().as_ref().map(|damage| damage.what.clone())
     }
@@ -84,7 +91,7 @@ impl Integrity {
         let _never_closed = damage.wait_for(Option::is_some).await;
     }
 
-    /// Why nothing is stored, and what to do; `None` while nothing is damaged.
+    /// Returns why nothing is stored, and what to do; `None` while there is no damage.
     pub fn refusal(&self) -> Option<String> {
         let damage = self.damage.borrow();
         let database = self.database.display();
@@ -93,8 +100,8 @@ impl Integrity {
         })
     }
 
-    /// Takes down damage. What was found first stays.
-    pub(crate) fn found(&self, what: impl Into<String>) {
+    /// Records damage. An earlier record stays.
+    pub(crate) fn record_damage(&self, what: impl Into<String>) {
         let what = what.into();
         let is_repairable = self.is_repairable();
         let first = self.damage.send_if_modified(|known| {
@@ -118,14 +125,14 @@ impl Integrity {
         }
     }
 
-    /// Takes down damage if that is what the error tells of.
+    /// Records damage if the error reports it.
     pub fn note(&self, error: &DatabaseError) {
         if error.is_damage() {
-            self.found(error.to_string());
+            self.record_damage(error.to_string());
         }
     }
 
-    /// The whole database was checked, and is not damaged.
+    /// Removes the record after a check of the whole database found no damage.
     fn cleared(&self) -> io::Result<()> {
         forget(&self.database)?;
         self.damage.send_replace(None);
@@ -133,7 +140,8 @@ impl Integrity {
     }
 }
 
-/// What to do about a damaged database. Without its list of tables no row can be found, and a repair has nothing to salvage.
+/// Returns the advice for a damaged database. Without its list of tables no row can be found, and a repair has nothing to
+/// salvage.
 pub(crate) fn remedy(database: &Path, is_repairable: bool) -> String {
     if is_repairable {
         format!("stop the aggregator and run `peernetd doctor --repair --database {}`", database.display())
@@ -144,23 +152,23 @@ pub(crate) fn remedy(database: &Path, is_repairable: bool) -> String {
     }
 }
 
-/// Whether the header of a database and the first page of the list of its tables can be read.
+/// Returns whether the header of a database and the first page of the list of its tables can be read.
 pub(crate) fn has_table_list(file: Arc<File>) -> bool {
     let first = PageFile::of(file).and_then(|file| file.map_or(Ok(None), |file| file.read_btree_page(1)));
     matches!(first, Ok(Some(page)) if page.kind.is_table())
 }
 
-/// The file that remembers damage: beside the database itself, also when that is named by a link.
+/// Returns the path of the file that records damage. A link is resolved: the file lies beside the database itself.
 fn marker(database: &Path) -> PathBuf {
     let mut path = fs::canonicalize(database).unwrap_or_else(|_| database.to_owned()).into_os_string();
     path.push("-damaged");
     path.into()
 }
 
-/// The damage that an aggregator found earlier.
+/// Returns the damage that an aggregator found earlier.
 ///
 /// # Errors
-/// When the file that says so cannot be read.
+/// When the file that records it cannot be read.
 pub(crate) fn remembered(database: &Path) -> io::Result<Option<String>> {
     match fs::read_to_string(marker(database)) {
         Ok(text) => Ok(Some(text.trim().to_owned())),
@@ -169,7 +177,7 @@ pub(crate) fn remembered(database: &Path) -> io::Result<Option<String>> {
     }
 }
 
-/// Forgets damage that was found earlier.
+/// Removes the record of damage that was found earlier.
 pub(crate) fn forget(database: &Path) -> io::Result<()> {
     match fs::remove_file(marker(database)) {
         Err(error) if error.kind() != ErrorKind::NotFound => Err(error),

@@ -1,4 +1,4 @@
-//! One look at every page of a database's main file: which of them are malformed.
+//! Search for malformed pages in a database's main file.
 
 use std::collections::{HashMap, HashSet};
 use std::fs::File;
@@ -9,26 +9,26 @@ use std::sync::Arc;
 use super::log_pages::{LogPages, log_path};
 use super::pages::{PageFile, be32};
 
-/// A pass over the file, some pages at a time.
+/// One pass over the file, some pages at a time.
 ///
-/// A page of a b-tree is well-formed when its header, its cell pointers and the headers of all of its records are. Pages
-/// that hold the rest of long records, and free ones, may hold anything, and are known by what refers to them.
+/// A page of a b-tree is well-formed if its header, its cell pointers and the headers of all of its records are. Pages with the
+/// rest of long records, and free pages, may hold any bytes; they are recognised by what refers to them.
 #[derive(Debug)]
 pub(crate) struct PageCheck {
     file: PageFile,
     log: PathBuf,
     next: u32,
-    /// Pages that are none of a b-tree, with the number in their first bytes.
+    /// Pages that are no b-tree pages, with the number in their first bytes.
     others: HashMap<u32, u32>,
-    /// Where records go on.
+    /// Pages on which records continue.
     overflows: Vec<u32>,
 }
 
 impl PageCheck {
-    /// Begins, with the open file and the path of its log; `None` when the file's header is not that of a database.
+    /// Starts a pass with the open file and the path of its log; `None` if the file has no header of a database.
     ///
     /// # Errors
-    /// When a file cannot be read; so for the other functions.
+    /// When a file cannot be read; the same for the other functions.
     pub(crate) fn begin(database: Arc<File>, log: PathBuf) -> io::Result<Option<Self>> {
         Ok(PageFile::of(database)?.map(|file| Self {
             file,
@@ -39,7 +39,7 @@ impl PageCheck {
         }))
     }
 
-    /// The whole pass at once, over a file that no connection of this process has open ([`PageFile::open`]): numbers of
+    /// Makes a whole pass over a file that no connection of this process has open ([`PageFile::open`]). Returns the numbers of
     /// malformed pages.
     pub(crate) fn of(database: &Path) -> io::Result<Vec<u32>> {
         let file = Arc::new(File::open(database)?);
@@ -48,7 +48,7 @@ impl PageCheck {
         check.finish()
     }
 
-    /// Looks at the next pages, about so many bytes; whether there are more.
+    /// Examines the next pages, about `bytes` bytes. Returns whether more remain.
     pub(crate) fn step(&mut self, bytes: u64) -> io::Result<bool> {
         let first = self.next;
         let count = (bytes / self.file.page_bytes as u64).max(1);
@@ -66,9 +66,11 @@ impl PageCheck {
         Ok(self.next <= self.file.pages)
     }
 
-    /// The pages that are malformed and in use. While an aggregator stores, the main file is not of one moment: what the
-    /// log refers to is in use as well, and only what is malformed when it is read again counts. Pages that were moved
-    /// during the pass may still be among these: another pass does not find them.
+    /// Returns the malformed pages that are in use.
+    ///
+    /// While an aggregator stores, the main file is not the database of one moment: a checkpoint may be under way. So pages to which
+    /// the log refers are in use as well, and a page counts only if it is malformed when it is read again. Pages that were moved
+    /// during the pass may still be among the result; another pass does not find them.
     pub(crate) fn finish(mut self) -> io::Result<Vec<u32>> {
         let missing = self.file.first_missing()?;
         self.follow_overflows(None)?;
@@ -76,8 +78,8 @@ impl PageCheck {
             return Ok(Vec::new());
         }
         let log = LogPages::of(&self.log, self.file.page_bytes)?;
-        // The file has grown, and the log has pages that are still to be appended to it.
-        self.file.look_at_length()?;
+        // The file may have grown, and the log has pages that are still to be appended to it.
+        self.file.update_length()?;
         let last = log.iter().flat_map(LogPages::numbers).max().unwrap_or(0).max(self.file.pages);
         for number in log.iter().flat_map(LogPages::numbers) {
             let page = log.as_ref().map_or(Ok(None), |log| log.read(number))?;
@@ -102,15 +104,15 @@ impl PageCheck {
             && malformed.iter().any(|number| log.holds(*number))
             && !self.is_carried_over(log)?
         {
-            // SQLite reads these from the log; in the main file there may be an older form, a hole, or nothing yet.
+            // SQLite reads these from the log. In the main file there may be an older version, a hole, or nothing yet.
             malformed.retain(|number| !log.holds(*number));
         }
         malformed.sort_unstable();
         Ok(malformed)
     }
 
-    /// Takes the pages with the rest of long records out of those that may be malformed. A chain that is broken ends at a
-    /// page that is malformed or none: that is not told here.
+    /// Removes the pages with the rest of long records from those that may be malformed. A broken chain ends at a page that is
+    /// malformed or missing, which is not reported here.
     fn follow_overflows(&mut self, log: Option<&LogPages>) -> io::Result<()> {
         let mut seen_in_log = HashSet::new();
         while let Some(page) = self.overflows.pop() {
@@ -121,8 +123,8 @@ impl PageCheck {
         Ok(())
     }
 
-    /// Whether the main file has all pages of the log, but for those that may be malformed. A log that was carried over stays until the
-    /// next commit, and readers no longer look into it.
+    /// Returns whether the main file has all pages of the log, except for those that may be malformed. A log that was carried over
+    /// stays until the next commit, and readers no longer use it.
     fn is_carried_over(&self, log: &LogPages) -> io::Result<bool> {
         // A file that was cut off lacks all pages from there on.
         let is_whole = |number: &u32| !self.others.contains_key(number) && self.file.holds(*number);
@@ -134,7 +136,7 @@ impl PageCheck {
         Ok(true)
     }
 
-    /// The free pages according to the log.
+    /// Returns the free pages according to the log.
     fn free_pages_of(&self, log: Option<&LogPages>) -> io::Result<Option<Vec<u32>>> {
         log.map_or(Ok(None), |log| self.file.free_pages(|number| log.read(number)))
     }

@@ -1,4 +1,5 @@
-//! SQLite's file format, as far as damage is found and rows are read without SQLite: <https://www.sqlite.org/fileformat2.html>.
+//! The part of SQLite's file format that is needed to find damage and to read rows without SQLite:
+//! <https://www.sqlite.org/fileformat2.html>.
 
 use std::fs::File;
 use std::io::{self, ErrorKind};
@@ -8,24 +9,24 @@ use std::sync::Arc;
 
 /// The first bytes of every SQLite file.
 const MAGIC: &[u8; 16] = b"SQLite format 3\0";
-/// Bytes of the file's header, at the begin of page 1.
+/// Size of the file's header, at the begin of page 1.
 const HEADER_BYTES: usize = 100;
-/// SQLite locks bytes at this offset; the page that holds it is never used.
+/// Offset of the bytes that SQLite locks. The page that holds them is never used.
 const LOCK_BYTE: u64 = 1 << 30;
 
-/// A database's main file, read page by page without SQLite: no lock, no transaction, and no cache but the kernel's.
+/// A database's main file, read page by page without SQLite: without locks, transactions, or caches other than the kernel's.
 #[derive(Debug)]
 pub(crate) struct PageFile {
     file: Arc<File>,
-    /// Bytes of a page.
+    /// Size of a page in bytes.
     pub(crate) page_bytes: usize,
-    /// Bytes of a page that hold content.
+    /// Number of bytes of a page that hold content.
     usable: usize,
-    /// Pages that the file holds whole.
+    /// Number of complete pages in the file.
     pub(crate) pages: u32,
 }
 
-/// Which kind of page of a b-tree it is.
+/// Kind of a b-tree page; the numbers are those of the file format.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum PageKind {
     IndexInterior = 2,
@@ -43,36 +44,36 @@ pub(crate) struct BtreePage {
     /// Offset of the array of cell pointers.
     pointers: usize,
     pub(crate) cells: usize,
-    /// The last child of an interior page.
+    /// Last child of an interior page.
     pub(crate) right_child: Option<u32>,
 }
 
 /// An entry of a page.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Cell<'a> {
-    /// The child before it, on an interior page.
+    /// Child before the entry, on an interior page.
     pub(crate) child: Option<u32>,
-    /// The key in a table with row ids.
+    /// Key in a table with row ids.
     pub(crate) rowid: Option<i64>,
-    /// The part of the record that is on this page; empty on the interior pages of a table with row ids.
+    /// Part of the record that is on this page; empty on the interior pages of a table with row ids.
     pub(crate) local: &'a [u8],
-    /// Bytes of the whole record.
+    /// Size of the whole record in bytes.
     pub(crate) record_bytes: usize,
-    /// The first page with the rest of the record.
+    /// First page with the rest of the record.
     pub(crate) overflow: Option<u32>,
 }
 
 impl PageFile {
-    /// Opens a file that no connection of this process has open: when the descriptor is closed, the system lets go of all
-    /// that SQLite has locked of the file in this process.
+    /// Opens a file that no connection of this process has open: when the descriptor is closed, the system releases all locks
+    /// that SQLite holds on the file in this process.
     ///
     /// # Errors
-    /// When it cannot be read; so for the other functions.
+    /// When it cannot be read; the same for the other functions.
     pub(crate) fn open(path: &Path) -> io::Result<Option<Self>> {
         Self::of(Arc::new(File::open(path)?))
     }
 
-    /// An open file; `None` when its header is not that of a database.
+    /// Makes it of an open file; `None` if the file has no header of a database.
     pub(crate) fn of(file: Arc<File>) -> io::Result<Option<Self>> {
         let mut header = [0; HEADER_BYTES];
         match file.read_exact_at(&mut header, 0) {
@@ -88,18 +89,18 @@ impl PageFile {
             return Ok(None);
         }
         let mut file = Self { file, page_bytes, usable, pages: 0 };
-        file.look_at_length()?;
+        file.update_length()?;
         Ok(Some(file))
     }
 
-    /// Counts the pages anew: a file that is written to grows.
-    pub(crate) fn look_at_length(&mut self) -> io::Result<()> {
+    /// Reads the length of the file again, because it may have grown.
+    pub(crate) fn update_length(&mut self) -> io::Result<()> {
         let pages = self.file.metadata()?.len() / self.page_bytes as u64;
         self.pages = u32::try_from(pages).unwrap_or(u32::MAX);
         Ok(())
     }
 
-    /// Reads pages from `first`, the file's first is 1, at most `count`.
+    /// Reads at most `count` pages from `first`; the file's first page is 1.
     pub(crate) fn read(&self, first: u32, count: u32) -> io::Result<Vec<u8>> {
         let count = count.min((self.pages + 1).saturating_sub(first)) as usize;
         let mut bytes = vec![0; count * self.page_bytes];
@@ -107,29 +108,29 @@ impl PageFile {
         Ok(bytes)
     }
 
-    /// The first page that the header counts and the file has not, if it was cut off.
+    /// Returns the first page that the header counts but the file lacks, if it was cut off.
     pub(crate) fn first_missing(&self) -> io::Result<Option<u32>> {
         let counted = be32(&self.read(1, 1)?, 28);
         let pages = u32::try_from(self.file.metadata()?.len() / self.page_bytes as u64).unwrap_or(u32::MAX);
         Ok((counted > pages).then(|| pages + 1))
     }
 
-    /// Whether a page number is one of this file.
+    /// Returns whether the file has a page of this number.
     pub(crate) const fn holds(&self, page: u32) -> bool {
         page >= 1 && page <= self.pages
     }
 
-    /// Whether SQLite never uses that page.
+    /// Returns whether SQLite never uses that page.
     pub(crate) const fn is_lock_page(&self, page: u32) -> bool {
         page as u64 == LOCK_BYTE / self.page_bytes as u64 + 1
     }
 
-    /// The page as part of a b-tree; `None` when its header or a cell pointer is malformed.
+    /// Parses a page as part of a b-tree; `None` if its header or a cell pointer is malformed.
     pub(crate) fn btree_page(&self, number: u32, bytes: Vec<u8>) -> Option<BtreePage> {
         BtreePage::parse(number, bytes, self.usable)
     }
 
-    /// The page if all of its entries are well-formed, too, and refer to pages up to the number `last`.
+    /// Parses a page; `None` unless all of its entries are well-formed, too, and refer to pages up to the number `last`.
     pub(crate) fn well_formed_page(&self, number: u32, bytes: Vec<u8>, last: u32) -> Option<BtreePage> {
         let page = self.btree_page(number, bytes)?;
         let exists = |page: Option<u32>| page.is_none_or(|page| (1..=last).contains(&page));
@@ -139,7 +140,7 @@ impl PageFile {
         whole.then_some(page)
     }
 
-    /// Reads one page of a b-tree; `None` when it is none.
+    /// Reads one page of a b-tree; `None` if the page is of another kind.
     pub(crate) fn read_btree_page(&self, number: u32) -> io::Result<Option<BtreePage>> {
         if !self.holds(number) {
             return Ok(None);
@@ -147,7 +148,7 @@ impl PageFile {
         Ok(self.btree_page(number, self.read(number, 1)?))
     }
 
-    /// The whole record of a cell; `None` when the chain of pages with its rest is broken.
+    /// Reads the whole record of a cell; `None` if the chain of pages with its rest is broken.
     pub(crate) fn record(&self, cell: &Cell<'_>) -> io::Result<Option<Vec<u8>>> {
         let mut record = cell.local.to_vec();
         let mut next = cell.overflow;
@@ -161,8 +162,8 @@ impl PageFile {
         Ok(next.is_none().then_some(record))
     }
 
-    /// All pages that are free; `None` when the list of them is broken. `newer` returns the newer form of a page, if there
-    /// is one.
+    /// Returns all free pages, or `None` if the list of them is broken. `newer` returns the newer version of a page, if there is
+    /// one.
     pub(crate) fn free_pages(
         &self,
         newer: impl Fn(u32) -> io::Result<Option<Vec<u8>>>,
@@ -223,7 +224,7 @@ impl BtreePage {
         usize::from(be16(&self.bytes, self.pointers + 2 * index))
     }
 
-    /// An entry; `None` when it is malformed.
+    /// Returns an entry, or `None` if it is malformed.
     pub(crate) fn cell(&self, index: usize) -> Option<Cell<'_>> {
         let mut rest = self.bytes.get(self.pointer(index)..self.usable)?;
         let child = if self.kind.is_interior() {
@@ -254,7 +255,7 @@ impl BtreePage {
         cell.is_record().then_some(cell)
     }
 
-    /// How much of a record of that length is on the page itself.
+    /// Returns how many bytes of a record of that length are on the page itself.
     fn local_bytes(&self, record_bytes: usize) -> usize {
         let usable = self.usable;
         let most = if self.kind == PageKind::TableLeaf { usable - 35 } else { (usable - 12) * 64 / 255 - 23 };
@@ -266,27 +267,27 @@ impl BtreePage {
         if local <= most { local } else { least }
     }
 
-    /// The first pages of the records that go on elsewhere.
+    /// Returns the first pages of the records that continue on other pages.
     pub(crate) fn overflows(&self) -> impl Iterator<Item = u32> {
         (0..self.cells).filter_map(|index| self.cell(index)?.overflow)
     }
 }
 
 impl PageKind {
-    /// Whether it has children.
+    /// Returns whether it has children.
     pub(crate) const fn is_interior(self) -> bool {
         matches!(self, Self::IndexInterior | Self::TableInterior)
     }
 
-    /// Whether it belongs to a table with row ids, and not to an index or a table without them.
+    /// Returns whether it belongs to a table with row ids, and not to an index or a table without them.
     pub(crate) const fn is_table(self) -> bool {
         matches!(self, Self::TableInterior | Self::TableLeaf)
     }
 }
 
 impl Cell<'_> {
-    /// Whether the columns that the record's header announces take exactly as many bytes as the record has. A header that
-    /// goes on elsewhere is not looked at.
+    /// Returns whether the columns that the record's header declares take exactly as many bytes as the record has. A header that
+    /// continues on another page is not examined.
     fn is_record(&self) -> bool {
         let Some((header, mut types)) = varint(self.local) else { return false };
         let Ok(header) = usize::try_from(header) else { return false };
@@ -309,7 +310,7 @@ impl Cell<'_> {
     }
 }
 
-/// Bytes of a column of that type; `None` for a type that does not exist.
+/// Returns the size of a column of that type; `None` for a type that does not exist.
 pub(crate) fn column_bytes(code: i64) -> Option<usize> {
     Some(match code {
         0 | 8 | 9 => 0,
@@ -321,7 +322,7 @@ pub(crate) fn column_bytes(code: i64) -> Option<usize> {
     })
 }
 
-/// A number of variable length, and what follows it.
+/// Reads a number of variable length. Returns it with the bytes after it.
 pub(crate) fn varint(bytes: &[u8]) -> Option<(i64, &[u8])> {
     let mut value = 0_i64;
     for (at, byte) in bytes.iter().take(9).enumerate() {

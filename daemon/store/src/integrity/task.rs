@@ -1,4 +1,4 @@
-//! The task that reads the database's file again and again, slowly.
+//! The task that reads the database's file repeatedly, at a low rate, to find damage.
 
 use std::collections::HashSet;
 use std::fs::File;
@@ -17,33 +17,33 @@ use super::{Integrity, PageCheck, log_path};
 use crate::database_error::is_damage;
 use crate::limits::BUSY;
 
-/// Bytes that are read at once.
+/// Number of bytes that are read at once.
 const STEP: u64 = 1 << 20;
-/// Bytes per second of the first pass, when the file may have been damaged while nobody looked.
+/// Bytes per second of the first pass: the file may have been damaged while no aggregator ran.
 const FIRST_RATE: u64 = 128 << 20;
-/// Bytes per second later: 1 GiB takes a minute, of which a processor core is busy for two seconds.
+/// Bytes per second of later passes: 1 GiB takes a minute, of which a processor core is busy for two seconds.
 const RATE: u64 = 16 << 20;
-/// Instructions of SQLite's machine between two looks at whether to stop.
+/// Instructions of SQLite's virtual machine between two checks whether to stop.
 const INSTRUCTIONS: i32 = 10_000;
-/// How often a page must look malformed before SQLite checks the whole file, which takes far longer.
+/// Number of passes in which a page must look malformed before SQLite checks the whole file, which takes far longer.
 const PASSES: usize = 3;
-/// The pause between two looks for damage.
+/// Pause between two passes.
 const PAUSE: Duration = Duration::from_secs(2);
 
-/// The check of one database that is open, which goes on until it is told to stop.
+/// The continuous check of one open database.
 #[derive(Debug)]
 pub(crate) struct IntegrityCheck {
     stop: CancellationToken,
-    /// Dropped, it lets the file go soon as well.
+    /// Dropping it aborts the task, which then releases the file.
     task: AbortOnDropHandle<()>,
     /// Reads under way on other threads, which hold the file as well.
     reads: TaskTracker,
 }
 
 impl IntegrityCheck {
-    /// Begins. Ends the storing when it finds damage; takes back what an earlier process found when there is none.
+    /// Starts the check. It stops all storing when it finds damage, and removes an earlier record of damage when there is none.
     pub(crate) fn start(integrity: Integrity, file: Arc<File>) -> Self {
-        integrity.look_at(&file);
+        integrity.attach_file(&file);
         let stop = CancellationToken::new();
         let stopped = stop.clone();
         let reads = TaskTracker::new();
@@ -63,7 +63,7 @@ impl IntegrityCheck {
         Self { stop, task, reads }
     }
 
-    /// Ends it; the file is let go when this returns.
+    /// Stops the check. The file is released when this returns.
     pub(crate) async fn stop(self) {
         self.stop.cancel();
         if let Err(error) = self.task.await {
@@ -106,7 +106,7 @@ async fn check_for_ever(
     stop: &CancellationToken,
 ) {
     let mut rate = FIRST_RATE;
-    // Pages that look malformed and that SQLite does not read.
+    // Pages that look malformed but that SQLite does not use.
     let mut unused = HashSet::new();
     let mut failed = false;
     loop {
@@ -140,8 +140,8 @@ async fn pass(
         "pages of the database look malformed, SQLite checks the whole file"
     );
     match sqlite_finds(&integrity.database, stop).await? {
-        Some(what) => integrity.found(format!("page {first} is malformed ({what})")),
-        // Nothing refers to them.
+        Some(what) => integrity.record_damage(format!("page {first} is malformed ({what})")),
+        // No other page refers to them.
         None => {
             tracing::info!(%database, "the database is not damaged: SQLite finds nothing wrong in the whole file");
             *unused = malformed.into_iter().collect();
@@ -150,11 +150,11 @@ async fn pass(
     Ok(())
 }
 
-/// Reads the whole file, and again as long as pages look malformed, at most [`PASSES`] times: the pages that look
-/// malformed each time.
+/// Reads the whole file, and again while pages look malformed, at most [`PASSES`] times. Returns the pages that look malformed
+/// each time.
 ///
 /// While events are stored, records move from page to page during a pass, and a page that holds the rest of one may look
-/// like no page of any record. Such a page differs from pass to pass, a damaged one stays.
+/// unused by any record. Such a page differs from pass to pass; a damaged one stays.
 pub(super) async fn malformed_pages(
     database: &Path,
     file: &Arc<File>,
@@ -205,10 +205,10 @@ async fn blocking<T: Send + 'static>(
     Ok(done.map_err(|_| sqlx::Error::WorkerCrashed)??)
 }
 
-/// The first thing that SQLite finds wrong in the whole file, read anew over a connection of its own.
+/// Returns the first error that SQLite finds in the whole file, read again over a separate connection.
 ///
 /// # Errors
-/// When that cannot be told now, or it was told to stop.
+/// When the file cannot be checked now, or `stop` was cancelled.
 pub(crate) async fn sqlite_finds(
     database: &Path,
     stop: &CancellationToken,
@@ -221,7 +221,7 @@ pub(crate) async fn sqlite_finds(
     let found = match options.connect().await {
         Ok(mut connection) => {
             let found = first_finding(&mut connection, stop.clone()).await;
-            // What can be read was read.
+            // Everything was read, so an error while closing does not matter.
             let _closed = connection.close().await;
             found
         }
@@ -238,11 +238,11 @@ async fn first_finding(
     stop: CancellationToken,
 ) -> Result<Option<String>, sqlx::Error> {
     connection.lock_handle().await?.set_progress_handler(INSTRUCTIONS, move || !stop.is_cancelled());
-    // The first takes a fraction of the time of the second, and finds most of it.
+    // The first takes a fraction of the time of the second, and finds most errors.
     for pragma in ["PRAGMA quick_check(1)", "PRAGMA integrity_check(1)"] {
         let said: Vec<String> = sqlx::query_scalar(AssertSqlSafe(pragma)).fetch_all(&mut *connection).await?;
         if let Some(what) = said.into_iter().find(|line| line != "ok") {
-            // The first line is a heading, if there are several.
+            // If there are several lines, the first is a heading.
             return Ok(what.lines().last().map(str::to_owned));
         }
     }

@@ -1,4 +1,4 @@
-//! The check and the repair with real files.
+//! Tests of the check and its record with real files.
 
 use std::fs::File;
 use std::os::unix::fs::FileExt;
@@ -16,7 +16,7 @@ use super::{Integrity, PageCheck, log_path};
 
 const PAGE: u64 = 4096;
 
-/// A file with all kinds of pages: two tables of either kind, an index, long records, free pages.
+/// Makes a file with all kinds of pages: two tables of either kind, an index, long records, free pages.
 async fn file_of_all_pages(rows: u32) -> (TempDir, PathBuf, SqliteConnection) {
     let folder = tempfile::tempdir().expect("a folder");
     let path = folder.path().join("all.sqlite");
@@ -40,7 +40,7 @@ fn overwrite(path: &Path, offset: u64, bytes: &[u8]) {
     file.write_all_at(bytes, offset).expect("writes");
 }
 
-/// Bytes that look like chance.
+/// Returns pseudo-random bytes.
 fn noise(mut seed: u64, length: usize) -> Vec<u8> {
     let mut next = || {
         seed = seed.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
@@ -50,7 +50,7 @@ fn noise(mut seed: u64, length: usize) -> Vec<u8> {
 }
 
 #[tokio::test]
-async fn no_page_of_a_whole_file_is_malformed() {
+async fn intact_file_has_no_malformed_page() {
     let (_folder, path, connection) = file_of_all_pages(1_500).await;
     connection.close().await.expect("closes");
     assert_eq!(PageCheck::of(&path).expect("reads"), Vec::<u32>::new());
@@ -68,7 +68,7 @@ async fn overwritten_pages_of_every_tree_are_malformed() {
     assert!(pages.len() > 30);
     let mut unseen = 0;
     for &page in &pages[1..] {
-        // A whole page, one that was never written, and a sector in its middle.
+        // A whole page of noise, a page of zeros, and a sector in its middle.
         let offset = u64::from(page - 1) * PAGE;
         for (at, bytes) in
             [(0, noise(page.into(), 4096)), (0, vec![0; 4096]), (3_000, noise(page.into(), 1_096))]
@@ -80,7 +80,7 @@ async fn overwritten_pages_of_every_tree_are_malformed() {
             overwrite(&path, offset, &whole[offset as usize..(offset + PAGE) as usize]);
         }
     }
-    // A sector may lie within the contents of one large row, which are any bytes.
+    // A sector may lie within the contents of one large row, where any bytes are valid.
     assert!(unseen * 20 < pages.len(), "{unseen} of {} overwritten sectors were not seen", pages.len());
     assert_eq!(PageCheck::of(&path).expect("reads"), Vec::<u32>::new());
 
@@ -90,7 +90,7 @@ async fn overwritten_pages_of_every_tree_are_malformed() {
     assert!(pages > 21 && malformed.contains(&21), "{malformed:?}");
 }
 
-/// A connection to a database with a log, with a table of long records in it.
+/// Opens a connection to a database with a log and a table of long records.
 async fn growing_file(path: &Path) -> SqliteConnection {
     let options = SqliteConnectOptions::new()
         .filename(path)
@@ -127,7 +127,7 @@ fn malformed(path: &Path, log: PathBuf) -> Vec<u32> {
 }
 
 #[tokio::test]
-async fn pages_that_only_the_log_refers_to_are_in_use() {
+async fn pages_referenced_only_by_log_are_in_use() {
     let folder = tempfile::tempdir().expect("a folder");
     let path = folder.path().join("mixed.sqlite");
     let mut writer = growing_file(&path).await;
@@ -136,18 +136,19 @@ async fn pages_that_only_the_log_refers_to_are_in_use() {
     let mut reader = SqliteConnectOptions::new().filename(&path).connect().await.expect("opens");
     run(&mut reader, "BEGIN; SELECT count(*) FROM long").await;
     run(&mut writer, &long_records(300)).await;
-    // Copies what the reader sees, and of that no page of which the log has a newer form: the long records, and not what refers to them.
+    // The checkpoint copies what the reader sees, without the pages of which the log has a newer version: the long records are copied,
+    // but not what refers to them.
     run(&mut writer, "PRAGMA wal_checkpoint(PASSIVE)").await;
     assert_ne!(malformed(&path, folder.path().join("none")), Vec::<u32>::new());
     assert_eq!(malformed(&path, log_path(&path)), Vec::<u32>::new());
 }
 
 #[tokio::test]
-async fn damaged_page_is_found_although_the_log_still_has_it() {
+async fn damaged_page_is_found_while_log_holds_copy() {
     let folder = tempfile::tempdir().expect("a folder");
     let path = folder.path().join("idle.sqlite");
     let mut writer = growing_file(&path).await;
-    // Carried over, and nothing is written after that: SQLite reads the main file.
+    // Everything is carried over and nothing is written after that: SQLite reads the main file.
     run(&mut writer, "PRAGMA wal_checkpoint(PASSIVE)").await;
     overwrite(&path, 2 * PAGE, &noise(3, 4096));
     assert_eq!(malformed(&path, log_path(&path)), [3]);
@@ -186,7 +187,7 @@ async fn no_page_stays_malformed_while_rows_are_written_and_read() {
         run(&mut reader, "BEGIN; SELECT count(*) FROM long").await;
         for round in 1..200 {
             if round % 4 == 0 {
-                // The checkpoints that follow must leave out what this one reads.
+                // The checkpoints that follow must leave out what this reader uses.
                 run(&mut reader, "COMMIT; BEGIN; SELECT count(*) FROM long").await;
             }
             run(&mut writer, &long_records(40)).await;
@@ -206,13 +207,13 @@ async fn no_page_stays_malformed_while_rows_are_written_and_read() {
 }
 
 #[tokio::test]
-async fn damage_is_remembered_and_the_first_stays() {
+async fn first_damage_is_remembered() {
     let folder = tempfile::tempdir().expect("a folder");
     let path = folder.path().join("peernet.sqlite");
     let integrity = Integrity::of(&path);
     integrity.recall().expect("nothing is known");
-    integrity.found("page 7 is malformed");
-    integrity.found("page 8 is malformed");
+    integrity.record_damage("page 7 is malformed");
+    integrity.record_damage("page 8 is malformed");
     let refusal = integrity.refusal().expect("nothing is stored");
     assert!(
         refusal.contains("page 7") && refusal.contains("peernetd doctor --repair --database"),
@@ -228,21 +229,21 @@ async fn damage_is_remembered_and_the_first_stays() {
 }
 
 #[tokio::test]
-async fn repair_is_recommended_only_where_it_can_help() {
+async fn repair_is_recommended_only_if_it_can_help() {
     let (_folder, path, connection) = file_of_all_pages(100).await;
     connection.close().await.expect("closes");
     let file = Arc::new(File::open(&path).expect("opens"));
     let integrity = Integrity::of(&path);
-    integrity.look_at(&file);
-    integrity.found("page 7 is malformed");
+    integrity.attach_file(&file);
+    integrity.record_damage("page 7 is malformed");
     assert!(integrity.refusal().is_some_and(|refusal| refusal.contains("doctor --repair")));
 
     overwrite(&path, 0, &noise(1, 4096));
-    // As it is after a restart, too, when the damage is remembered and the file is opened.
-    integrity.look_at(&file);
+    // After a restart, the damage is recalled and the file is opened in the same way.
+    integrity.attach_file(&file);
     let other = Integrity::of(&path);
-    other.look_at(&file);
-    other.found("page 1 is malformed");
+    other.attach_file(&file);
+    other.record_damage("page 1 is malformed");
     for integrity in [integrity, other] {
         let refusal = integrity.refusal().expect("it is damaged");
         assert!(refusal.contains("newest backup") && !refusal.contains("--repair"), "{refusal}");
@@ -253,14 +254,14 @@ proptest! {
     #![proptest_config(ProptestConfig::with_cases(64))]
 
     #[test]
-    fn any_bytes_are_read_without_a_panic(seed: u64, pages in 1_u64..8, keep in 0_usize..200) {
+    fn arbitrary_bytes_cause_no_panic(seed: u64, pages in 1_u64..8, keep in 0_usize..200) {
         let folder = tempfile::tempdir().expect("a folder");
         let path = folder.path().join("noise.sqlite");
         let mut bytes = noise(seed, (pages * PAGE) as usize);
         let mut header = b"SQLite format 3\0\x10\0\x02\x02\0\x40\x20\x20".to_vec();
         header.resize(100, 0);
         bytes[..100].copy_from_slice(&header);
-        // Pages that begin as a b-tree's do.
+        // Pages that begin like b-tree pages.
         for page in 0..pages as usize {
             let start = page * PAGE as usize + if page == 0 { 100 } else { 0 };
             let kind = [2, 5, 10, 13][(seed as usize + page) % 4];

@@ -1,4 +1,4 @@
-//! A copy of the database at one moment, made while the aggregator goes on storing.
+//! Copy of the database at one moment, made while the aggregator continues to store.
 
 use std::fs::{self, File, TryLockError};
 use std::io::{self, ErrorKind};
@@ -14,35 +14,35 @@ use crate::column::count;
 use crate::database_error::DatabaseError;
 use crate::foreign_log::{ForeignLog, mark_copy, refuse_foreign_log_of};
 
-/// Instructions of SQLite's machine between two looks at whether to stop.
+/// Instructions of SQLite's virtual machine between two checks whether to stop.
 const INSTRUCTIONS: i32 = 10_000;
 
-/// Why there is no copy.
+/// The reason why no copy was made.
 #[derive(Debug, thiserror::Error)]
 pub enum BackupError {
-    /// There is no such database.
+    /// The database does not exist.
     #[error("there is no database {}; name the file of [aggregator] database", .0.display())]
     Missing(PathBuf),
-    /// It cannot be read.
+    /// The database cannot be read.
     #[error("cannot read the database {}: {source}", path.display())]
     Read {
         /// The database.
         path: PathBuf,
-        /// SQLite's own words.
+        /// SQLite's error.
         source: DatabaseError,
     },
-    /// It is something else.
+    /// The file is of another kind.
     #[error("{} is {what} and not an aggregator's database; name the file of [aggregator] database", path.display())]
     NotADatabase {
         /// The file.
         path: PathBuf,
-        /// What it is.
+        /// Kind of the file.
         what: &'static str,
     },
-    /// Beside it is the log of another one.
+    /// The log of another database lies beside the file.
     #[error(transparent)]
     ForeignLog(#[from] ForeignLog),
-    /// The copy has the name of another file.
+    /// A file with the copy's name exists.
     #[error("{} exists already; name a file that does not", .0.display())]
     Exists(PathBuf),
     /// Another process writes the same copy.
@@ -51,14 +51,14 @@ pub enum BackupError {
     /// The path cannot be given to SQLite.
     #[error("{} is not UTF-8; name another file", .0.display())]
     Name(PathBuf),
-    /// The copy would not fit.
+    /// The disk has not enough room for the copy.
     #[error("{} has {free} bytes of room and the copy needs {needed}; make room, or name a file on another disk", folder.display())]
     NoRoom {
-        /// Where it would lie.
+        /// The folder of the copy.
         folder: PathBuf,
-        /// Bytes needed.
+        /// Number of bytes needed.
         needed: u64,
-        /// Bytes free.
+        /// Number of bytes free.
         free: u64,
     },
     /// The copy cannot be written.
@@ -66,49 +66,49 @@ pub enum BackupError {
     Write {
         /// The copy.
         path: PathBuf,
-        /// The system's own words.
+        /// The system's error.
         source: io::Error,
     },
-    /// SQLite could not read the one or write the other.
+    /// SQLite could not read the database or write the copy.
     #[error("cannot copy {} to {}: {source}", from.display(), to.display())]
     Copy {
         /// The database.
         from: PathBuf,
         /// The unfinished copy.
         to: PathBuf,
-        /// SQLite's own words.
+        /// SQLite's error.
         source: DatabaseError,
     },
-    /// It was asked to stop.
+    /// The copying was stopped.
     #[error("stopped; there is no copy")]
     Stopped,
 }
 
 /// A finished copy.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Copied {
-    /// Where it lies.
+pub struct FinishedCopy {
+    /// Path of the copy.
     pub path: PathBuf,
-    /// Its size.
+    /// Size of the copy.
     pub bytes: u64,
 }
 
-/// A copy that can be made: all that can be checked before was.
+/// A copy that can be made: everything that can be checked before was checked.
 #[derive(Debug)]
 pub struct Backup {
     database: PathBuf,
     target: PathBuf,
     connection: SqliteConnection,
-    partial: Partial,
+    partial: UnfinishedCopy,
     expected: u64,
 }
 
 impl Backup {
-    /// Looks whether `database` can be read, and `target` does not exist and has room. It is written under the name
-    /// `<target>.partial` first.
+    /// Checks that `database` can be read, and that `target` does not exist and has room. The copy is first written under the
+    /// name `<target>.partial`.
     ///
     /// # Errors
-    /// When one of them is not so.
+    /// When a check fails.
     pub async fn prepare(database: &Path, target: &Path) -> Result<Self, BackupError> {
         if !database.is_file() {
             return Err(BackupError::Missing(database.to_owned()));
@@ -142,25 +142,25 @@ impl Backup {
         if free < expected {
             return Err(BackupError::NoRoom { folder, needed: expected, free });
         }
-        let partial = Partial::claim(&target)?;
+        let partial = UnfinishedCopy::claim(&target)?;
         Ok(Self { database: database.to_owned(), target, connection, partial, expected })
     }
 
-    /// About how large the copy will be.
+    /// Returns the approximate size of the copy.
     pub fn expected_bytes(&self) -> u64 {
         self.expected
     }
 
-    /// The file that grows meanwhile.
+    /// Returns the path of the file that grows meanwhile.
     pub fn partial(&self) -> &Path {
         &self.partial.path
     }
 
-    /// Makes the copy; it is on the disk, under its name, when this returns. Whatever else happens leaves no file.
+    /// Makes the copy. When this returns, it is on the disk under its name; if it fails, no file is left.
     ///
     /// # Errors
     /// When `stop` is cancelled before the end, or the copy cannot be written.
-    pub async fn run(self, stop: CancellationToken) -> Result<Copied, BackupError> {
+    pub async fn run(self, stop: CancellationToken) -> Result<FinishedCopy, BackupError> {
         let Self { database, target, mut connection, mut partial, .. } = self;
         let name = partial.path.to_str().ok_or_else(|| BackupError::Name(partial.path.clone()))?;
         let stopped = stop.clone();
@@ -180,20 +180,20 @@ impl Backup {
             source: DatabaseError::new(error),
         })?;
         let bytes = partial.publish(&target)?;
-        Ok(Copied { path: target, bytes })
+        Ok(FinishedCopy { path: target, bytes })
     }
 }
 
-/// The unfinished copy: no other process writes to it, and it is removed unless it gets its name.
+/// The unfinished copy. It is locked against other processes, and removed unless it is published.
 #[derive(Debug)]
-struct Partial {
+struct UnfinishedCopy {
     path: PathBuf,
     file: File,
     published: bool,
 }
 
-impl Partial {
-    /// What a process that was killed left behind is taken over; what a living one writes is not.
+impl UnfinishedCopy {
+    /// Creates and locks the file, also if a killed process left it behind. Fails if a running process writes to it.
     fn claim(target: &Path) -> Result<Self, BackupError> {
         let mut path = target.as_os_str().to_owned();
         path.push(".partial");
@@ -206,12 +206,12 @@ impl Partial {
             Err(TryLockError::WouldBlock) => return Err(BackupError::UnderWay(path)),
             Err(TryLockError::Error(error)) => return Err(failed(error)),
         }
-        // SQLite takes an empty file, and no other.
+        // SQLite accepts an empty file only.
         file.set_len(0).map_err(failed)?;
         Ok(Self { path, file, published: false })
     }
 
-    /// Its own number, to the disk, then to its name, then the name to the disk.
+    /// Gives the copy its own number, syncs it, renames it, and syncs the folder.
     fn publish(&mut self, target: &Path) -> Result<u64, BackupError> {
         let failed = |source| BackupError::Write { path: target.to_owned(), source };
         mark_copy(&self.file).map_err(failed)?;
@@ -228,7 +228,7 @@ impl Partial {
     }
 }
 
-impl Drop for Partial {
+impl Drop for UnfinishedCopy {
     fn drop(&mut self) {
         if !self.published
             && let Err(error) = fs::remove_file(&self.path)
@@ -238,10 +238,10 @@ impl Drop for Partial {
     }
 }
 
-/// Renames without taking the place of another file.
+/// Renames without replacing another file.
 fn rename(from: &Path, to: &Path) -> io::Result<()> {
     match renameat_with(CWD, from, CWD, to, RenameFlags::NOREPLACE) {
-        // Some file systems cannot promise that; the name was free a moment ago.
+        // Some file systems do not support the flag. The name was free a moment ago.
         Err(Errno::INVAL) if to.symlink_metadata().is_err() => fs::rename(from, to),
         renamed => renamed.map_err(io::Error::from),
     }

@@ -1,5 +1,5 @@
-//! What an operator does with the file: copies of it and looks at its health, beside a running aggregator; roll-ups made
-//! anew and a damaged file repaired, without one.
+//! Commands of an operator on the database's file. Backup and examination work while an aggregator runs; rebuilding roll-ups
+//! and repairing need it stopped.
 
 mod backup;
 mod doctor;
@@ -13,7 +13,7 @@ use std::time::Duration;
 use sqlx::ConnectOptions;
 use sqlx::sqlite::SqliteConnectOptions;
 
-pub use self::backup::{Backup, BackupError, Copied};
+pub use self::backup::{Backup, BackupError, FinishedCopy};
 pub use self::doctor::{
     DoctorError, Examination, FileFigures, Finding, GapGroup, Integrity, OpenRun, QuarantineGroup, Report,
     RollupExtent, Schema, Severity, StreamState, TableRows, examine,
@@ -23,18 +23,18 @@ pub use self::repair::{RepairError, Repaired, SalvagedTable, repair};
 pub use self::secrets::{ClearSecretError, ClearedSecret, clear_host_secret};
 pub use super::contents::Contents;
 
-/// How long a command waits for another program that locks the file.
+/// Longest wait of a command for another program that locks the file.
 const BUSY: Duration = Duration::from_secs(10);
 
-/// Settings of a connection that changes nothing.
+/// Returns the settings of a connection that changes nothing.
 fn reading(path: &Path) -> SqliteConnectOptions {
     SqliteConnectOptions::new().filename(path).read_only(true).busy_timeout(BUSY).disable_statement_logging()
 }
 
-/// Bytes that this user may still write to the disk of a file or folder.
+/// Returns the free bytes for this user on the disk of a file or folder.
 ///
 /// # Errors
-/// When it cannot be told: there is no such file, or the user may not look there.
+/// When the file does not exist or may not be examined.
 pub fn free_bytes(path: &Path) -> std::io::Result<u64> {
     let disk = rustix::fs::statvfs(path)?;
     Ok(disk.f_bavail.saturating_mul(disk.f_frsize))

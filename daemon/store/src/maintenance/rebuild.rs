@@ -1,4 +1,4 @@
-//! Roll-ups made anew from the nodes, by an operator.
+//! Rebuilding of roll-ups from the nodes, by an operator.
 
 use std::path::{Path, PathBuf};
 
@@ -12,41 +12,41 @@ use crate::lock::{DatabaseLock, LockError};
 pub use crate::rebuild::Rebuilt;
 use crate::rebuild::rebuild;
 
-/// Why roll-ups were not made anew.
+/// The reason why roll-ups were not rebuilt.
 #[derive(Debug, thiserror::Error)]
 pub enum RebuildError {
-    /// There is no such database.
+    /// The database does not exist.
     #[error("there is no database {}; name the file of [aggregator] database", .0.display())]
     Missing(PathBuf),
-    /// Another process has it, most likely the aggregator.
+    /// Another process has locked the database, most likely the aggregator.
     #[error("cannot rebuild roll-ups while another process may store: {0}")]
     Lock(#[from] LockError),
-    /// It cannot be opened or brought up to date.
+    /// The database cannot be opened or brought up to date.
     #[error(transparent)]
     Open(#[from] OpenError),
-    /// There is no such run.
+    /// The run does not exist.
     #[error("the database {} has no run #{run}", path.display())]
     NoRun {
         /// The database.
         path: PathBuf,
-        /// Its number.
+        /// Number of the run.
         run: i64,
     },
-    /// SQLite refused.
+    /// SQLite reported an error.
     #[error("cannot rebuild roll-ups in the database {}: {source}; the runs that were done are done, the others as before", path.display())]
     Database {
         /// The database.
         path: PathBuf,
-        /// SQLite's own words.
+        /// SQLite's error.
         source: DatabaseError,
     },
 }
 
-/// Makes the roll-ups of one run, or of all, from its nodes as far as they still exist. `progress` is told of what is
-/// done, the successful iterations among it, after each few thousand.
+/// Makes the roll-ups of one run, or of all, from the nodes that still exist. `progress` is called after every few thousand
+/// summaries.
 ///
 /// # Errors
-/// When the aggregator runs, or the database cannot be read or written; runs that are done stay done.
+/// When the aggregator runs, or the database cannot be read or written. Finished runs stay finished.
 pub async fn rebuild_rollups(
     path: &Path,
     run: Option<i64>,

@@ -1,4 +1,4 @@
-//! Host secrets, cleared by an operator.
+//! Clearing of host secrets by an operator.
 
 use std::path::{Path, PathBuf};
 
@@ -11,62 +11,63 @@ use crate::database;
 use crate::database_error::DatabaseError;
 use crate::foreign_log::{ForeignLog, refuse_foreign_log_of};
 
-/// Why a host's secret was not cleared.
+/// The reason why a host's secret was not cleared.
 #[derive(Debug, thiserror::Error)]
 pub enum ClearSecretError {
-    /// There is no such database.
+    /// The database does not exist.
     #[error("there is no database {}; name the file of [aggregator] database", .0.display())]
     Missing(PathBuf),
-    /// The file is something else.
+    /// The file is of another kind.
     #[error("cannot clear a host's secret in {}: the file is {what}", .path.display())]
     NotADatabase {
         /// The file.
         path: PathBuf,
-        /// What it is instead.
+        /// Kind of the file.
         what: &'static str,
     },
-    /// Beside the file is the log of another one.
+    /// The log of another database lies beside the file.
     #[error(transparent)]
     ForeignLog(#[from] ForeignLog),
-    /// No host has that id or name.
+    /// No host has this id or name.
     #[error("the database {} has no host {host}; /api/v1/hosts lists names and ids", .path.display())]
     NoHost {
         /// The database.
         path: PathBuf,
-        /// What was asked for.
+        /// The given id or name.
         host: String,
     },
-    /// Several hosts have that name.
+    /// Several hosts have this name.
     #[error("{} hosts have had the name {name}; name one by its id: {}", .ids.len(), .ids.join(", "))]
     SeveralHosts {
         /// The name.
         name: String,
-        /// Their ids.
+        /// The ids of these hosts.
         ids: Vec<String>,
     },
-    /// SQLite refused.
+    /// SQLite reported an error.
     #[error("cannot clear a host's secret in the database {}: {source}", .path.display())]
     Database {
         /// The database.
         path: PathBuf,
-        /// SQLite's own words.
+        /// SQLite's error.
         source: DatabaseError,
     },
 }
 
-/// A host whose secret was asked to be cleared.
+/// A host for which clearing was requested.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct ClearedSecret {
     /// Its id.
     pub host: String,
     /// Its name.
     pub name: String,
-    /// Whether there was a secret.
+    /// `true` if there was a secret.
     pub existed: bool,
 }
 
-/// Clears the secret of the host with this id or name: the next agent that comes with its host id is enrolled. A running
-/// aggregator reads the database again when the host proves another secret than it knows.
+/// Clears the secret of the host with this id or name, so that the next agent with its host id is enrolled.
+///
+/// A running aggregator reads the secret again when the host proves another one than it knows.
 ///
 /// # Errors
 /// When there is no such database or host, or the database cannot be written.

@@ -1,4 +1,4 @@
-//! What made an iteration slow, by comparison with its run.
+//! Causes of an iteration's slowness, by comparison with its run.
 
 use peernet_analysis::rows::LATENESS;
 use peernet_analysis::slowness::{self, Cause};
@@ -7,7 +7,7 @@ use peernet_logger::{Name, stage};
 use crate::figures::Figures;
 use crate::types::BOTH_WAYS;
 
-/// How long an iteration and its parts took, seconds.
+/// Durations of an iteration and its parts, seconds.
 pub(super) struct Times<'a> {
     pub total: Option<f64>,
     /// In the order of the stages.
@@ -15,11 +15,11 @@ pub(super) struct Times<'a> {
     /// From the intended start to the real one: a part of `unattributed`.
     pub lateness: Option<f64>,
     pub unattributed: Option<f64>,
-    /// Both directions of the network, where they are only known together.
+    /// Both directions of the network, if they are only known together.
     pub both_ways: Option<f64>,
 }
 
-/// The run's figures, with which its iterations are compared.
+/// The figures of a run, with which its iterations are compared.
 pub(super) struct Comparison(pub(super) Vec<(Name, Figures)>);
 
 impl Comparison {
@@ -27,8 +27,8 @@ impl Comparison {
         self.0.iter().find(|(known, _)| known == name).map(|(_, figures)| figures.p50)
     }
 
-    /// What `upload` and `download` take together: where neither is ever known, what the total's median holds beyond
-    /// the others'.
+    /// Returns the median of `upload` and `download` together. If neither is ever known, it is the rest of the total's median after
+    /// the other parts.
     fn both_ways(&self) -> Option<f64> {
         let known = [stage::UPLOAD, stage::DOWNLOAD].into_iter().filter_map(|name| self.median(&name));
         let known: Vec<f64> = known.collect();
@@ -44,8 +44,10 @@ impl Comparison {
         Some(total? / median)
     }
 
-    /// What made an iteration slow. What no stage accounts for is a candidate like any stage, split where a late start is
-    /// known of it; both directions of the network take the place of each where they are only known together.
+    /// Returns the causes of an iteration's slowness.
+    ///
+    /// The unattributed time is a candidate like any stage, without the late start if that is known. Both directions of the network
+    /// replace each of them if they are only known together.
     pub(super) fn causes(&self, times: &Times<'_>) -> Vec<Cause> {
         let Some((total, median)) = times.total.zip(self.median(&stage::TOTAL)) else { return Vec::new() };
         let late = Name::from_static(LATENESS);
@@ -89,7 +91,7 @@ mod tests {
     }
 
     #[test]
-    fn late_start_is_told_apart_from_rest_of_unattributed() {
+    fn late_start_is_separated_from_unattributed_time() {
         let run =
             medians(&[("total", 0.055), ("inference", 0.012), ("unattributed", 0.004), ("lateness", 0.002)]);
         let stages = [(stage::INFERENCE, 0.231)];
@@ -104,7 +106,7 @@ mod tests {
     }
 
     #[test]
-    fn both_directions_together_take_place_of_each() {
+    fn sum_of_both_directions_replaces_each() {
         let run = medians(&[("total", 0.1), ("upload", 0.02), ("download", 0.01), ("unattributed", 0.0)]);
         let stages = [(stage::UPLOAD, 0.3)];
         let times = Times {

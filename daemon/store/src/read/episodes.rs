@@ -1,5 +1,5 @@
-//! What stands beside the course of a run over time, from single rows of iterations: how many are read does not depend on
-//! the length of the run.
+//! Episodes, warm-up and unanswered iterations of a run, from single rows of iterations, found by number: how many are read does
+//! not depend on the length of the run.
 
 use super::iterations::Row;
 use super::{corrupt, sql, wall};
@@ -8,7 +8,7 @@ use crate::readers::Readers;
 use crate::types::Episodes;
 
 const WHAT: &str = "episodes";
-/// Iterations among which the end of the warm-up is looked for.
+/// Number of iterations among which the end of the warm-up is searched.
 const WARM_UP: i64 = 10_000;
 
 pub(crate) async fn episodes(readers: &Readers, run: i64) -> Result<Episodes, StoreError> {
@@ -47,13 +47,13 @@ pub(crate) async fn episodes(readers: &Readers, run: i64) -> Result<Episodes, St
     })
 }
 
-/// Where the episode of an iteration begins.
+/// Returns the number of the first iteration of an iteration's episode.
 fn begin(row: &Row, steps: i64) -> i64 {
     i64::from(row.episode) * steps + 1
 }
 
-/// Iterations of an episode, which follow from a number and its place; `None` in the first episode, and for a place that
-/// no number of steps explains.
+/// Returns the number of iterations per episode, which follows from a number and its episode and step; `None` in the first
+/// episode, and if no number of steps explains the values.
 fn steps(row: &Row) -> Option<i64> {
     let (episode, step) = (i64::from(row.episode), i64::from(row.step));
     let before = row.number - 1 - step;
@@ -61,7 +61,7 @@ fn steps(row: &Row) -> Option<i64> {
     (steps > step && steps * episode == before).then_some(steps)
 }
 
-/// The first iteration behind the warm-up that a run begins with.
+/// Returns the first iteration after the warm-up at the begin of a run.
 async fn warm_up(readers: &Readers, run: i64, first: &Row) -> Result<Option<Row>, StoreError> {
     if first.number != 1 || !first.warm_up {
         return Ok(None);
@@ -70,7 +70,7 @@ async fn warm_up(readers: &Readers, run: i64, first: &Row) -> Result<Option<Row>
     end.fetch_optional(&readers.pool()).await.map_err(readers.failed(WHAT))
 }
 
-/// Those that are marked, and how many there are, one more than are counted where there are more.
+/// Returns the unanswered iterations to mark and their number, which is at most one more than the limit of counting.
 async fn unanswered(readers: &Readers, run: i64, last: i64) -> Result<(Vec<Row>, u64), StoreError> {
     let most = Episodes::MOST_UNANSWERED;
     let found: Vec<Row> = sqlx::query_as(sql::ITERATIONS_WITHOUT_ANSWER)
@@ -97,12 +97,12 @@ async fn unanswered(readers: &Readers, run: i64, last: i64) -> Result<(Vec<Row>,
         .await
         .map_err(readers.failed(WHAT))?;
     let marked = rows(readers, run, &numbers.into_iter().flatten().collect::<Vec<_>>()).await?;
-    // Between the two questions retention may have deleted some.
+    // Retention may have deleted some between the two queries.
     let all = u64::try_from(all).unwrap_or_default().max(marked.len() as u64);
     Ok((marked, all))
 }
 
-/// Numbers from one to another in so many parts, each by its ends.
+/// Divides the numbers from `from` to `to` into at most `count` parts, each given by its ends.
 fn parts(from: i64, to: i64, count: i64) -> Vec<(i64, i64)> {
     let edge = |part: i64| from + ((to - from + 1) as f64 * part as f64 / count as f64) as i64;
     (0..count).map(|part| (edge(part), edge(part + 1) - 1)).filter(|(from, to)| from <= to).collect()
@@ -117,7 +117,7 @@ async fn rows(readers: &Readers, run: i64, numbers: &[i64]) -> Result<Vec<Row>, 
         .map_err(readers.failed(WHAT))
 }
 
-/// As statements take lists.
+/// Converts a list to JSON, in which form statements take it.
 fn json(list: &(impl serde::Serialize + ?Sized)) -> Result<String, StoreError> {
     serde_json::to_string(list).map_err(|error| corrupt(WHAT, error))
 }
@@ -127,7 +127,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn parts_hold_every_number_once() {
+    fn parts_contain_each_number_once() {
         for (from, to, count) in [(1, 301, 300), (5, 5, 3), (900, 10_000_000, 300)] {
             let parts = parts(from, to, count);
             assert!(parts.len() <= count as usize);

@@ -1,4 +1,4 @@
-//! Iterations.
+//! Iterations in lists, with their trees and their places in the run.
 
 use std::collections::HashMap;
 
@@ -18,7 +18,7 @@ use crate::types::{DelayRow, IterationDetail, IterationFilter, IterationRow};
 const WHAT: &str = "iterations";
 /// Names of the rows of the table `outcome`.
 const OUTCOMES: [&str; 4] = ["ok", "failed", "lost", "timeout"];
-/// How far down an iteration's place among the slowest is counted.
+/// Number of slowest iterations that get a rank.
 const RANKED: i64 = 1_000;
 
 #[derive(FromRow)]
@@ -55,7 +55,7 @@ struct Delay {
     cloud: Option<i64>,
 }
 
-/// A place among the slowest, and who stands beside it.
+/// Place of an iteration among the slowest, and its neighbours.
 #[derive(Default)]
 struct Place {
     rank: Option<u64>,
@@ -125,7 +125,7 @@ pub(crate) async fn iteration(
     Ok(Some(IterationDetail { row, tree, hosts, rank, previous, next, slower, faster, run_figures }))
 }
 
-/// Where a successful iteration stands among the slowest.
+/// Finds the place of a successful iteration among the slowest.
 async fn place(readers: &Readers, run: i64, (total, number): (f64, i64)) -> Result<Place, StoreError> {
     let slower: i64 = sqlx::query_scalar(sql::SLOWER)
         .bind(run)
@@ -154,7 +154,7 @@ async fn compared(readers: &Readers, run: i64, rows: Vec<Row>) -> Result<Vec<Ite
     complete(readers, run, rows, &Comparison(statistics::figures(readers, run).await?)).await
 }
 
-/// Adds what the trees say: two questions for all rows together.
+/// Adds the values of the trees, with two queries for all rows together.
 async fn complete(
     readers: &Readers,
     run: i64,
@@ -261,7 +261,7 @@ impl Delay {
             stage: Name::from(self.text.as_str()),
             value: self.value,
             bounds: self.lo.zip(self.hi),
-            // Of the wall clocks, whichever clocks it was judged by.
+            // The difference of the wall clocks, whichever clocks it was judged by.
             raw: Span::from_nanos(self.received_ns.map_or(self.raw_ns, |at| at.saturating_sub(self.sent_ns)))
                 .seconds(),
             source,

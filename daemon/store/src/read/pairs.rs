@@ -1,4 +1,4 @@
-//! Two quantities of single iterations, of a sample of them: a run may have ten million.
+//! Two quantities of single iterations, for a sample of them: a run may have ten million.
 
 use std::collections::BTreeMap;
 
@@ -12,9 +12,10 @@ use crate::readers::Readers;
 use crate::types::Pairs;
 
 const WHAT: &str = "pairs of values";
-/// Parts of the sample that are read at once.
+/// Number of parts of the sample that are read concurrently.
 const READ_AT_ONCE: usize = 4;
-/// Turned by this share of a stretch from one stretch to the next, places in them never repeat: the golden ratio.
+/// The golden ratio. The place within a stretch moves by this share of it from one stretch to the next, so that places never
+/// repeat.
 const TURN: f64 = 0.618_033_988_749_895;
 
 /// A node of one of the two names.
@@ -28,16 +29,16 @@ struct Row {
     is_y: bool,
 }
 
-/// What an iteration has of a name: one number, whatever the number of nodes.
+/// Values of a name in an iteration: one number, whatever the number of nodes.
 #[derive(Default)]
-struct Found {
-    /// The first node of the name, and its value.
+struct NameValues {
+    /// The first node of the name with its value.
     first: Option<(u32, Option<f64>)>,
-    /// Of those directly below the root.
+    /// Sum of the nodes directly below the root.
     sum: Option<f64>,
 }
 
-impl Found {
+impl NameValues {
     fn add(&mut self, row: &Row) {
         if self.first.is_none_or(|(node, _)| row.node < node) {
             self.first = Some((row.node, row.value));
@@ -47,8 +48,8 @@ impl Found {
         }
     }
 
-    /// As a row of `data.csv` has it: of a standard name the sum, as in `stages-total`; of what users added the first
-    /// one, because each further one has a column of its own.
+    /// Returns the value that a row of `data.csv` has: the sum for a standard name, as in `stages-total`; the first node for a user's
+    /// name, because each further node has another column.
     fn value(&self, is_standard: bool) -> Option<f64> {
         if is_standard { self.sum } else { self.first.and_then(|(_, value)| value) }
     }
@@ -82,17 +83,17 @@ pub(crate) async fn pairs(
             .await
             .map_err(readers.failed(WHAT))
     };
-    // Iterations of a long run lie far apart in the file: whoever reads one waits for the disk.
+    // Iterations of a long run are far apart in the file: each read waits for the disk.
     let part = numbers.len().div_ceil(READ_AT_ONCE).max(1);
     let rows = try_join_all(numbers.chunks(part).map(read)).await?;
-    let mut found = BTreeMap::<i64, [Found; 2]>::new();
+    let mut found = BTreeMap::<i64, [NameValues; 2]>::new();
     for row in rows.into_iter().flatten() {
         let both = found.entry(row.iteration).or_default();
         let wanted = both.iter_mut().zip([row.is_x, row.is_y]).filter(|(_, is_wanted)| *is_wanted);
         wanted.for_each(|(one, _)| one.add(&row));
     }
     let is_standard = [x, y].map(|name| rank(name).0 < usize::MAX);
-    let point = |[x, y]: &[Found; 2]| Some((x.value(is_standard[0])?, y.value(is_standard[1])?));
+    let point = |[x, y]: &[NameValues; 2]| Some((x.value(is_standard[0])?, y.value(is_standard[1])?));
     Ok(Pairs {
         points: found.values().filter_map(point).collect(),
         asked: numbers.len() as u64,
@@ -104,8 +105,9 @@ const fn length(first: i64, last: i64) -> u64 {
     last.abs_diff(first).saturating_add(1)
 }
 
-/// At most so many numbers from the first to the last, by rising order: all, or one of each of as many stretches of
-/// equal length. Where in its stretch changes from one to the next, because evenly spaced ones would meet the same few
+/// Returns at most `most` numbers from the first to the last, rising: all, or one from each of `most` stretches of equal length.
+///
+/// The place within its stretch changes from one stretch to the next: evenly spaced iterations would always meet the same few
 /// samples of a data set that repeats.
 fn spread(first: i64, last: i64, most: u32) -> Vec<i64> {
     let all = length(first, last);
@@ -130,7 +132,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_data_set_that_repeats_is_seen_whole() {
+    fn sample_covers_repeating_data_set() {
         for period in [7, 30, 100] {
             let numbers = spread(1, 1_500 * period, 1_500);
             let places: HashSet<i64> = numbers.iter().map(|number| number % period).collect();
@@ -140,7 +142,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn every_stretch_has_one_number(first in 1i64..i64::MAX, all in 1i64..3_000_000, most in 0u32..4_000) {
+        fn each_stretch_has_one_number(first in 1i64..i64::MAX, all in 1i64..3_000_000, most in 0u32..4_000) {
             let last = first.saturating_add(all - 1);
             let (numbers, all) = (spread(first, last, most), length(first, last));
             prop_assert_eq!(numbers.len() as u64, all.min(u64::from(most)));

@@ -1,4 +1,4 @@
-//! Runs.
+//! Runs and experiments.
 
 use std::collections::HashMap;
 
@@ -13,7 +13,7 @@ use sqlx::FromRow;
 use super::{corrupt, count, name, parse, sql, statistics, wall};
 use crate::error::StoreError;
 use crate::readers::Readers;
-use crate::types::{ExperimentSummary, GapRow, Known, RunDetail, RunFilter, RunSummary};
+use crate::types::{ExperimentSummary, GapRow, NameSummary, RunDetail, RunFilter, RunSummary};
 use crate::write::UNKNOWN;
 
 const WHAT: &str = "runs";
@@ -79,7 +79,7 @@ pub(crate) async fn runs(readers: &Readers, filter: &RunFilter) -> Result<Vec<Ru
     summaries(readers, &rows).await
 }
 
-/// The runs of an experiment, oldest first.
+/// Returns the runs of an experiment, oldest first.
 pub(crate) async fn runs_of_experiment(
     readers: &Readers,
     id: &str,
@@ -94,7 +94,7 @@ pub(crate) async fn runs_of_experiment(
     summaries(readers, &rows).await
 }
 
-/// Experiments, the one with the newest run first.
+/// Returns experiments, the one with the newest run first.
 pub(crate) async fn experiments(readers: &Readers, limit: u32) -> Result<Vec<ExperimentSummary>, StoreError> {
     let rows: Vec<ExperimentRow> = sqlx::query_as(sql::EXPERIMENTS)
         .bind(limit.clamp(1, 1_000))
@@ -116,12 +116,15 @@ pub(crate) async fn experiments(readers: &Readers, limit: u32) -> Result<Vec<Exp
 async fn summaries(readers: &Readers, rows: &[RunRow]) -> Result<Vec<RunSummary>, StoreError> {
     let numbers: Vec<i64> = rows.iter().map(|row| row.number).collect();
     let totals = statistics::whole_runs(readers, &numbers, &stage::TOTAL).await?;
-    let late = late(readers, rows).await?;
+    let late = missed_deadlines(readers, rows).await?;
     rows.iter().map(|row| summary(row, totals.get(&row.number), late.get(&row.number))).collect()
 }
 
-/// Whether answered iterations missed their deadline, of the runs that have one.
-async fn late(readers: &Readers, rows: &[RunRow]) -> Result<HashMap<i64, Known>, StoreError> {
+/// Returns the missed deadlines among answered iterations, for the runs with a deadline.
+async fn missed_deadlines(
+    readers: &Readers,
+    rows: &[RunRow],
+) -> Result<HashMap<i64, NameSummary>, StoreError> {
     let with_deadline = rows.iter().filter(|row| deadline_s(&row.configuration).is_some());
     let numbers: Vec<i64> = with_deadline.map(|row| row.number).collect();
     if numbers.is_empty() {
@@ -130,7 +133,7 @@ async fn late(readers: &Readers, rows: &[RunRow]) -> Result<HashMap<i64, Known>,
     statistics::whole_runs(readers, &numbers, DEADLINE_MISSED).await
 }
 
-/// The deadline in the pipeline's table as the agent writes it, seconds: its plain keys stand before its tables.
+/// Reads the deadline in seconds from the pipeline's table as the agent writes it: its plain keys precede its tables.
 fn deadline_s(configuration: &str) -> Option<f64> {
     let keys = configuration.lines().take_while(|line| !line.starts_with('['));
     let milliseconds = keys.filter_map(|line| line.strip_prefix("deadline_ms = ")).next()?;
@@ -145,19 +148,19 @@ pub(crate) async fn run(readers: &Readers, number: i64) -> Result<Option<RunDeta
         .map_err(readers.failed(WHAT))?;
     let Some(row) = row else { return Ok(None) };
     let totals = statistics::whole_runs(readers, &[number], &stage::TOTAL).await?;
-    let late = late(readers, std::slice::from_ref(&row)).await?;
+    let late = missed_deadlines(readers, std::slice::from_ref(&row)).await?;
     Ok(Some(RunDetail {
         summary: summary(&row, totals.get(&number), late.get(&number))?,
         facts: facts(&row)?,
         conditions: row.conditions.as_deref().map(json).transpose()?.unwrap_or_default(),
-        // Earlier builds stored the arguments of programs.
+        // Earlier versions stored the arguments of programs.
         configuration: hide_arguments(&row.configuration),
         version: row.version,
         gaps: gaps(readers, number).await?,
     }))
 }
 
-/// What is missing of a run, oldest first.
+/// Returns the gaps of a run, oldest first.
 pub(crate) async fn gaps(readers: &Readers, run: i64) -> Result<Vec<GapRow>, StoreError> {
     let rows: Vec<(i64, i64, i64, String)> = sqlx::query_as(sql::GAPS)
         .bind(run)
@@ -183,13 +186,17 @@ fn json<T: DeserializeOwned>(text: &str) -> Result<T, StoreError> {
     serde_json::from_str(text).map_err(|error| corrupt(WHAT, error))
 }
 
-fn summary(row: &RunRow, total: Option<&Known>, late: Option<&Known>) -> Result<RunSummary, StoreError> {
+fn summary(
+    row: &RunRow,
+    total: Option<&NameSummary>,
+    late: Option<&NameSummary>,
+) -> Result<RunSummary, StoreError> {
     let kind = [PlacementKind::Local, PlacementKind::Remote, PlacementKind::None]
         .into_iter()
         .find(|kind| kind.name() == row.placement)
         .ok_or_else(|| corrupt(WHAT, format_args!("placement {:?}", row.placement)))?;
     let deadline_s = deadline_s(&row.configuration);
-    // The sum of ones and zeros.
+    // Sum of ones and zeros.
     let late = late.map_or(0.0, |known| known.summary.moments.mean * known.summary.moments.count as f64);
     let unanswered = count(row.failed) + count(row.lost) + count(row.timeout);
     Ok(RunSummary {
@@ -220,8 +227,8 @@ fn summary(row: &RunRow, total: Option<&Known>, late: Option<&Known>) -> Result<
         skipped_starts: count(row.skipped_starts),
         deadline_s,
         misses: deadline_s.map(|_| Misses::new(count(row.ok), late.round() as u64, unanswered)),
-        total: total.and_then(Known::figures),
-        // Of the edge itself, and of each cloud by its name.
+        total: total.and_then(NameSummary::figures),
+        // A fact about the edge itself, or about a cloud with its name.
         rehearsed: facts(row)?
             .iter()
             .any(|(fact, _)| fact == "Rehearsal" || fact.starts_with("Rehearsal of ")),

@@ -1,4 +1,4 @@
-//! Figures of runs, from the roll-ups alone: their cost does not depend on the number of nodes.
+//! Figures of runs from the roll-ups alone: their cost does not depend on the number of nodes.
 
 mod means;
 mod runs;
@@ -14,16 +14,16 @@ use super::{corrupt, count, sql};
 use crate::error::StoreError;
 use crate::figures::Figures;
 use crate::readers::Readers;
-use crate::types::{Histogram, Known};
+use crate::types::{Histogram, NameSummary};
 
 pub(crate) use self::means::means;
 pub(crate) use self::runs::statistics;
 pub(crate) use self::series::{course, series};
 
 const WHAT: &str = "statistics";
-/// Above this quantile a histogram only counts, so that one straggler does not squeeze all others into a bin.
+/// Quantile above which a histogram only counts, so that one outlier does not compress all others into a bin.
 const AXIS_ENDS_AT: f64 = 0.99;
-/// The axis goes on beyond that quantile by this share of its length.
+/// Length of the axis beyond that quantile, as a share of its length up to it.
 const AXIS_MARGIN: f64 = 0.1;
 
 #[derive(FromRow)]
@@ -49,27 +49,27 @@ impl RollupRow {
     }
 }
 
-/// One name over whole runs, by run. A name that was used with several kinds is taken together.
+/// Returns the summary of one name over whole runs, by run. Values of a name that was used with several kinds are merged.
 pub(super) async fn whole_runs(
     readers: &Readers,
     runs: &[i64],
     name: &str,
-) -> Result<HashMap<i64, Known>, StoreError> {
+) -> Result<HashMap<i64, NameSummary>, StoreError> {
     let rows: Vec<RollupRow> = sqlx::query_as(sql::ROLLUPS_OF_NAME)
         .bind(list(runs)?)
         .bind(name)
         .fetch_all(&readers.pool())
         .await
         .map_err(readers.failed(WHAT))?;
-    let mut found = HashMap::<i64, Known>::new();
+    let mut found = HashMap::<i64, NameSummary>::new();
     for row in rows {
         let summary = row.summary()?;
-        found.entry(row.run).or_insert_with(|| Known::of_unit(&row.unit)).summary.merge(&summary);
+        found.entry(row.run).or_insert_with(|| NameSummary::of_unit(&row.unit)).summary.merge(&summary);
     }
     Ok(found)
 }
 
-/// Numbers as statements take them: a JSON array.
+/// Converts numbers to a JSON array, in which form statements take them.
 fn list(numbers: &[i64]) -> Result<String, StoreError> {
     serde_json::to_string(numbers).map_err(|error| corrupt(WHAT, error))
 }
@@ -86,10 +86,10 @@ pub(crate) async fn histogram(
     let low = figures.min;
     let typical = known.summary.quantile(AXIS_ENDS_AT).unwrap_or(figures.max);
     let high = (typical + (typical - low) * AXIS_MARGIN).min(figures.max);
-    // All samples equal: one bin of a width that can be drawn.
+    // If all samples are equal, the bin gets a width that can be drawn.
     let high = if high > low { high } else { low + low.abs().max(1e-9) * 0.01 };
     let edges: Vec<f64> = (0..=bins).map(|at| low + (high - low) * at as f64 / bins as f64).collect();
-    // Extremes are exact, the sketch's bins are not: what it sees outside the first edge belongs to the first bin.
+    // Extremes are exact, the sketch's bins are not: values that they place before the first edge belong to the first bin.
     let mut sums: Vec<f64> = edges.iter().map(|edge| known.summary.sketch.count_below(*edge)).collect();
     if let Some(first) = sums.first_mut() {
         *first = 0.0;
@@ -99,14 +99,14 @@ pub(crate) async fn histogram(
     if let Some(last) = sums.last_mut() {
         *last = beyond_starts;
     }
-    // Sums are rounded, not bins: the bins then add up to the number of samples.
+    // Sums are rounded instead of bins, so that the bins add up to the number of samples.
     let rounded: Vec<u64> = sums.iter().map(|sum| (sum.round() as u64).min(figures.count)).collect();
     let counts: Vec<u64> = rounded.windows(2).map(|pair| pair[1].saturating_sub(pair[0])).collect();
     let beyond = figures.count - counts.iter().sum::<u64>().min(figures.count);
     Ok(Some(Histogram { stage: stage.into(), unit: known.unit, edges, counts, beyond, figures }))
 }
 
-/// Figures of all names of a run, in the order of tables.
+/// Returns the figures of all names of a run, in the order of tables.
 pub(super) async fn figures(readers: &Readers, run: i64) -> Result<Vec<(Name, Figures)>, StoreError> {
     let found = statistics(readers, &[run]).await?;
     Ok(found.into_iter().flat_map(|run| run.stages).map(|known| (known.stage, known.figures)).collect())

@@ -1,4 +1,4 @@
-//! From rows back to a tree.
+//! Trees made from their rows.
 
 use peernet_clock::{OneWayDelay, RawTime, Span, WallTime};
 use peernet_logger::{
@@ -58,17 +58,18 @@ struct AnchorRow {
 
 /// The host that senses, and the name of the one that serves it: the tree's second host.
 #[derive(FromRow)]
-struct Ends {
+struct TreeHosts {
     uuid: String,
     name: Option<String>,
     peer: Option<String>,
 }
 
-/// A tree, and the names of its anchors' hosts.
+/// A tree with the names of its anchors' hosts.
 pub(super) type Stored = (Tree, Vec<Option<Slug>>);
 
-/// Trees of iterations as they were sent, and the names of their hosts; each iteration by its number and begin, in
-/// rising order. `None` of one that is deleted meanwhile.
+/// Returns trees of iterations as they were sent, with the names of their hosts.
+///
+/// `iterations` holds number and begin of each one, in rising order. The result is `None` for one that was deleted meanwhile.
 pub(super) async fn trees(
     readers: &Readers,
     run: i64,
@@ -76,7 +77,7 @@ pub(super) async fn trees(
 ) -> Result<Vec<Option<Stored>>, StoreError> {
     let numbers: Vec<i64> = iterations.iter().map(|(number, _)| *number).collect();
     let numbers = serde_json::to_string(&numbers).map_err(|error| corrupt(WHAT, error))?;
-    let ends: Ends =
+    let ends: TreeHosts =
         sqlx::query_as(sql::ENDS).bind(run).fetch_one(&readers.pool()).await.map_err(readers.failed(WHAT))?;
     let anchors: Vec<AnchorRow> = sqlx::query_as(sql::ANCHORS)
         .bind(run)
@@ -90,7 +91,7 @@ pub(super) async fn trees(
         .fetch_all(&readers.pool())
         .await
         .map_err(readers.failed(WHAT))?;
-    // Last: where retention was faster, an iteration has no nodes, but never nodes without their stamps.
+    // Read last: if retention was faster, an iteration has no nodes, but never nodes without their stamps.
     let nodes: Vec<NodeRow> = sqlx::query_as(sql::NODES)
         .bind(run)
         .bind(&numbers)
@@ -111,7 +112,7 @@ pub(super) async fn trees(
     Ok(trees)
 }
 
-/// The rows at the begin that are meant.
+/// Splits off the rows at the begin that `is_meant` accepts.
 fn take<'a, T>(rows: &mut &'a [T], is_meant: impl Fn(&T) -> bool) -> &'a [T] {
     let (taken, rest) = rows.split_at(rows.iter().take_while(|row| is_meant(row)).count());
     *rows = rest;
@@ -119,7 +120,7 @@ fn take<'a, T>(rows: &mut &'a [T], is_meant: impl Fn(&T) -> bool) -> &'a [T] {
 }
 
 fn tree(
-    ends: &Ends,
+    ends: &TreeHosts,
     started: WallTime,
     others: &[AnchorRow],
     nodes: &[NodeRow],
@@ -129,7 +130,7 @@ fn tree(
     let mut hosts = vec![name(WHAT, ends.name.as_deref())?];
     for (at, other) in others.iter().enumerate() {
         anchors.push(Anchor { host: parse(WHAT, &other.uuid)?, wall: wall(other.wall_ns) });
-        // A server that reports to no aggregator, or to another one, is known by what the edge calls it.
+        // A server that reports to no aggregator, or to another one, has the name that the edge gives it.
         let peer = ends.peer.as_ref().filter(|_| at == 0);
         hosts.push(name(WHAT, other.name.as_ref().or(peer).map(String::as_str))?);
     }
@@ -148,10 +149,10 @@ fn tree(
     Ok((tree, hosts))
 }
 
-/// What was measured. Seconds go back to nanoseconds without loss for durations up to 17 days.
+/// Returns the measure. Seconds are converted to nanoseconds without loss for durations up to 17 days.
 fn measure(row: &NodeRow, transit: Option<&TransitRow>) -> Result<Measure, StoreError> {
     let unit = || Unit::new(&row.unit);
-    // SQLite keeps not-a-number as NULL.
+    // SQLite stores not-a-number as NULL.
     let number = || row.value.unwrap_or(f64::NAN);
     if row.custom {
         return Ok(Measure::Custom(Name::from(row.kind.as_str()), unit(), row.value));

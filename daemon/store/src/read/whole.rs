@@ -10,9 +10,9 @@ use crate::readers::Readers;
 use crate::types::RunSummary;
 
 const WHAT: &str = "whole iterations";
-/// Most iterations that are read at a time: a tree may be large.
+/// Maximum number of iterations that are read at a time: a tree may be large.
 const MOST: u32 = 200;
-/// Iterations whose shapes are looked at together.
+/// Number of iterations whose shapes are compared together.
 const SHAPED: u32 = 5_000;
 
 pub(crate) async fn whole(
@@ -89,7 +89,7 @@ async fn with_trees(
         .collect()
 }
 
-/// The outcome behind a number of the table `outcome`.
+/// Returns the outcome for a number of the table `outcome`.
 fn outcome(number: u8, reason: Option<String>) -> Result<Outcome, StoreError> {
     let reason = reason.unwrap_or_default();
     Ok(match number {

@@ -1,22 +1,23 @@
-//! Minutes and hours for runs that were stored when there were buckets of ten seconds alone. SQL cannot merge
-//! quantile sketches, so the migration leaves a list of runs behind, and this works it off when the file is opened:
-//! before anything is written or read, so that no one else has to know of it.
+//! Statistics per minute and hour for runs that were stored when buckets of ten seconds were the coarsest.
+//!
+//! SQL cannot merge quantile sketches. So the migration leaves a list of runs, and this code processes it when the file is
+//! opened, before anything else reads or writes.
 
 use sqlx::{Connection, SqliteConnection};
 
 use crate::rollups::{RollupRow, Rollups, Scope, bucket};
 
-/// Width of the buckets that are there.
+/// Width of the stored buckets.
 const STORED_S: i64 = 10;
 const HOUR_S: i64 = 3600;
-/// Runs between two lines of the log.
+/// Number of runs between two log lines.
 const RUNS_TOLD: u64 = 100;
 
-/// The rows of the first hour that has any after a moment: ?1 run, ?2 begin, ?3 end.
+/// The rows of buckets within a range: ?1 run, ?2 begin, ?3 end.
 pub(super) const TENS: &str = "SELECT run, resolution_s, bucket_s, name, quantity, count, mean, m2, min, max, sketch \
      FROM rollup WHERE run = ?1 AND resolution_s = 10 AND bucket_s >= ?2 AND bucket_s < ?3";
 
-/// Makes what is missing; each run in a transaction of its own, so that it goes on where it was stopped.
+/// Makes the missing statistics. Each run has its own transaction, so that an interrupted call continues with the next run.
 ///
 /// # Errors
 /// When the database cannot be read or written.
@@ -31,7 +32,7 @@ pub(crate) async fn make_coarser(connection: &mut SqliteConnection) -> Result<()
         let run: Option<i64> =
             sqlx::query_scalar("SELECT min(run) FROM rollup_debt").fetch_one(&mut *connection).await?;
         let Some(run) = run else { break };
-        // Rolled back when it is dropped.
+        // Dropping it rolls back.
         let mut transaction = connection.begin_with("BEGIN IMMEDIATE").await?;
         one_run(&mut transaction, run).await?;
         transaction.commit().await?;

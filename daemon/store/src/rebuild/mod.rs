@@ -1,4 +1,4 @@
-//! Roll-ups made anew: from the nodes, or coarser ones from finer ones. Nobody else may write meanwhile.
+//! Rebuilding of roll-ups: from the nodes, or coarser ones from finer ones. No other process may write meanwhile.
 
 mod coarser;
 mod nodes;
@@ -9,24 +9,24 @@ pub(crate) use self::coarser::make_coarser;
 use crate::retention::{Kind, release};
 use crate::rollups::{Rollups, Scope, WHOLE_RUN, WIDTHS_S};
 
-/// What a rebuild has done so far.
+/// Progress of a rebuild.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Rebuilt {
-    /// Runs that are done.
+    /// Number of finished runs.
     pub runs: u64,
-    /// Successful iterations of them that were read, without the warm-up.
+    /// Number of their successful iterations that were read, without the warm-up.
     pub iterations: u64,
-    /// Those of the runs of which some nodes were deleted: their statistics over the whole run, and buckets that are no
-    /// longer wholly covered by nodes, were left as they are.
+    /// Number of the runs with deleted nodes. Their statistics over the whole run, and buckets that nodes no longer cover
+    /// completely, are left unchanged.
     pub in_part: u64,
 }
 
 /// ?1 the run before.
 const NEXT_RUN: &str = "SELECT min(number) FROM run WHERE number > ?1";
-/// Up to where nodes are gone: ?1 run.
+/// Second before which nodes are deleted: ?1 run.
 const FLOOR: &str = "SELECT before_s FROM trimmed WHERE run = ?1 AND kind = 0";
-/// Starts that were skipped before the iterations of a run, as the migration that made the column counts them: ?1 run. Those
-/// before answered iterations stand in the roll-up of the whole run.
+/// Counts the skipped starts of a run as the migration that made the column does: ?1 run. Those before answered iterations
+/// are in the roll-up of the whole run.
 const SKIPPED_STARTS: &str = "UPDATE run SET skipped_starts = CAST(coalesce(max(0.0, min(9007199254740992.0, round( \
      (SELECT total(rollup.count * rollup.mean) FROM rollup \
      WHERE rollup.run = run.number AND rollup.resolution_s = 0 AND rollup.bucket_s = 0 AND rollup.quantity = 0 \
@@ -38,11 +38,13 @@ const SKIPPED_STARTS: &str = "UPDATE run SET skipped_starts = CAST(coalesce(max(
      ))), 0.0) AS INTEGER) \
      WHERE number = ?1";
 
-/// Makes the roll-ups of a run, or of all, from its nodes, as far as they still exist: each run in a transaction of its
-/// own, so that each has its old statistics or its new ones. `progress` is told after every few thousand summaries.
+/// Makes the roll-ups of a run, or of all runs, from the nodes that still exist.
+///
+/// Each run has its own transaction, so that it has either its old statistics or its new ones. `progress` is called after
+/// every few thousand summaries.
 ///
 /// # Errors
-/// When the database cannot be read or written; runs that are done stay done.
+/// When the database cannot be read or written. Finished runs stay finished.
 pub(crate) async fn rebuild(
     connection: &mut SqliteConnection,
     run: Option<i64>,
@@ -55,7 +57,7 @@ pub(crate) async fn rebuild(
         let Some(next) = next.filter(|next| run.is_none_or(|run| run == *next)) else {
             return Ok(rebuilt);
         };
-        // Rolled back when it is dropped.
+        // Dropping it rolls back.
         let mut transaction = connection.begin_with("BEGIN IMMEDIATE").await?;
         one_run(&mut transaction, next, &mut rebuilt, &mut progress).await?;
         transaction.commit().await?;
@@ -97,14 +99,14 @@ async fn one_run(
         progress(rebuilt);
     })
     .await?;
-    // Where nodes are missing, nobody can count again what was skipped before them.
+    // Where nodes are deleted, the starts that were skipped before them cannot be counted again.
     if floor.is_none() {
         sqlx::query(SKIPPED_STARTS).bind(run).execute(&mut *connection).await?;
     }
     complete(connection, run, floor).await
 }
 
-/// What was made again is there again, and has to go again in its time.
+/// Notes that the rebuilt buckets exist again and are due for deletion at their time.
 async fn complete(
     connection: &mut SqliteConnection,
     run: i64,
@@ -128,7 +130,7 @@ async fn complete(
     Ok(())
 }
 
-/// What a rebuild asks: a test looks at the plans.
+/// Statements of a rebuild, whose query plans a test checks.
 #[cfg(test)]
 pub(crate) const QUESTIONS: [(&str, &str); 6] = [
     ("NEXT_RUN", NEXT_RUN),

@@ -1,4 +1,4 @@
-//! Summaries of nodes as they are stored, by the rules of those that grow with them.
+//! Summing up of stored nodes by the same rules as the writer's.
 
 use std::collections::HashMap;
 
@@ -8,15 +8,15 @@ use sqlx::{FromRow, SqliteConnection};
 
 use crate::rollups::{Quantity, Rollups};
 
-/// Iterations that are read at a time.
+/// Number of iterations that are read at a time.
 const ITERATIONS: i64 = 500;
-/// Summaries that wait before they are written.
+/// Number of summaries after which they are written.
 const SUMMARIES: usize = 20_000;
 
-/// The last iteration of a page, and how many of it count: ?1 run, ?2 the last of the page before, ?3 limit.
+/// The last iteration of a page, and the number of counted ones: ?1 run, ?2 the last iteration of the previous page, ?3 limit.
 pub(super) const PAGE: &str = "SELECT max(number), count(*) FILTER (WHERE warm_up = 0 AND outcome = 0) FROM \
      (SELECT number, warm_up, outcome FROM iteration WHERE run = ?1 AND number > ?2 ORDER BY number LIMIT ?3)";
-/// The numbers of the successful iterations of a page, the warm-up left out: ?1 run, ?2 and ?3 first and last iteration.
+/// The values of the successful iterations of a page, without the warm-up: ?1 run, ?2 and ?3 first and last iteration.
 /// The order of the joins is that of all four tables.
 pub(super) const NUMBERS: &str = "SELECT iteration.started_ns, node.name, node.value, node.lo, node.hi, transit.verdict \
      FROM iteration CROSS JOIN node ON node.run = iteration.run AND node.iteration = iteration.number \
@@ -34,8 +34,9 @@ struct NodeRow {
     verdict: Option<u8>,
 }
 
-/// Writes the roll-ups of all nodes of a run of which nothing in this bucket is missing; `done` is told of iterations.
-/// Verdicts count over the whole run: only where no node is missing.
+/// Writes the roll-ups of all nodes of a run, for buckets without deleted nodes; `done` receives the number of iterations.
+///
+/// Verdicts are counted over the whole run, so they are written only if no node of it is deleted.
 pub(super) async fn sum_up(
     connection: &mut SqliteConnection,
     run: i64,

@@ -1,26 +1,28 @@
-//! The table `arrival`: what is next to be deleted, and what of it may go.
+//! The table `arrival`: which data is due next for deletion, and which part of it may be deleted.
+//!
+//! A row is deleted without what a later row of the run holds as well. So a robot's clock that jumps during a run does no harm.
 
 use sqlx::SqliteConnection;
 
 use super::deletions::{Cause, Deletion};
-use super::{Deleted, Kind, buckets, clocks, nodes};
+use super::{DeletedRows, Kind, buckets, clocks, nodes};
 use crate::extent::Extent;
 use crate::rollups::bucket;
 
-/// Rows of the table that one transaction looks at.
+/// Maximum number of rows of the table per transaction.
 const ROWS: usize = 64;
 
-/// Triggers see to the table `arrival`: ?1 run, ?2 0 or 1.
+/// Triggers update the table `arrival`: ?1 run, ?2 0 or 1.
 const PIN: &str = "UPDATE run SET pinned = ?2 WHERE number = ?1";
 /// ?1 kind, ?2 run.
 const RELEASE: &str = "INSERT INTO arrival (kind, owner, from_s, to_s, first, last) \
      SELECT ?1, number, 0, coalesce((SELECT elapsed_ns / 1000000000 FROM storage_clock), 0), \
        -9223372036854775808, 9223372036854775807 FROM run WHERE number = ?2 AND pinned = 0 \
      ON CONFLICT (kind, owner, from_s) DO UPDATE SET to_s = excluded.to_s, first = excluded.first, last = excluded.last";
-/// The one whose period began first: ?1 kind, ?2 at this second or before.
+/// The row whose period began first: ?1 kind, ?2 at this second or before.
 const NEXT: &str =
     "SELECT owner, from_s, first, last FROM arrival WHERE kind = ?1 AND to_s <= ?2 ORDER BY to_s LIMIT 1";
-/// What arrived later and overlaps: ?1 kind, ?2 owner, ?3 from, ?4 and ?5 first and last.
+/// Rows that arrived later and overlap: ?1 kind, ?2 owner, ?3 from, ?4 and ?5 first and last.
 const LATER: &str = "SELECT first, last FROM arrival WHERE kind = ?1 AND owner = ?2 AND from_s > ?3 \
      AND first <= ?5 AND last >= ?4";
 /// ?1 run.
@@ -46,8 +48,8 @@ pub(super) const STATEMENTS: [(&str, &str); 8] = [
     ("POSTPONE", POSTPONE),
 ];
 
-/// Pins a run, so that nothing of it is deleted, or lets it go: its periods count from now then. False when there is no
-/// such run. What was deleted before stays deleted.
+/// Pins a run, so that nothing of it is deleted, or releases it: then its periods count from now. Returns whether the run
+/// exists. Data that was deleted before stays deleted.
 pub(crate) async fn pin(
     connection: &mut SqliteConnection,
     run: i64,
@@ -57,8 +59,7 @@ pub(crate) async fn pin(
     Ok(done.rows_affected() > 0)
 }
 
-/// All of this kind that is there of a run, and did not arrive since, has to go in its time, counted from now, unless
-/// the run is pinned.
+/// Marks all stored data of this kind of a run for deletion after its period, counted from now, unless the run is pinned.
 pub(crate) async fn release(
     connection: &mut SqliteConnection,
     kind: Kind,
@@ -77,7 +78,7 @@ struct Arrival {
     extent: Extent,
 }
 
-/// Whether something of this kind had arrived by a second of the storage clock.
+/// Returns whether data of this kind had arrived by a second of the storage clock.
 pub(super) async fn due(
     connection: &mut SqliteConnection,
     kind: Kind,
@@ -101,16 +102,16 @@ async fn next(
     }))
 }
 
-/// What was done with what is due.
+/// Result of deleting due data.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Trimmed {
-    /// Deleted, in the cost of a small row.
+pub(super) struct TrimResult {
+    /// Cost of the deleted rows, in small rows.
     pub(super) rows: u64,
-    /// Nothing is due any more.
+    /// `true` if no more data is due.
     pub(super) through: bool,
 }
 
-/// Deletes what had arrived by a second of the storage clock, in the order of arrival, about so many rows.
+/// Deletes data that had arrived by a second of the storage clock, in the order of arrival, about `rows` rows.
 pub(super) async fn trim(
     connection: &mut SqliteConnection,
     (kind, cause): (Kind, Cause),
@@ -118,7 +119,7 @@ pub(super) async fn trim(
     now_s: i64,
     rows: u64,
     deletions: &mut Vec<Deletion>,
-) -> Result<Trimmed, sqlx::Error> {
+) -> Result<TrimResult, sqlx::Error> {
     let mut deleted = 0;
     for _ in 0..ROWS {
         let left = rows.saturating_sub(deleted);
@@ -126,7 +127,7 @@ pub(super) async fn trim(
             break;
         }
         let Some(arrival) = next(connection, kind, before_s).await? else {
-            return Ok(Trimmed { rows: deleted, through: true });
+            return Ok(TrimResult { rows: deleted, through: true });
         };
         let gone = arrival.delete(connection, now_s, left).await?;
         deleted += gone.rows;
@@ -134,25 +135,25 @@ pub(super) async fn trim(
             deletions.push(Deletion { cause, kind, owner: arrival.owner, items: gone.items });
         }
     }
-    Ok(Trimmed { rows: deleted, through: false })
+    Ok(TrimResult { rows: deleted, through: false })
 }
 
 impl Arrival {
-    /// Deletes what it holds and nothing that arrived later does, about so many rows. When that is complete the row goes, or waits for
-    /// another period where something is kept.
+    /// Deletes about `rows` rows of what it holds and no later arrival does. When that is complete, the row is removed, or
+    /// postponed for another period if pinned data remains.
     async fn delete(
         self,
         connection: &mut SqliteConnection,
         now_s: i64,
         rows: u64,
-    ) -> Result<Deleted, sqlx::Error> {
+    ) -> Result<DeletedRows, sqlx::Error> {
         let mut others = self.later(connection).await?;
         let pinned = match self.kind {
             Kind::ClockSamples => clocks::pinned(connection, self.owner).await?,
             _ => Vec::new(),
         };
         others.extend(&pinned);
-        let mut deleted = Deleted::default();
+        let mut deleted = DeletedRows::default();
         for part in self.extent.without(others) {
             loop {
                 let left = rows.saturating_sub(deleted.rows);
@@ -181,10 +182,10 @@ impl Arrival {
         let statement = if kept { POSTPONE } else { REMOVE };
         let statement = sqlx::query(statement).bind(self.kind.number()).bind(self.owner).bind(self.from_s);
         if kept { statement.bind(now_s) } else { statement }.execute(connection).await?;
-        Ok(Deleted { complete: true, ..deleted })
+        Ok(DeletedRows { complete: true, ..deleted })
     }
 
-    /// What of its extent arrived later as well.
+    /// Returns the parts of its extent that arrived later as well.
     async fn later(self, connection: &mut SqliteConnection) -> Result<Vec<Extent>, sqlx::Error> {
         let rows: Vec<(i64, i64)> = sqlx::query_as(LATER)
             .bind(self.kind.number())

@@ -1,7 +1,7 @@
-//! What arrived of late becomes a row of the table `arrival` for each kind.
+//! Conversion of recent arrivals to rows of the table `arrival`.
 //!
-//! The writer notes with each transaction which iterations came of a run and which samples of a link. When that has gone
-//! on for long enough it becomes a row, or extends the newest one, so that each kind has few rows within its period.
+//! The writer notes in each transaction which iterations of a run and which samples of a link arrived. After a sixty-fourth of
+//! the period this becomes a row, or extends the newest one, so that each kind has few rows within its period.
 
 use sqlx::{FromRow, SqliteConnection};
 
@@ -9,7 +9,7 @@ use super::{Kind, Periods};
 use crate::extent::Extent;
 use crate::rollups::bucket;
 
-/// Whether something has been arriving since this second of the storage clock or before: ?1 second.
+/// Returns whether something has been arriving since this second of the storage clock or before: ?1 second.
 const ANY: &str = "SELECT EXISTS (SELECT 1 FROM run INDEXED BY run_arriving WHERE arriving_from_s <= ?1) \
      OR EXISTS (SELECT 1 FROM link INDEXED BY link_arriving WHERE arriving_from_s <= ?1)";
 /// ?1 second, ?2 limit.
@@ -29,7 +29,7 @@ const LINK_DONE: &str =
 const EXTEND: &str = "UPDATE arrival SET to_s = max(to_s, ?3), first = min(first, ?4), last = max(last, ?5) \
      WHERE kind = ?1 AND owner = ?2 AND from_s > ?6 \
        AND from_s = (SELECT max(newest.from_s) FROM arrival AS newest WHERE newest.kind = ?1 AND newest.owner = ?2)";
-/// ?1 kind, ?2 owner, ?3 from, ?4 now, ?5 and ?6 first and last. The row may be there: that of all that came before.
+/// ?1 kind, ?2 owner, ?3 from, ?4 now, ?5 and ?6 first and last. The row may exist: the one for all earlier data.
 const INSERT: &str = "INSERT INTO arrival (kind, owner, from_s, to_s, first, last) VALUES (?1, ?2, ?3, ?4, ?5, ?6) \
      ON CONFLICT (kind, owner, from_s) DO UPDATE SET to_s = max(to_s, excluded.to_s), \
      first = min(first, excluded.first), last = max(last, excluded.last)";
@@ -56,12 +56,13 @@ struct Run {
     last_s: i64,
 }
 
-/// Whether something has been arriving since this second or before.
+/// Returns whether something has been arriving since this second or before.
 pub(super) async fn any(connection: &mut SqliteConnection, since_s: i64) -> Result<bool, sqlx::Error> {
     sqlx::query_scalar(ANY).bind(since_s).fetch_one(connection).await
 }
 
-/// Makes rows of what has been arriving since this second or before, of so many runs and links; of how many there was.
+/// Makes rows of what has been arriving since this second or before, for up to `limit` runs and links each. Returns their
+/// number.
 pub(super) async fn close(
     connection: &mut SqliteConnection,
     periods: &Periods,

@@ -1,22 +1,22 @@
-//! Roll-ups of a run and width.
+//! Deletion of roll-ups of a run and width.
 
 use sqlx::SqliteConnection;
 
 use super::trimmed::trimmed;
-use super::{Deleted, Kind};
+use super::{DeletedRows, Kind};
 use crate::column::column;
 use crate::extent::Extent;
 
-/// What a row costs, in nodes: it is some times as long.
+/// Cost of a row in nodes: it is several times as long.
 const ROW: u64 = 3;
 
 /// The oldest bucket: ?1 run, ?2 width, ?3 and ?4 first and last.
 const OLDEST: &str =
     "SELECT min(bucket_s) FROM rollup WHERE run = ?1 AND resolution_s = ?2 AND bucket_s BETWEEN ?3 AND ?4";
-/// The last bucket: the same.
+/// The last bucket; parameters as above.
 const LAST: &str =
     "SELECT max(bucket_s) FROM rollup WHERE run = ?1 AND resolution_s = ?2 AND bucket_s BETWEEN ?3 AND ?4";
-/// The bucket after so many rows: the same, ?5 rows.
+/// The bucket after a number of rows; parameters as above, ?5 rows.
 const AFTER: &str = "SELECT bucket_s FROM rollup WHERE run = ?1 AND resolution_s = ?2 AND bucket_s BETWEEN ?3 AND ?4 \
      ORDER BY bucket_s LIMIT 1 OFFSET ?5";
 /// ?1 run, ?2 width, ?3 and ?4 first and last.
@@ -26,28 +26,28 @@ const DELETE: &str = "DELETE FROM rollup WHERE run = ?1 AND resolution_s = ?2 AN
 pub(super) const STATEMENTS: [(&str, &str); 4] =
     [("OLDEST", OLDEST), ("LAST", LAST), ("AFTER", AFTER), ("DELETE", DELETE)];
 
-/// Deletes buckets by rising begin, of about so many rows.
+/// Deletes buckets by rising begin, about `rows` rows.
 pub(super) async fn delete(
     connection: &mut SqliteConnection,
     run: i64,
     width_s: i64,
     seconds: Extent,
     rows: u64,
-) -> Result<Deleted, sqlx::Error> {
+) -> Result<DeletedRows, sqlx::Error> {
     let of = |statement| sqlx::query_scalar(statement).bind(run).bind(width_s);
     let first: Option<i64> =
         of(OLDEST).bind(seconds.first).bind(seconds.last).fetch_one(&mut *connection).await?;
-    let Some(first) = first else { return Ok(Deleted { complete: true, ..Deleted::default() }) };
+    let Some(first) = first else { return Ok(DeletedRows { complete: true, ..DeletedRows::default() }) };
     let most = column((rows / ROW).max(1));
     let after: Option<Option<i64>> =
         of(AFTER).bind(first).bind(seconds.last).bind(most).fetch_optional(&mut *connection).await?;
     let after = after.flatten();
-    // A bucket goes whole, however many rows it has.
+    // A bucket is deleted as a whole, however many rows it has.
     let through = after.map_or(seconds.last, |after| (after - 1).max(first));
     let newest: Option<i64> = of(LAST).bind(first).bind(through).fetch_one(&mut *connection).await?;
     let gone = sqlx::query(DELETE).bind(run).bind(width_s).bind(first).bind(through);
     let items = gone.execute(&mut *connection).await?.rows_affected();
     let before_s = newest.unwrap_or(first).saturating_add(width_s);
     trimmed(connection, Kind::Buckets(width_s), run, before_s).await?;
-    Ok(Deleted { rows: items * ROW, items, complete: after.is_none() })
+    Ok(DeletedRows { rows: items * ROW, items, complete: after.is_none() })
 }

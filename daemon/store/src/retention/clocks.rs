@@ -1,15 +1,16 @@
-//! Samples of the relation between two hosts' clocks, and with them the statistics of connections of the same time. Those from the time of a pinned run of the link's edge stay, so that
-//! its delays can be judged again.
+//! Deletion of clock samples of a link, and of the statistics of its connections of the same time.
+//!
+//! Samples from the time of a pinned run of the link's edge stay, so that its delays can be judged again.
 
 use sqlx::SqliteConnection;
 
-use super::Deleted;
+use super::DeletedRows;
 use crate::column::column;
 use crate::extent::Extent;
 
-/// Samples stay so long before and after a pinned run.
+/// Time before and after a pinned run for which samples stay.
 const AROUND_NS: i64 = 3_600_000_000_000;
-/// What a row costs, in nodes: it is some times as long.
+/// Cost of a row in nodes: it is several times as long.
 const ROW: u64 = 5;
 
 /// The oldest sample: ?1 link, ?2 and ?3 first and last.
@@ -18,14 +19,14 @@ const OLDEST: &str = "SELECT min(at_ns) FROM clock_sample WHERE link = ?1 AND at
 const PINNED: &str = "SELECT run.started_ns, coalesce(max(run.ended_ns, run.last_iteration_ns), run.ended_ns, 9223372036854775807) \
      FROM run INDEXED BY run_pinned CROSS JOIN pipeline ON pipeline.id = run.pipeline \
      WHERE run.pinned = 1 AND pipeline.host = (SELECT edge FROM link WHERE id = ?1)";
-/// The sample after so many: ?1 link, ?2 and ?3 first and last, ?4 rows.
+/// The sample after a number of rows: ?1 link, ?2 and ?3 first and last, ?4 rows.
 const AFTER: &str = "SELECT at_ns FROM clock_sample WHERE link = ?1 AND at_ns BETWEEN ?2 AND ?3 \
      ORDER BY at_ns LIMIT 1 OFFSET ?4";
 /// ?1 link, ?2 and ?3 first and last.
 const DELETE: &str = "DELETE FROM clock_sample WHERE link = ?1 AND at_ns BETWEEN ?2 AND ?3";
 /// Statistics of connections of that time: ?1 link, ?2 and ?3 first and last.
 const CONNECTIONS: &str = "DELETE FROM connection_sample WHERE link = ?1 AND at_ns BETWEEN ?2 AND ?3";
-/// Windows of which no sample is left; the last one may go on: ?1 link, ?2 end.
+/// Windows without remaining samples; the last one may continue: ?1 link, ?2 end.
 const WINDOWS: &str = "DELETE FROM clock_window WHERE link = ?1 AND last_ns <= ?2 \
      AND id <> (SELECT max(id) FROM clock_window WHERE link = ?1) \
      AND NOT EXISTS (SELECT 1 FROM clock_sample WHERE clock_sample.link = clock_window.link \
@@ -42,7 +43,7 @@ pub(super) const STATEMENTS: [(&str, &str); 6] = [
     ("WINDOWS", WINDOWS),
 ];
 
-/// The times around pinned runs of a link's edge.
+/// Returns the times around pinned runs of a link's edge.
 pub(super) async fn pinned(connection: &mut SqliteConnection, link: i64) -> Result<Vec<Extent>, sqlx::Error> {
     let runs: Vec<(i64, i64)> = sqlx::query_as(PINNED).bind(link).fetch_all(connection).await?;
     let around = |(begin, end): (i64, i64)| Extent {
@@ -52,7 +53,7 @@ pub(super) async fn pinned(connection: &mut SqliteConnection, link: i64) -> Resu
     Ok(runs.into_iter().map(around).collect())
 }
 
-/// Whether there are samples between two times, both included.
+/// Returns whether there are samples between two times, both included.
 pub(super) async fn any(
     connection: &mut SqliteConnection,
     link: i64,
@@ -63,20 +64,20 @@ pub(super) async fn any(
     Ok(oldest.is_some())
 }
 
-/// Deletes samples by rising time, of about so many rows.
+/// Deletes samples by rising time, about `rows` rows.
 pub(super) async fn delete(
     connection: &mut SqliteConnection,
     link: i64,
     times: Extent,
     rows: u64,
-) -> Result<Deleted, sqlx::Error> {
+) -> Result<DeletedRows, sqlx::Error> {
     let first: Option<i64> = sqlx::query_scalar(OLDEST)
         .bind(link)
         .bind(times.first)
         .bind(times.last)
         .fetch_one(&mut *connection)
         .await?;
-    let Some(first) = first else { return Ok(Deleted { complete: true, ..Deleted::default() }) };
+    let Some(first) = first else { return Ok(DeletedRows { complete: true, ..DeletedRows::default() }) };
     let after: Option<i64> = sqlx::query_scalar(AFTER)
         .bind(link)
         .bind(first)
@@ -84,11 +85,11 @@ pub(super) async fn delete(
         .bind(column((rows / ROW).max(1)))
         .fetch_optional(&mut *connection)
         .await?;
-    // Samples of one moment, in several windows, go together.
+    // Samples of one time, in several windows, are deleted together.
     let through = after.map_or(times.last, |after| (after - 1).max(first));
     let gone = sqlx::query(DELETE).bind(link).bind(first).bind(through);
     let items = gone.execute(&mut *connection).await?.rows_affected();
     sqlx::query(CONNECTIONS).bind(link).bind(first).bind(through).execute(&mut *connection).await?;
     sqlx::query(WINDOWS).bind(link).bind(through).execute(connection).await?;
-    Ok(Deleted { rows: items * ROW, items, complete: after.is_none() })
+    Ok(DeletedRows { rows: items * ROW, items, complete: after.is_none() })
 }

@@ -1,4 +1,4 @@
-//! What was deleted, as incidents and log lines: one an hour at most, which grows.
+//! Incidents and log lines about deleted data: at most one an hour, which grows.
 
 use std::collections::{BTreeMap, HashSet};
 use std::fmt::Write;
@@ -11,47 +11,47 @@ use crate::incidents;
 use crate::retention_config::RetentionConfig;
 use crate::types::AggregatorIncidentKind;
 
-/// An incident grows for so long on the storage clock.
+/// Time on the storage clock for which an incident grows.
 const GROUP_S: i64 = 3_600;
 
 /// ?1 incident, ?2 text.
 const UPDATE: &str = "UPDATE incident SET text = ?2 WHERE id = ?1";
 
-/// Which limit something was deleted for.
+/// The limit for which something was deleted.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) enum Cause {
-    /// It was older than its period.
+    /// The data was older than its period.
     Age,
     /// The database was larger than its limit.
     Size,
 }
 
-/// What a transaction deleted of a run or link.
+/// Amount of data that a transaction deleted of a run or link.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Deletion {
     pub(super) cause: Cause,
     pub(super) kind: Kind,
-    /// A run's number, or a link's id.
+    /// Number of a run, or id of a link.
     pub(super) owner: i64,
-    /// Iterations, rows of statistics, or samples.
+    /// Number of iterations, rows of statistics, or samples.
     pub(super) items: u64,
 }
 
-/// Keeps the incident that grows.
+/// Owner of the incident that grows.
 #[derive(Debug)]
 pub(super) struct Deletions {
     config: RetentionConfig,
     group: Option<Group>,
 }
 
-/// What one incident tells.
+/// Contents of one incident.
 #[derive(Debug)]
 struct Group {
     incident: i64,
-    /// Storage clock, seconds.
+    /// Its begin on the storage clock, seconds.
     from_s: i64,
     counts: BTreeMap<(Cause, Kind), Count>,
-    /// What the log was told last.
+    /// The last text written to the log.
     logged: Option<String>,
 }
 
@@ -66,7 +66,7 @@ impl Deletions {
         Self { config, group: None }
     }
 
-    /// Tells of what this transaction deletes.
+    /// Records the deletions of this transaction in the incident.
     pub(super) async fn record(
         &mut self,
         connection: &mut SqliteConnection,
@@ -96,12 +96,12 @@ impl Deletions {
         Ok(())
     }
 
-    /// The transaction was rolled back: what follows becomes another incident.
+    /// Forgets the incident, because the transaction was rolled back: later deletions become another one.
     pub(super) fn forget(&mut self) {
         self.group = None;
     }
 
-    /// There is nothing to delete for now: the log is told of the first deletions of the hour, and of all at its end.
+    /// Handles a time without deletions: logs the first deletions of the hour, and all of them at its end.
     pub(super) fn rest(&mut self, now_s: i64) {
         if let Some(group) = &mut self.group
             && group.logged.is_none()
@@ -111,7 +111,7 @@ impl Deletions {
         self.end_if_old(now_s);
     }
 
-    /// No more follow.
+    /// Logs the rest, because no more deletions follow.
     pub(super) fn end(&mut self) {
         if let Some(mut group) = self.group.take() {
             group.log(&self.config);

@@ -1,11 +1,10 @@
-//! Deleting what is old, by the task that writes and between its commits: a little at a time, so that nothing waits
-//! for it, and without looking through all runs.
+//! Retention: the writing task deletes old data between its commits, a little at a time, so that no commit waits for long,
+//! and without examining all runs.
 //!
-//! Age is counted on the storage clock from when something arrived, so no wall clock can make data old: not the
-//! aggregator's, and not a robot's. The table `arrival` says what arrived when, for each run or link and each kind of data.
-//! An index gives the next that is due, so a step with nothing to do asks a few questions of an index and no more, at most
-//! once a second. Where each run was trimmed stands in `trimmed`, for readers and for a rebuild; what was deleted is an
-//! incident.
+//! Age is counted on the storage clock from the arrival of data, so no wall clock can make data old: neither the aggregator's
+//! nor a robot's. The table `arrival` holds the time of arrival for each run or link and each kind of data. An index gives the
+//! row that is due next, so a step with nothing to do costs a few index lookups, at most once a second. `trimmed` holds for
+//! readers and for a rebuild how far each run was deleted. Deletions are recorded as an incident.
 
 mod arrivals;
 mod arriving;
@@ -27,30 +26,31 @@ use crate::retention_config::{RetentionConfig, kept_s};
 use crate::rollups::WIDTHS_S;
 use crate::storage_clock::StorageClock;
 
-/// Rows that a step deletes, as a hint for its caller: some tens of milliseconds.
+/// Number of rows that a step deletes, as a hint for its caller: some tens of milliseconds.
 pub(crate) const ROWS: u32 = 20_000;
-/// When there was nothing to do, it is not looked again for so long.
+/// Pause after a step with nothing to do.
 const IDLE: Span = Span::from_seconds(1);
-/// What arrives within this part of a period is deleted together, so that a kind has few rows in the table `arrival`.
+/// Number of parts of a period. Data that arrives within one part is deleted together, so that a kind has few rows in the
+/// table `arrival`.
 const PARTS: i64 = 64;
-/// The same of what is kept for ever, seconds: for the limit of the size, and for a period that is configured later.
+/// Length of a part for data that is kept for ever, seconds: the size limit, or a period that is configured later, needs it.
 const UNLIMITED_RESOLUTION_S: i64 = 3_600;
-/// Runs and links of which one transaction takes what arrived.
+/// Maximum number of runs and of links whose arrivals one transaction converts.
 const ARRIVING: u32 = 64;
 
-/// What a step leaves.
+/// Result of a step.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Step {
-    /// There is nothing to do for now.
+    /// There is nothing to do at present.
     Done,
-    /// Another step would find something to do.
+    /// Another step will find something to do.
     More,
 }
 
-/// What is deleted separately.
+/// Kind of data with its own period.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(crate) enum Kind {
-    /// Iterations with all that belongs to them.
+    /// Iterations with everything that belongs to them.
     Nodes,
     /// Roll-ups of this width, seconds.
     Buckets(i64),
@@ -70,7 +70,7 @@ impl Kind {
         Self::ClockSamples,
     ];
 
-    /// As in the tables `arrival` and `trimmed`.
+    /// Returns its number in the tables `arrival` and `trimmed`.
     const fn number(self) -> i64 {
         match self {
             Self::Nodes => 0,
@@ -79,7 +79,7 @@ impl Kind {
         }
     }
 
-    /// For how many days it is kept; 0: for ever.
+    /// Returns the number of days for which it is kept; 0 for ever.
     const fn days(self, config: &RetentionConfig) -> u32 {
         match self {
             Self::Nodes => config.nodes_days,
@@ -91,7 +91,7 @@ impl Kind {
         }
     }
 
-    /// The key of the configuration that says so.
+    /// Returns the configuration key of its period.
     const fn key(self) -> &'static str {
         match self {
             Self::Nodes => "nodes_days",
@@ -103,7 +103,7 @@ impl Kind {
         }
     }
 
-    /// What its items are, for people.
+    /// Returns a description of its items.
     const fn in_words(self) -> &'static str {
         match self {
             Self::Nodes => "iterations with their trees",
@@ -115,23 +115,23 @@ impl Kind {
         }
     }
 
-    /// What they belong to.
+    /// Returns a description of their owner.
     const fn owner_in_words(self) -> &'static str {
         if matches!(self, Self::ClockSamples) { "link" } else { "run" }
     }
 }
 
-/// How long each kind is kept, seconds of the storage clock.
+/// Period of each kind, seconds of the storage clock.
 #[derive(Debug)]
 struct Periods(RetentionConfig);
 
 impl Periods {
-    /// `None`: for ever.
+    /// Returns the period of a kind; `None` for ever.
     fn kept_s(&self, kind: Kind) -> Option<i64> {
         kept_s(kind.days(&self.0))
     }
 
-    /// What arrives within so many seconds is deleted together.
+    /// Returns the number of seconds within which arrivals are deleted together.
     fn resolution_s(&self, kind: Kind) -> i64 {
         self.kept_s(kind).map_or(UNLIMITED_RESOLUTION_S, |kept_s| (kept_s / PARTS).max(1))
     }
@@ -141,22 +141,22 @@ impl Periods {
     }
 }
 
-/// What was deleted of a kind of a run or link.
+/// Amount of data that was deleted of a kind of a run or link.
 #[derive(Clone, Copy, Debug, Default)]
-struct Deleted {
-    /// In the cost of a small row.
+struct DeletedRows {
+    /// Cost of the deleted rows, in small rows.
     rows: u64,
-    /// Iterations, rows of statistics, or samples.
+    /// Number of iterations, rows of statistics, or samples.
     items: u64,
-    /// All that was asked for is gone.
+    /// `true` if everything that was asked for is deleted.
     complete: bool,
 }
 
-/// Deletes what is old.
+/// Deletion of old data.
 #[derive(Debug)]
 pub(crate) struct Retention {
     periods: Periods,
-    /// When there was last nothing to do.
+    /// Time of the last step with nothing to do.
     idle: Option<MonoTime>,
     size: SizeLimit,
     deletions: Deletions,
@@ -172,10 +172,10 @@ impl Retention {
         }
     }
 
-    /// Deletes about `rows` rows at most, in a transaction of its own; none must be open.
+    /// Deletes about `rows` rows at most, in its own transaction; none may be open.
     ///
     /// # Errors
-    /// When the database cannot be read or written now; the step can be tried again.
+    /// When the database cannot be read or written now. The step can be tried again.
     pub(crate) async fn step(
         &mut self,
         connection: &mut SqliteConnection,
@@ -187,7 +187,7 @@ impl Retention {
             return Ok(Step::Done);
         }
         let now_s = seconds(storage_clock.read(connection, now.mono).await?);
-        let Some(work) = self.look(connection, now_s, now.mono).await? else {
+        let Some(work) = self.find_work(connection, now_s, now.mono).await? else {
             self.idle = Some(now.mono);
             self.deletions.rest(now_s);
             return Ok(Step::Done);
@@ -204,7 +204,7 @@ impl Retention {
         done.map(|()| Step::More)
     }
 
-    /// Nothing more is deleted: tells the log what it was not told yet.
+    /// Logs the deletions that were not logged yet, because no more follow.
     pub(crate) fn end(&mut self) {
         self.deletions.end();
     }
@@ -225,8 +225,8 @@ impl Retention {
         raw_transaction::commit(connection).await
     }
 
-    /// The next thing to do.
-    async fn look(
+    /// Finds the next work.
+    async fn find_work(
         &mut self,
         connection: &mut SqliteConnection,
         now_s: i64,
@@ -263,7 +263,7 @@ impl Retention {
                 arrivals::trim(connection, what, before_s, now_s, rows, deletions).await?;
             }
             Work::TooLarge => {
-                // What has just arrived may go as well, once no older iterations are left.
+                // Recent arrivals may be deleted as well, once no older iterations remain.
                 if !arrivals::due(connection, Kind::Nodes, i64::MAX).await? {
                     arriving::close(connection, &self.periods, i64::MAX, now_s, ARRIVING).await?;
                 }
@@ -276,14 +276,14 @@ impl Retention {
     }
 }
 
-/// What a transaction does.
+/// Work of one transaction.
 #[derive(Debug)]
 enum Work {
-    /// What has been arriving since this second of the storage clock becomes rows of the table `arrival`.
+    /// Convert what has been arriving since this second of the storage clock to rows of the table `arrival`.
     Arriving { since_s: i64 },
-    /// Some of this kind had arrived by this second, a whole period ago.
+    /// Delete data of this kind that had arrived by this second, a whole period ago.
     Aged { kind: Kind, before_s: i64 },
-    /// The file uses more than it may.
+    /// Delete data because the file uses more than its limit.
     TooLarge,
 }
 
@@ -291,7 +291,7 @@ const fn seconds(elapsed: Span) -> i64 {
     elapsed.nanos().div_euclid(1_000_000_000)
 }
 
-/// What a step asks: a test looks at the plans.
+/// Statements of a step, whose query plans a test checks.
 #[cfg(test)]
 pub(crate) fn statements() -> Vec<(&'static str, &'static str)> {
     [

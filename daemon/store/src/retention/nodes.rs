@@ -1,27 +1,27 @@
-//! Iterations of a run, with all that belongs to them.
+//! Deletion of iterations of a run, with everything that belongs to them.
 
 use sqlx::SqliteConnection;
 
 use super::trimmed::trimmed;
-use super::{Deleted, Kind};
+use super::{DeletedRows, Kind};
 use crate::extent::Extent;
 
-/// Iterations looked at together.
+/// Number of iterations read together.
 const PAGE: i64 = 500;
-/// Nodes of an iteration, as a first guess.
+/// First guess of the nodes per iteration.
 const NODES: u64 = 32;
-/// What an iteration costs beside its nodes, in nodes: two indexes and two more tables.
+/// Cost of an iteration besides its nodes, in nodes: two indexes and two more tables.
 const ITERATION: u64 = 4;
 
 /// ?1 run, ?2 and ?3 first and last number, ?4 limit.
 const OLDEST: &str = "SELECT number, started_ns FROM iteration WHERE run = ?1 AND number BETWEEN ?2 AND ?3 \
      ORDER BY number LIMIT ?4";
-/// ?1 run, ?2 and ?3 first and last iteration; so for the others.
+/// ?1 run, ?2 and ?3 first and last iteration; the same for the others.
 const NODE: &str = "DELETE FROM node WHERE run = ?1 AND iteration BETWEEN ?2 AND ?3";
 const TRANSIT: &str = "DELETE FROM transit WHERE run = ?1 AND iteration BETWEEN ?2 AND ?3";
 const ANCHOR: &str = "DELETE FROM anchor WHERE run = ?1 AND iteration BETWEEN ?2 AND ?3";
 const ITERATIONS: &str = "DELETE FROM iteration WHERE run = ?1 AND number BETWEEN ?2 AND ?3";
-/// ?1 run, ?2 the last iteration that is gone.
+/// ?1 run, ?2 the last deleted iteration.
 const NODES_FROM: &str = "UPDATE run SET nodes_from = max(nodes_from, ?2) WHERE number = ?1";
 
 #[cfg(test)]
@@ -34,14 +34,14 @@ pub(super) const STATEMENTS: [(&str, &str); 6] = [
     ("NODES_FROM", NODES_FROM),
 ];
 
-/// Deletes iterations by rising number, of about so many rows.
+/// Deletes iterations by rising number, about `rows` rows.
 pub(super) async fn delete(
     connection: &mut SqliteConnection,
     run: i64,
     numbers: Extent,
     rows: u64,
-) -> Result<Deleted, sqlx::Error> {
-    let mut deleted = Deleted::default();
+) -> Result<DeletedRows, sqlx::Error> {
+    let mut deleted = DeletedRows::default();
     let mut per_iteration = NODES;
     loop {
         let page: Vec<(i64, i64)> = sqlx::query_as(OLDEST)
@@ -52,7 +52,7 @@ pub(super) async fn delete(
             .fetch_all(&mut *connection)
             .await?;
         if page.is_empty() {
-            return Ok(Deleted { complete: true, ..deleted });
+            return Ok(DeletedRows { complete: true, ..deleted });
         }
         let mut old = &page[..];
         while let Some((from, _)) = old.first() {

@@ -4,47 +4,46 @@ use peernet_clock::{MonoTime, Span, WallTime};
 use sqlx::SqliteConnection;
 
 use super::Kind;
-use super::arrivals::{self, Trimmed};
+use super::arrivals::{self, TrimResult};
 use super::deletions::{Cause, Deletion};
 use crate::column::{column, count};
 
-/// What goes, in this order. Hours and whole runs stay.
+/// Kinds that may be deleted, in this order. Statistics of hours and whole runs stay.
 const ORDER: [Kind; 4] = [Kind::Nodes, Kind::Buckets(1), Kind::Buckets(10), Kind::Buckets(60)];
-/// When there is nothing left to delete, it is not looked again for so long.
+/// Pause after nothing was left to delete.
 const PAUSE: Span = Span::from_seconds(60);
 
-/// Bytes in use; free pages are used again before the file grows.
+/// Bytes in use. Free pages do not count: they are used again before the file grows.
 const USED: &str = "SELECT (page_count - freelist_count) * page_size \
      FROM pragma_page_count, pragma_freelist_count, pragma_page_size";
 
-/// Keeps what the file uses below a limit.
+/// The limit of the bytes that the file uses.
 #[derive(Debug)]
 pub(super) struct SizeLimit {
-    /// Bytes; 0 for none.
+    /// The limit in bytes; 0 for none.
     limit: u64,
-    told: bool,
-    told_in_vain: bool,
-    /// When nothing was found to delete.
-    in_vain: Option<MonoTime>,
+    is_reported: bool,
+    is_futility_reported: bool,
+    /// Time at which nothing was left to delete.
+    nothing_left_at: Option<MonoTime>,
 }
 
 impl SizeLimit {
     pub(super) const fn new(limit: u64) -> Self {
-        Self { limit, told: false, told_in_vain: false, in_vain: None }
+        Self { limit, is_reported: false, is_futility_reported: false, nothing_left_at: None }
     }
 
-    /// Whether something has to go.
+    /// Returns whether something has to be deleted.
     pub(super) async fn exceeded(
         &self,
         connection: &mut SqliteConnection,
         now: MonoTime,
     ) -> Result<bool, sqlx::Error> {
-        let in_vain = self.in_vain.is_some_and(|at| now - at < PAUSE);
-        Ok(self.limit > 0 && !in_vain && used_bytes(connection).await? > self.limit)
+        let is_paused = self.nothing_left_at.is_some_and(|at| now - at < PAUSE);
+        Ok(self.limit > 0 && !is_paused && used_bytes(connection).await? > self.limit)
     }
 
-    /// Deletes what arrived first of what may go, of all runs, whatever its age. Returns whether something is left that
-    /// may go.
+    /// Deletes the oldest arrivals of the kinds that may be deleted, of all runs, at any age. Returns whether more may remain.
     pub(super) async fn reduce(
         &mut self,
         connection: &mut SqliteConnection,
@@ -53,18 +52,18 @@ impl SizeLimit {
         deletions: &mut Vec<Deletion>,
     ) -> Result<bool, sqlx::Error> {
         for kind in ORDER {
-            let Trimmed { rows: deleted, through } =
+            let TrimResult { rows: deleted, through } =
                 arrivals::trim(connection, (kind, Cause::Size), i64::MAX, now_s, rows, deletions).await?;
             if deleted > 0 {
-                if !self.told {
+                if !self.is_reported {
                     tracing::warn!(
                         limit_bytes = self.limit,
                         "the database is at [aggregator.retention] size_limit_bytes: the oldest data is deleted before \
                          its time; raise the limit, or ask for shorter periods"
                     );
-                    self.told = true;
+                    self.is_reported = true;
                 }
-                self.in_vain = None;
+                self.nothing_left_at = None;
                 note(connection, now, deleted).await?;
                 return Ok(true);
             }
@@ -75,27 +74,27 @@ impl SizeLimit {
         Ok(false)
     }
 
-    /// There is nothing that may go.
+    /// Logs that nothing may be deleted, and pauses.
     pub(super) fn give_up(&mut self, now: MonoTime) {
-        if !self.told_in_vain {
+        if !self.is_futility_reported {
             tracing::warn!(
                 limit_bytes = self.limit,
                 "the database is above [aggregator.retention] size_limit_bytes, and nothing is left that may be deleted: \
                  the rest is pinned runs and statistics of hours and whole runs; unpin runs or raise the limit"
             );
-            self.told_in_vain = true;
+            self.is_futility_reported = true;
         }
-        self.in_vain = Some(now);
+        self.nothing_left_at = Some(now);
     }
 }
 
-/// Bytes that the file uses, free pages left out.
+/// Returns the bytes that the file uses, without free pages.
 async fn used_bytes(connection: &mut SqliteConnection) -> Result<u64, sqlx::Error> {
     let bytes: i64 = sqlx::query_scalar(USED).fetch_one(connection).await?;
     Ok(count(bytes))
 }
 
-/// For `peernetd doctor`.
+/// Notes the deletion for `peernetd doctor`.
 async fn note(connection: &mut SqliteConnection, now: WallTime, rows: u64) -> Result<(), sqlx::Error> {
     sqlx::query(
         "INSERT INTO retention_note (what, first_ns, last_ns, count) VALUES ('size-limit', ?1, ?1, ?2) \

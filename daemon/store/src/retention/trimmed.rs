@@ -1,4 +1,4 @@
-//! The table `trimmed`: up to where what a run had of a kind is gone, for readers and for a rebuild.
+//! The table `trimmed`: how far data of a kind of a run is deleted, for readers and for a rebuild.
 
 use sqlx::SqliteConnection;
 
@@ -11,7 +11,7 @@ const TRIMMED: &str = "INSERT INTO trimmed (run, kind, before_s) VALUES (?1, ?2,
 #[cfg(test)]
 pub(super) const STATEMENTS: [(&str, &str); 1] = [("TRIMMED", TRIMMED)];
 
-/// Of what began before a second, some of this kind is gone.
+/// Notes that data of this kind that began before a second is deleted in part.
 pub(super) async fn trimmed(
     connection: &mut SqliteConnection,
     kind: Kind,

@@ -4,36 +4,36 @@ use std::collections::BTreeMap;
 
 use sqlx::SqliteConnection;
 
-use super::packed::Packed;
+use super::packed::PackedSummary;
 use super::table::{self, RollupRow};
 use super::{Added, Series, WHOLE_RUN, WIDTHS_S, bucket};
 
-/// Buckets of a width kept beside the newest one: iterations end in another order than they began in.
+/// Number of older buckets of a width kept besides the newest one: iterations end in another order than they began in.
 const KEPT: usize = 2;
-/// Bytes of a run beside those of its rows, about.
+/// Approximate memory of a run besides its rows, bytes.
 const OVERHEAD: usize = 512;
 
-/// One width.
+/// Buckets of one width.
 #[derive(Debug)]
 struct Width {
-    /// All rows of each bucket, by series. A bucket that is here is whole.
-    buckets: BTreeMap<i64, Vec<(Series, Packed)>>,
-    /// From here on the database has nothing that is not in `buckets`.
+    /// All rows of each bucket, by series. A bucket in this map is complete.
+    buckets: BTreeMap<i64, Vec<(Series, PackedSummary)>>,
+    /// Second from which on the database has no bucket that is not in `buckets`.
     known_from: i64,
 }
 
-/// What is kept of a run.
+/// The buckets of a run in memory.
 #[derive(Debug)]
-pub(super) struct Growing {
+pub(super) struct GrowingBuckets {
     run: i64,
-    /// In the order of [`WIDTHS_S`], and the whole run.
+    /// In the order of [`WIDTHS_S`], then the whole run.
     widths: [Width; WIDTHS_S.len() + 1],
     bytes: usize,
     turn: u64,
 }
 
-impl Growing {
-    /// What the database has of a run: how far its buckets reach, no more.
+impl GrowingBuckets {
+    /// Reads the newest bucket of each width, but no rows.
     pub(super) async fn of(connection: &mut SqliteConnection, run: i64) -> Result<Self, sqlx::Error> {
         let newest = table::newest_buckets(connection, run).await?;
         let widths = newest.map(|newest| Width {
@@ -47,12 +47,12 @@ impl Growing {
         self.bytes
     }
 
-    /// When it was written last.
+    /// Returns the number of the transaction that last wrote it.
     pub(super) const fn turn(&self) -> u64 {
         self.turn
     }
 
-    /// Adds to the buckets of a width; `rows` get what they are then.
+    /// Adds to the buckets of a width, and appends their new rows to `rows`.
     pub(super) async fn add(
         &mut self,
         connection: &mut SqliteConnection,
@@ -83,7 +83,7 @@ impl Growing {
                     at
                 }
                 Err(at) => {
-                    bucket.insert(at, (*series, Packed::of(summary)));
+                    bucket.insert(at, (*series, PackedSummary::of(summary)));
                     at
                 }
             };
@@ -93,7 +93,7 @@ impl Growing {
         Ok(())
     }
 
-    /// Keeps the newest buckets of each width only.
+    /// Removes all but the newest buckets of each width.
     pub(super) fn shrink(&mut self, turn: u64) {
         self.turn = turn;
         for width in &mut self.widths {

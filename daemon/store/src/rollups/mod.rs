@@ -1,9 +1,12 @@
-//! Statistics that grow with the nodes, in the same transaction.
+//! Roll-ups: statistics that grow with the nodes, in the same transaction.
 //!
-//! What a row costs is what limits a thousand agents: each of them touches a bucket of every width and name in each
-//! commit. So a commit's numbers are summed up before the rows are touched; nothing is read for a bucket that is
-//! certainly new; the buckets that still grow are kept in memory in the form in which they are stored; and all rows go
-//! into a few large statements, in the order of the table's key.
+//! They are moments and sketches in buckets of 1 s, 10 s, 1 min, 1 h and the whole run, by the iteration's start. Their key is
+//! run, width, bucket, name, so that a commit appends and a page reads one range.
+//!
+//! The cost of a row limits a thousand agents: each of them changes a bucket of every width and name in each commit. So a
+//! commit's numbers are summed up before the rows are changed; nothing is read for a bucket that is certainly new; the buckets
+//! that still grow are kept in memory in their stored form; and all rows go into a few large statements, in the order of the
+//! table's key.
 
 mod growing;
 mod packed;
@@ -16,7 +19,7 @@ use std::sync::Arc;
 use peernet_statistics::Summary;
 use sqlx::SqliteConnection;
 
-use self::growing::Growing;
+use self::growing::GrowingBuckets;
 #[cfg(test)]
 pub(crate) use self::table::QUESTIONS;
 pub(crate) use self::table::RollupRow;
@@ -24,13 +27,13 @@ use self::table::Upserts;
 
 /// Widths of the buckets in seconds, finest first.
 pub(crate) const WIDTHS_S: [i64; 4] = [1, 10, 60, 3600];
-/// Stands for the whole run where a width is asked for.
+/// Width that stands for the whole run.
 pub(crate) const WHOLE_RUN: i64 = 0;
-/// Bytes of growing buckets kept in memory; beyond, the runs that were written least recently are read again when
-/// needed. Enough for some thousand runs with usual trees.
+/// Bytes of growing buckets kept in memory; beyond, the runs that were written least recently are read again when needed. It
+/// is enough for some thousand runs with usual trees.
 const MOST_BYTES: usize = 96 << 20;
 
-/// What is summed up of a node.
+/// Quantity of a node that is summed up.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub(crate) enum Quantity {
     /// Its value.
@@ -39,42 +42,42 @@ pub(crate) enum Quantity {
     HalfWidth = 1,
 }
 
-/// What is summed up together, beside the bucket.
+/// A name's number with its quantity: what is summed up together within a bucket.
 type Series = (i64, Quantity);
 
-/// What is added to a bucket: series, the bucket's begin, numbers.
+/// Addition to a bucket: series, the bucket's begin, numbers.
 type Added = (Series, i64, Arc<Summary>);
 
-/// The begin of the bucket of a width that a second falls into.
+/// Returns the begin of the bucket of a width that contains a second.
 pub(crate) const fn bucket(second_s: i64, width_s: i64) -> i64 {
     if width_s == WHOLE_RUN { 0 } else { second_s - second_s.rem_euclid(width_s) }
 }
 
-/// The summaries that current runs write to.
+/// The roll-ups that current runs write to.
 #[derive(Debug, Default)]
 pub(crate) struct Rollups {
-    /// What the current transaction adds, by run, second and series.
+    /// Additions of the current transaction, by run, second and series.
     fresh: HashMap<(i64, i64, Series), Summary>,
     verdicts: HashMap<(i64, i64, u8), i64>,
-    /// By run, as they stand in the database, or will when the transaction ends well.
-    growing: HashMap<i64, Growing>,
-    /// Of all that grows.
+    /// By run, as in the database after the current transaction.
+    growing: HashMap<i64, GrowingBuckets>,
+    /// Memory of all of `growing`, bytes.
     bytes: usize,
-    /// Counts transactions: who was written least recently.
+    /// Number of transactions, to find the run that was written least recently.
     turn: u64,
     upserts: Upserts,
     scope: Scope,
 }
 
-/// Which buckets are written.
+/// Selection of the buckets to write.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) enum Scope {
-    /// All.
+    /// All buckets.
     #[default]
     All,
-    /// Those that begin at this second or later, and not the whole run: what came before is no longer there.
+    /// Buckets that begin at this second or later, but not the whole run: the nodes before are deleted.
     From(i64),
-    /// Minutes and hours: the others are there.
+    /// Minutes and hours only: the finer ones exist already.
     Coarser,
 }
 
@@ -89,12 +92,12 @@ impl Scope {
 }
 
 impl Rollups {
-    /// Writes some buckets only.
+    /// Makes roll-ups that write only the buckets of `scope`.
     pub(crate) fn of(scope: Scope) -> Self {
         Self { scope, ..Self::default() }
     }
 
-    /// Adds what iterations of a run that began in one second showed of a name.
+    /// Adds values of a name from iterations of a run that began in one second.
     pub(crate) fn merge(
         &mut self,
         run: i64,
@@ -114,17 +117,17 @@ impl Rollups {
         }
     }
 
-    /// Counts how often a verdict was given.
+    /// Adds `count` delays with this verdict.
     pub(crate) fn judge(&mut self, run: i64, name: i64, verdict: u8, count: u64) {
         *self.verdicts.entry((run, name, verdict)).or_default() += count.cast_signed();
     }
 
-    /// How many summaries wait to be written.
+    /// Returns the number of summaries that wait to be written.
     pub(crate) fn waiting(&self) -> usize {
         self.fresh.len()
     }
 
-    /// Writes what was added since the last time.
+    /// Writes the additions since the last call.
     pub(crate) async fn write(&mut self, connection: &mut SqliteConnection) -> Result<(), sqlx::Error> {
         self.turn += 1;
         let mut fresh: Vec<(i64, Added)> = self
@@ -141,7 +144,7 @@ impl Rollups {
                     self.bytes -= growing.bytes();
                     growing
                 }
-                None => Growing::of(connection, *run).await?,
+                None => GrowingBuckets::of(connection, *run).await?,
             };
             let begin = rows.len();
             let mut added: Vec<Added> = of_run.iter().map(|(_, added)| added.clone()).collect();
@@ -172,7 +175,7 @@ impl Rollups {
         self.bytes = 0;
     }
 
-    /// Forgets runs that were written least recently, until a tenth below the limit.
+    /// Forgets the runs that were written least recently, until memory is a tenth below the limit.
     fn evict(&mut self, most: usize) {
         if self.bytes <= most {
             return;
@@ -189,20 +192,20 @@ impl Rollups {
         }
     }
 
-    /// Bytes of growing buckets in memory, about.
+    /// Approximate memory of the growing buckets, bytes.
     #[cfg(test)]
     pub(crate) fn bytes(&self) -> usize {
         self.bytes
     }
 
-    /// Forgets all but so many bytes of runs.
+    /// Forgets runs until at most `bytes` of them remain.
     #[cfg(test)]
     pub(crate) fn keep(&mut self, bytes: usize) {
         self.evict(bytes);
     }
 }
 
-/// Buckets of a width from narrower ones; both in the order of series and time.
+/// Merges narrower buckets into those of a width; both are in the order of series and time.
 fn coarser(finer: &[Added], width_s: i64) -> Vec<Added> {
     let key = |(series, bucket_s, _): &Added| (*series, bucket(*bucket_s, width_s));
     finer

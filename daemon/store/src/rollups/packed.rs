@@ -1,22 +1,22 @@
-//! Summaries that are kept rather than counted with.
+//! Summaries in their stored form.
 
 use peernet_statistics::{Moments, Sketch, Summary};
 
 use super::Series;
 
-/// A summary in the form in which it is stored, which is far smaller than the one for counting.
+/// A summary in its stored form, which is far smaller than [`Summary`].
 #[derive(Clone, Debug)]
-pub(super) struct Packed {
+pub(super) struct PackedSummary {
     pub(super) moments: Moments,
     pub(super) sketch: Vec<u8>,
 }
 
-impl Packed {
+impl PackedSummary {
     pub(super) fn of(summary: &Summary) -> Self {
         Self { moments: summary.moments, sketch: summary.sketch.to_bytes() }
     }
 
-    /// Adds what another one knows.
+    /// Adds the values of a summary.
     pub(super) fn add(&mut self, summary: &Summary) -> Result<(), sqlx::Error> {
         let mut sketch =
             Sketch::from_bytes(&self.sketch).map_err(|error| sqlx::Error::Decode(error.into()))?;
@@ -26,7 +26,7 @@ impl Packed {
         Ok(())
     }
 
-    /// Bytes of memory that it takes in a bucket, about.
+    /// Returns its approximate memory in a bucket, bytes.
     pub(super) fn bytes(&self) -> usize {
         size_of::<(Series, Self)>() + self.sketch.capacity()
     }

@@ -3,11 +3,11 @@
 use peernet_statistics::{Moments, Sketch, Summary};
 use sqlx::{Arguments, FromRow, SqliteConnection};
 
-use super::packed::Packed;
+use super::packed::PackedSummary;
 use super::{Quantity, Series, WHOLE_RUN, WIDTHS_S};
 use crate::insert::Insert;
 
-/// One row of `rollup`.
+/// A row of `rollup`.
 #[derive(Clone, Debug, FromRow)]
 pub(crate) struct RollupRow {
     run: i64,
@@ -27,11 +27,11 @@ impl RollupRow {
     pub(super) fn new(
         (run, resolution_s, bucket_s): (i64, i64, i64),
         (name, quantity): Series,
-        packed: Packed,
+        packed: PackedSummary,
     ) -> Self {
         let Moments { count, mean, m2, min, max } = packed.moments;
-        // A version before took in numbers as good as infinite. The table takes no NaN, and what comes now must not be
-        // refused for them: such a row stays without bound until a rebuild.
+        // An earlier version accepted numbers close to infinity. The table rejects NaN, and later values must not be refused because
+        // of them: such a row stays unbounded until a rebuild.
         let known = |number: f64| if number.is_nan() { f64::INFINITY } else { number };
         let (mean, m2) = (known(mean), known(m2));
         Self {
@@ -49,7 +49,7 @@ impl RollupRow {
         }
     }
 
-    /// In the order of the table.
+    /// Returns the key, which is the order of the table.
     pub(super) const fn key(&self) -> (i64, i64, i64, i64, i64) {
         (self.run, self.resolution_s, self.bucket_s, self.name, self.quantity)
     }
@@ -63,20 +63,20 @@ impl RollupRow {
         Moments { count: count.unsigned_abs(), mean, m2, min, max }
     }
 
-    pub(super) fn into_parts(self) -> (i64, Series, Packed) {
+    pub(super) fn into_parts(self) -> (i64, Series, PackedSummary) {
         let series = (self.name, self.quantity());
         let moments = self.moments();
-        (self.bucket_s, series, Packed { moments, sketch: self.sketch })
+        (self.bucket_s, series, PackedSummary { moments, sketch: self.sketch })
     }
 
-    /// What it says.
+    /// Returns the summary of the row.
     pub(crate) fn summary(&self) -> Result<Summary, sqlx::Error> {
         let sketch = Sketch::from_bytes(&self.sketch).map_err(|error| sqlx::Error::Decode(error.into()))?;
         Ok(Summary { moments: self.moments(), sketch })
     }
 }
 
-/// The statements that write.
+/// Statements that write both tables.
 #[derive(Debug)]
 pub(super) struct Upserts {
     rollups: Insert,
@@ -102,7 +102,7 @@ impl Default for Upserts {
 }
 
 impl Upserts {
-    /// Writes rows as they are now.
+    /// Writes rows, in place of those with the same keys.
     pub(super) async fn rollups(
         &self,
         connection: &mut SqliteConnection,
@@ -149,7 +149,7 @@ const NEWEST: &str = "SELECT (SELECT max(bucket_s) FROM rollup WHERE run = ?1 AN
      (SELECT max(bucket_s) FROM rollup WHERE run = ?1 AND resolution_s = 3600), \
      (SELECT max(bucket_s) FROM rollup WHERE run = ?1 AND resolution_s = 0)";
 
-/// The newest bucket of each width, and of the whole run.
+/// Returns the newest bucket of each width, and of the whole run.
 pub(super) async fn newest_buckets(
     connection: &mut SqliteConnection,
     run: i64,
@@ -164,7 +164,7 @@ const BUCKETS: &str = "SELECT run, resolution_s, bucket_s, name, quantity, count
      FROM rollup WHERE run = ?1 AND resolution_s = ?2 AND bucket_s IN (SELECT value FROM json_each(?3)) \
      ORDER BY bucket_s, name, quantity";
 
-/// All rows of some buckets, in the order of the table.
+/// Returns all rows of some buckets, in the order of the table.
 pub(super) async fn read_buckets(
     connection: &mut SqliteConnection,
     run: i64,
@@ -175,6 +175,6 @@ pub(super) async fn read_buckets(
     sqlx::query_as(BUCKETS).bind(run).bind(width_s).bind(buckets).fetch_all(connection).await
 }
 
-/// What the writer asks: a test looks at the plans.
+/// Statements of the writer, whose query plans a test checks.
 #[cfg(test)]
 pub(crate) const QUESTIONS: [(&str, &str); 2] = [("NEWEST", NEWEST), ("BUCKETS", BUCKETS)];

@@ -1,4 +1,4 @@
-//! Arguments of programs that earlier builds of agents told.
+//! Arguments of programs in runs that were stored by agents of earlier versions.
 
 use peernet_logger::RunId;
 use peernet_stream::{Event, RunDescription};

@@ -1,4 +1,4 @@
-//! Clock samples: what an agent said is what readers are told, by the second and by the bucket.
+//! Storing and reading of clock samples, by the second and by the bucket.
 
 use peernet_clock::{DelaySource, RawTime, RelatedClocks, Span, Verdict, WallTime};
 use peernet_logger::{HostId, RunId};
@@ -40,7 +40,7 @@ async fn series(bed: &Bed, most_points: u32) -> ClockSeries {
 }
 
 #[tokio::test]
-async fn a_sample_comes_back_as_it_was_sent_whether_full_or_empty() {
+async fn clock_sample_is_read_as_sent() {
     let mut bed = Bed::new().await;
     let full = sample(bed.cloud, 1, 40);
     let mut in_band = sample(bed.cloud, 2, 50);
@@ -61,7 +61,7 @@ async fn a_sample_comes_back_as_it_was_sent_whether_full_or_empty() {
     assert_eq!((link.edge, link.cloud), (bed.edge, bed.cloud));
     assert_eq!((link.edge_name.as_str(), link.cloud_name.as_str()), ("edge", "cloud"));
     assert_eq!((link.first, link.last), (generate::at(1.0), generate::at(3.0)));
-    // What a later judgement needs is there too.
+    // The values that a later judgement needs are stored, too.
     assert_eq!(
         bed.count(
             "SELECT count(*) FROM clock_sample WHERE max_drift_ppm = 50 AND upper_received_ns - upper_sent_ns = 250040000 \
@@ -81,7 +81,7 @@ async fn a_sample_comes_back_as_it_was_sent_whether_full_or_empty() {
 }
 
 #[tokio::test]
-async fn two_networks_of_one_pair_are_two_links() {
+async fn two_networks_of_pair_are_two_links() {
     let mut bed = Bed::new().await;
     let other: NetworkName = "zmq-udp".parse().expect("a name");
     let over_other = |second| ClockSample { network: other.clone(), ..sample(bed.cloud, second, 60) };
@@ -100,7 +100,7 @@ async fn two_networks_of_one_pair_are_two_links() {
 }
 
 #[tokio::test]
-async fn only_what_was_asked_for_is_told() {
+async fn series_holds_only_requested_link_and_time() {
     let mut bed = Bed::new().await;
     let cloud = bed.cloud;
     store(&mut bed, (1..=100).map(|second| sample(cloud, second, 40))).await;
@@ -115,7 +115,7 @@ async fn only_what_was_asked_for_is_told() {
 }
 
 #[tokio::test]
-async fn a_second_that_comes_again_replaces_itself_and_spares_that_of_another_window() {
+async fn repeated_second_replaces_only_sample_of_its_window() {
     let mut bed = Bed::new().await;
     let mut again = sample(bed.cloud, 1, 60);
     again.probes.lost = 5;
@@ -125,7 +125,7 @@ async fn a_second_that_comes_again_replaces_itself_and_spares_that_of_another_wi
     store(&mut bed, samples.clone()).await;
     assert_eq!(bed.count("SELECT count(*) FROM clock_sample").await, 2);
     assert_eq!(bed.count("SELECT probes_lost FROM clock_sample WHERE window <> 7").await, 5);
-    // The same batch once more is no second that comes again.
+    // The same batch sent again replaces nothing.
     let work = bed.batch_numbered(1, samples.map(event));
     bed.commit(&[work]).await;
     assert_eq!(bed.count("SELECT count(*) FROM clock_sample").await, 2);
@@ -133,10 +133,10 @@ async fn a_second_that_comes_again_replaces_itself_and_spares_that_of_another_wi
 }
 
 #[tokio::test]
-async fn seconds_of_one_window_are_all_kept_when_wall_clock_is_set_back() {
+async fn seconds_of_window_survive_wall_clock_set_back() {
     let mut bed = Bed::new().await;
     let cloud = bed.cloud;
-    // The free-running clock goes on, and the wall clock shows seconds 6 to 10 three times.
+    // The free-running clock continues, and the wall clock shows seconds 6 to 10 three times.
     let raw = |raw: i64, second: i64| {
         let at_raw = Some(RawTime::from_nanos(raw * 1_000_000_000));
         let basis = EstimateBasis { clocks: RelatedClocks::Raw, at_raw, ..EstimateBasis::default() };
@@ -146,30 +146,30 @@ async fn seconds_of_one_window_are_all_kept_when_wall_clock_is_set_back() {
     let samples: Vec<_> = shown.zip(1..).map(|(second, at)| raw(at, second)).collect();
     store(&mut bed, samples.clone()).await;
     assert_eq!(bed.count("SELECT count(DISTINCT at_raw_ns) FROM clock_sample").await, 20);
-    // A second that comes again replaces itself alone.
+    // A second that arrives again replaces only itself.
     store(&mut bed, samples).await;
     assert_eq!(bed.count("SELECT count(DISTINCT at_raw_ns) FROM clock_sample").await, 20);
     assert_eq!(bed.count("SELECT count(*) FROM clock_sample").await, 20);
-    let told = series(&bed, 1_000).await.points;
-    let sent: Vec<u32> = told.iter().map(|point| point.probes.sent).collect();
+    let read = series(&bed, 1_000).await.points;
+    let sent: Vec<u32> = read.iter().map(|point| point.probes.sent).collect();
     assert_eq!(sent, [[10; 5], [30; 5]].concat(), "they are of the same seconds");
 }
 
 #[tokio::test]
-async fn of_seconds_that_a_clock_shows_twice_the_later_window_counts() {
-    // Numbers of windows are random: whichever is greater, the one that came later is the later one.
+async fn later_window_counts_for_repeated_seconds() {
+    // Numbers of windows are random: the window that arrived later counts, also if its number is smaller.
     for (before, after) in [(1, u64::MAX), (u64::MAX, 1), (3, 2)] {
         let mut bed = Bed::new().await;
         let cloud = bed.cloud;
         let of = |window, second, width| ClockSample { window, ..sample(cloud, second, width) };
         store(&mut bed, (1..=10).map(|second| of(before, second, 90))).await;
-        // Set back by five seconds.
+        // The clock was set back by five seconds.
         let set_back: Vec<_> = (6..=12).map(|second| of(after, second, 40)).collect();
         store(&mut bed, set_back.clone()).await;
-        let told = series(&bed, 1_000).await.points;
+        let read = series(&bed, 1_000).await.points;
         let expected = (1..=5).map(|second| of(before, second, 90)).chain(set_back);
-        assert_eq!(told, expected.map(point).collect::<Vec<_>>());
-        // A bucket that holds the step tells what holds after it.
+        assert_eq!(read, expected.map(point).collect::<Vec<_>>());
+        // A bucket with the step shows the time after it.
         for point in series(&bed, 2).await.points {
             let width = point.offset.as_ref().map(|offset| offset.bounds.width());
             let own = if point.window == before { 90 } else { 40 };
@@ -179,11 +179,11 @@ async fn of_seconds_that_a_clock_shows_twice_the_later_window_counts() {
 }
 
 #[tokio::test]
-async fn a_minute_in_1970_hides_nothing_once_it_is_over() {
+async fn samples_from_1970_hide_no_later_ones() {
     let mut bed = Bed::new().await;
     let cloud = bed.cloud;
     let of = |window, second| ClockSample { window, ..sample(cloud, second, 40) };
-    // A host without a battery: its clock begins far back, and is set when it finds a time server.
+    // The clock of a host without a battery begins far back, and is set when the host finds a time server.
     for (window, seconds) in [(1, 1_000..1_010), (2, 10..20), (3, 1_020..1_030)] {
         store(&mut bed, seconds.map(|second| of(window, second))).await;
     }
@@ -192,7 +192,7 @@ async fn a_minute_in_1970_hides_nothing_once_it_is_over() {
 }
 
 #[tokio::test]
-async fn buckets_hold_the_widest_bounds_all_probes_and_the_median_delay() {
+async fn buckets_hold_widest_bounds_all_probes_and_median_delay() {
     let mut bed = Bed::new().await;
     let cloud = bed.cloud;
     let samples = (1..=1_000).map(|second| {
@@ -226,8 +226,8 @@ async fn buckets_hold_the_widest_bounds_all_probes_and_the_median_delay() {
     let median = up.median.expect("has one");
     assert_eq!(median.value, Span::from_micros(3_994));
     let rate = |point: &ClockPoint| point.up.and_then(|up| up.median).and_then(|it| it.bits_per_second);
-    let (told, sent) = (median.bits_per_second, rate(&point(sample(cloud, 14, 44))));
-    assert_eq!(told, sent.map(f64::trunc), "to the bit");
+    let (read, sent) = (median.bits_per_second, rate(&point(sample(cloud, 14, 44))));
+    assert_eq!(read, sent.map(f64::trunc), "to the bit");
     assert_eq!((up.verdict, down.verdict), (Verdict::Stale, Verdict::Limited), "a tenth is enough");
     let wide = bed
         .store
@@ -238,7 +238,7 @@ async fn buckets_hold_the_widest_bounds_all_probes_and_the_median_delay() {
 }
 
 #[tokio::test]
-async fn what_cannot_be_is_not_known_and_puts_no_batch_aside() {
+async fn impossible_clock_values_are_unknown_and_quarantine_nothing() {
     let mut bed = Bed::new().await;
     let cloud = bed.cloud;
     let of = |second, change: fn(&mut ClockSample)| {
@@ -292,13 +292,13 @@ async fn what_cannot_be_is_not_known_and_puts_no_batch_aside() {
     assert_eq!(known(3).expect("known").sources.len(), 2);
     assert_eq!((points[4].up.expect("judged").median, points[4].down.expect("judged").median), (None, None));
     assert_eq!(points[5].up.expect("judged").median.expect("has one").bits_per_second, None);
-    // The whole range of time is answered too, in few points.
+    // The whole range of time is also answered in few points.
     assert!(series(&bed, 1_000).await.points.len() <= 1_000);
     assert_eq!(bed.store.links().await.expect("answers").len(), 1);
 }
 
 #[tokio::test]
-async fn a_cloud_that_never_reported_here_has_the_name_that_the_edge_gave_it_last() {
+async fn silent_cloud_has_last_name_given_by_edge() {
     let mut bed = Bed::new().await;
     bed.cloud = HostId::random();
     let named = |name: &str, second| ClockSample {
@@ -320,7 +320,7 @@ async fn a_cloud_that_never_reported_here_has_the_name_that_the_edge_gave_it_las
 }
 
 #[tokio::test]
-async fn what_was_put_aside_is_missing_with_its_time_and_leaves_nothing_behind() {
+async fn quarantined_batch_leaves_gap_and_no_clock_samples() {
     let mut bed = Bed::new().await;
     let mut numbers = generate::Numbers::new(1);
     let foreign: Iteration =

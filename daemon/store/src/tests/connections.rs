@@ -1,4 +1,4 @@
-//! Statistics of connections: stored within the time of their link's clock samples, and deleted with these.
+//! Statistics of connections: their times are limited to those of their link's clock samples, and both are deleted together.
 
 use peernet_clock::{Span, WallTime};
 use peernet_logger::HostId;
@@ -11,7 +11,7 @@ use super::clocks::sample;
 use super::{Bed, generate};
 use crate::write::ConnectionSample;
 
-fn told(bed: &Bed, cloud: HostId, at: WallTime, bytes: u64) -> ConnectionSample {
+fn connection_report(bed: &Bed, cloud: HostId, at: WallTime, bytes: u64) -> ConnectionSample {
     let sent = DirectionStatistics {
         bytes,
         messages: 3,
@@ -52,8 +52,8 @@ fn told(bed: &Bed, cloud: HostId, at: WallTime, bytes: u64) -> ConnectionSample 
 #[tokio::test]
 async fn connections_are_stored_within_time_of_clock_samples() {
     let mut bed = Bed::new().await;
-    let (edge_told, cloud) = (generate::at(2.0), bed.cloud);
-    let early = told(&bed, cloud, edge_told, 1);
+    let (edge_reported, cloud) = (generate::at(2.0), bed.cloud);
+    let early = connection_report(&bed, cloud, edge_reported, 1);
     bed.writer.store_connections(&[early]).await.expect("stores");
     assert_eq!(bed.count("SELECT count(*) FROM connection_sample").await, 0, "the link is not known yet");
 
@@ -62,10 +62,10 @@ async fn connections_are_stored_within_time_of_clock_samples() {
     bed.commit(&[work]).await;
     let stranger = HostId::random();
     let samples = [
-        told(&bed, cloud, edge_told, 2),
-        told(&bed, stranger, edge_told, 3),
-        told(&bed, cloud, WallTime::from_unix_nanos(i64::MAX), 4),
-        told(&bed, cloud, WallTime::from_unix_nanos(i64::MIN), 5),
+        connection_report(&bed, cloud, edge_reported, 2),
+        connection_report(&bed, stranger, edge_reported, 3),
+        connection_report(&bed, cloud, WallTime::from_unix_nanos(i64::MAX), 4),
+        connection_report(&bed, cloud, WallTime::from_unix_nanos(i64::MIN), 5),
     ];
     bed.writer.store_connections(&samples).await.expect("stores");
     assert_eq!(bed.count("SELECT count(*) FROM connection_sample").await, 3);
@@ -88,11 +88,11 @@ async fn connections_are_stored_within_time_of_clock_samples() {
 }
 
 #[tokio::test]
-async fn account_of_the_cloud_is_stored_beside_that_of_the_edge() {
+async fn connection_reports_of_cloud_and_edge_are_both_stored() {
     let mut bed = Bed::new().await;
     let work = bed.batch(vec![Event::Clock(Box::new(sample(bed.cloud, 1, 40)))]);
     bed.commit(&[work]).await;
-    let mut counted = told(&bed, bed.cloud, generate::at(2.0), 900);
+    let mut counted = connection_report(&bed, bed.cloud, generate::at(2.0), 900);
     let direction = |bytes, messages, lost, retransmitted| DirectionStatistics {
         bytes,
         messages,
@@ -125,14 +125,14 @@ async fn account_of_the_cloud_is_stored_beside_that_of_the_edge() {
 }
 
 #[tokio::test]
-async fn writing_goes_on_after_sqlite_has_undone_a_transaction() {
+async fn writer_continues_after_sqlite_rollback() {
     let mut bed = Bed::new().await;
     let clocks = (1..=3).map(|second| Event::Clock(Box::new(sample(bed.cloud, second, 40)))).collect();
     let work = bed.batch(clocks);
     bed.commit(&[work]).await;
-    let samples = [told(&bed, bed.cloud, generate::at(2.0), 2)];
+    let samples = [connection_report(&bed, bed.cloud, generate::at(2.0), 2)];
 
-    // A full disk does the same.
+    // A full disk has the same effect.
     let full =
         "CREATE TRIGGER full BEFORE INSERT ON connection_sample BEGIN SELECT RAISE(ROLLBACK, 'undone'); END";
     let mut other = bed.other().await;

@@ -1,4 +1,4 @@
-//! Iterations that missed their deadline are counted from what is stored anyway.
+//! Counting of iterations that missed their deadline.
 
 use peernet_analysis::deadline::Misses;
 use peernet_clock::Span;
@@ -8,7 +8,7 @@ use peernet_stream::{Event, Iteration, Outcome, RunDescription};
 use super::{Bed, NOW, generate};
 use crate::types::RunFilter;
 
-/// Stores a run with this configuration and iterations that ended so and missed their deadline or not.
+/// Stores a run with this configuration. `ends` has the outcome of each iteration and 1 if it missed its deadline.
 async fn store(bed: &mut Bed, configuration: &str, ends: &[(Outcome, f64)]) {
     let run = RunId::random();
     let Event::RunStarted(description) = generate::run_started(run, "line", NOW) else {

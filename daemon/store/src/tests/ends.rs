@@ -1,4 +1,4 @@
-//! Runs whose agent was killed, runs known by their iterations only, and what a batch put aside leaves behind.
+//! Runs whose agent was killed, runs known by their iterations only, and gaps left by quarantined batches.
 
 use peernet_logger::RunId;
 use peernet_stream::{BatchHead, EndReason, Event, RunEnded, codec};
@@ -26,7 +26,7 @@ async fn ends(bed: &Bed) -> Vec<Option<(f64, String)>> {
 }
 
 #[tokio::test]
-async fn another_process_ends_the_runs_of_the_one_before_and_not_its_own() {
+async fn new_process_ends_runs_of_previous_one_only() {
     let mut bed = Bed::new().await;
     bed.run_of(10).await;
     let (same, after_restart) = (hello(&bed, 1), hello(&bed, 1));
@@ -35,7 +35,7 @@ async fn another_process_ends_the_runs_of_the_one_before_and_not_its_own() {
     bed.commit(&[after_restart]).await;
     assert_eq!(ends(&bed).await, [None]);
 
-    // The greeting of the next process and its first run in one transaction.
+    // The hello of the next process and its first run are in one transaction.
     let (greeting, run) = (hello(&bed, u64::MAX), RunId::random());
     let begun = bed.batch(vec![generate::run_started(run, "other", NOW)]);
     bed.commit(&[greeting, begun]).await;
@@ -43,7 +43,7 @@ async fn another_process_ends_the_runs_of_the_one_before_and_not_its_own() {
 }
 
 #[tokio::test]
-async fn a_goodbye_ends_runs_whose_end_was_not_told() {
+async fn goodbye_ends_open_runs() {
     let mut bed = Bed::new().await;
     let first = bed.run_of(10).await;
     bed.commit(&[Work::Goodbye(bed.cloud)]).await;
@@ -56,7 +56,7 @@ async fn a_goodbye_ends_runs_whose_end_was_not_told() {
 }
 
 #[tokio::test]
-async fn a_new_run_of_the_pipeline_ends_the_one_before() {
+async fn new_run_of_pipeline_ends_previous_one() {
     let mut bed = Bed::new().await;
     let first = bed.run_of(10).await;
     let (second, other) = (RunId::random(), RunId::random());
@@ -68,7 +68,7 @@ async fn a_new_run_of_the_pipeline_ends_the_one_before() {
     bed.commit(&[begun]).await;
     assert_eq!(ends(&bed).await, [Some((2.0, LEFT.to_owned())), None, None]);
 
-    // What comes late is stored and moves the end; the real end counts.
+    // Late iterations are stored and move the end; the reported end replaces it.
     let late = iterations(&bed, first, 11..=15);
     let late = bed.batch(late);
     bed.commit(&[late]).await;
@@ -83,7 +83,7 @@ async fn a_new_run_of_the_pipeline_ends_the_one_before() {
 }
 
 #[tokio::test]
-async fn the_live_lane_names_a_run_known_by_its_iterations_once() {
+async fn live_event_names_run_known_by_iterations_once() {
     let mut bed = Bed::new().await;
     let run = RunId::random();
     let events = iterations(&bed, run, 4..=6);
@@ -113,10 +113,10 @@ async fn the_live_lane_names_a_run_known_by_its_iterations_once() {
 }
 
 #[tokio::test]
-async fn events_of_batches_put_aside_count_as_missing() {
+async fn events_of_quarantined_batches_count_as_missing() {
     let mut bed = Bed::new().await;
     let run = bed.run_of(5).await;
-    // An iteration more than once; a batch that is cut off; one whose head claims more events than it has bytes.
+    // A batch with an iteration three times, a truncated batch, and one whose head claims more events than it has bytes.
     let twice = [6, 6, 6].map(|n| iterations(&bed, run, n..=n)).concat();
     let twice = bed.batch(twice);
     let mut unreadable = |events: u32| {
@@ -146,7 +146,7 @@ async fn events_of_batches_put_aside_count_as_missing() {
 }
 
 #[tokio::test]
-async fn nothing_is_told_of_a_commit_whose_file_was_moved() {
+async fn commit_to_moved_file_is_refused() {
     let mut bed = Bed::new().await;
     let run = RunId::random();
     let work = [bed.batch(vec![generate::run_started(run, "line", NOW)])];

@@ -1,4 +1,4 @@
-//! Where the episodes of a run begin, and what stands beside them.
+//! Episodes of a run, its warm-up, and iterations without an answer.
 
 use peernet_clock::WallTime;
 use peernet_logger::RunId;
@@ -7,13 +7,13 @@ use peernet_stream::{Event, Iteration, Outcome};
 use super::{Bed, generate};
 use crate::types::Episodes;
 
-/// Numbers an iteration as an agent does.
+/// Sets episode and step as an agent does.
 fn placed(iteration: &mut Iteration, steps: u64) {
     let before = iteration.number - 1;
     (iteration.episode, iteration.step) = ((before / steps) as u32, (before % steps) as u32);
 }
 
-/// Stores a run of so many iterations, five a second, each changed by `change`; those it refuses never arrive.
+/// Stores a run of `iterations` iterations, five a second. `change` may change each one, or return `false` to leave it out.
 async fn stored(bed: &mut Bed, iterations: u64, change: impl Fn(&mut Iteration) -> bool) {
     let (run, hosts, mut numbers) = (RunId::random(), bed.hosts(), generate::Numbers::new(7));
     let mut events = vec![generate::run_started(run, "line", generate::at(0.0))];
@@ -32,7 +32,7 @@ fn began(numbers: impl IntoIterator<Item = u64>) -> Vec<WallTime> {
 }
 
 #[tokio::test]
-async fn borders_stand_where_episodes_began() {
+async fn borders_are_at_starts_of_episodes() {
     let mut bed = Bed::new().await;
     stored(&mut bed, 95, |iteration| {
         placed(iteration, 30);
@@ -55,12 +55,12 @@ async fn borders_stand_where_episodes_began() {
 }
 
 #[tokio::test]
-async fn a_run_of_one_episode_has_no_border() {
+async fn run_of_one_episode_has_no_border() {
     let mut bed = Bed::new().await;
     stored(&mut bed, 40, |_| true).await;
     let known = bed.store.episodes(1).await.expect("answers");
     assert_eq!((known.count, known.steps, known.borders.len(), known.warm_up_until), (1, None, 0, None));
-    // All of it is warm-up still.
+    // The whole run is warm-up.
     stored(&mut bed, 5, |iteration| {
         iteration.warm_up = true;
         true
@@ -70,7 +70,7 @@ async fn a_run_of_one_episode_has_no_border() {
 }
 
 #[tokio::test]
-async fn a_border_that_never_arrived_is_left_out_and_the_others_stay() {
+async fn missing_border_is_left_out() {
     let mut bed = Bed::new().await;
     stored(&mut bed, 95, |iteration| {
         placed(iteration, 30);
@@ -82,7 +82,7 @@ async fn a_border_that_never_arrived_is_left_out_and_the_others_stay() {
 }
 
 #[tokio::test]
-async fn what_was_deleted_has_no_border() {
+async fn deleted_iterations_have_no_border() {
     let mut bed = Bed::new().await;
     stored(&mut bed, 95, |iteration| {
         placed(iteration, 30);
@@ -105,7 +105,7 @@ async fn what_was_deleted_has_no_border() {
 }
 
 #[tokio::test]
-async fn places_that_no_number_of_steps_explains_have_no_border() {
+async fn inconsistent_step_numbers_have_no_border() {
     let mut bed = Bed::new().await;
     stored(&mut bed, 40, |iteration| {
         (iteration.episode, iteration.step) = (iteration.number as u32 / 10, iteration.number as u32 % 7);
@@ -117,7 +117,7 @@ async fn places_that_no_number_of_steps_explains_have_no_border() {
 }
 
 #[tokio::test]
-async fn too_many_episodes_are_counted_alone() {
+async fn too_many_episodes_are_only_counted() {
     let mut bed = Bed::new().await;
     for iterations in [93, 94] {
         stored(&mut bed, iterations, |iteration| {
@@ -133,7 +133,7 @@ async fn too_many_episodes_are_counted_alone() {
 }
 
 #[tokio::test]
-async fn of_very_many_without_an_answer_some_stand_for_all_parts_of_the_run() {
+async fn sample_of_unanswered_iterations_covers_whole_run() {
     let mut bed = Bed::new().await;
     // Every second one at first, then a single one at the end.
     stored(&mut bed, 2_000, |iteration| {
@@ -154,7 +154,7 @@ async fn of_very_many_without_an_answer_some_stand_for_all_parts_of_the_run() {
 }
 
 #[tokio::test]
-async fn those_without_an_answer_are_counted_up_to_a_limit() {
+async fn unanswered_iterations_are_counted_up_to_limit() {
     let mut bed = Bed::new().await;
     stored(&mut bed, 1, |_| true).await;
     let mut other = bed.other().await;

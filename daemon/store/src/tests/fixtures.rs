@@ -1,7 +1,7 @@
-//! The databases in `tests/fixtures/databases`, one of each migration, as SQL text: they stay readable.
+//! The databases in `tests/fixtures/databases`, one of each migration, which must stay readable. They are stored as SQL text.
 //!
-//! After a new migration, `cargo test -p peernet-store write_missing_fixtures -- --ignored` writes its file. A file that is
-//! there is never written again.
+//! After a new migration, `cargo test -p peernet-store write_missing_fixtures -- --ignored` writes its file. An existing file
+//! is never overwritten.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -22,7 +22,7 @@ fn fixture(version: i64) -> PathBuf {
     folder().join(format!("{version:04}.sql"))
 }
 
-/// What is asked of each of them, as text.
+/// Returns what pages show of a database, as text.
 async fn answers(store: &Store) -> String {
     let run = store.runs(&RunFilter::default()).await.expect("answers").remove(0).number;
     format!(
@@ -35,7 +35,7 @@ async fn answers(store: &Store) -> String {
     )
 }
 
-/// Brings the newest fixture up to a version, so that all of them hold the same data.
+/// Migrates the newest fixture to a version, so that all of them hold the same data.
 async fn migrated(folder: &Path, version: i64) -> PathBuf {
     let before =
         database::MIGRATIONS.iter().map(|migration| migration.version).filter(|known| *known < version);
@@ -78,7 +78,7 @@ async fn database_of_each_migration_is_readable() {
         sqlx::raw_sql(AssertSqlSafe(text)).execute(&mut connection).await.expect("is SQL");
         connection.close().await.expect("closes");
 
-        // Brings the schema up to date; sqlx compares the text of each migration with what was applied.
+        // Migrates to the newest version; sqlx compares the text of each migration with the one that was applied.
         drop(open(&path).await);
         let found = answers(&Store::new(readers(&path))).await;
         let expected = expected.get_or_insert_with(|| found.clone());

@@ -1,4 +1,4 @@
-//! Logs beside a database that are its own, and one that is not.
+//! Logs beside a database that belong to it or to another file.
 
 use std::fs;
 use std::os::unix::fs::FileExt;
@@ -35,7 +35,7 @@ async fn iterations(path: &Path) -> i64 {
     number(path, "SELECT count(*) FROM iteration").await
 }
 
-/// What stands in the file itself.
+/// Returns the number in the file itself.
 fn id(path: &Path) -> [u8; 4] {
     fs::read(path).expect("reads")[60..64].try_into().expect("four bytes")
 }
@@ -44,7 +44,7 @@ fn log_of(path: &Path) -> PathBuf {
     PathBuf::from(format!("{}-wal", path.display()))
 }
 
-/// The files as a process that is killed leaves them.
+/// Copies the files in the state in which a killed process leaves them.
 fn killed(bed: &Bed) -> (TempDir, PathBuf) {
     let folder = tempfile::tempdir().expect("a folder");
     let path = folder.path().join("peernet.sqlite");
@@ -74,7 +74,7 @@ async fn start(path: &Path) -> Result<(), OpenError> {
 }
 
 #[tokio::test]
-async fn a_backup_is_not_spoilt_by_the_log_of_the_database_before_it() {
+async fn backup_is_not_spoilt_by_log_of_previous_database() {
     let mut bed = Bed::new().await;
     bed.run_of(100).await;
     checkpoint(&bed).await;
@@ -111,7 +111,7 @@ async fn a_backup_is_not_spoilt_by_the_log_of_the_database_before_it() {
 }
 
 #[tokio::test]
-async fn the_log_of_an_idle_aggregator_tells_whose_it_is() {
+async fn log_of_idle_aggregator_identifies_its_database() {
     let mut bed = Bed::new().await;
     bed.run_of(10).await;
     let copy = backup(&bed, "copy.sqlite").await;
@@ -123,7 +123,7 @@ async fn the_log_of_an_idle_aggregator_tells_whose_it_is() {
     fs::copy(&copy, &path).expect("takes its place");
     assert!(matches!(start(&path).await, Err(OpenError::ForeignLog(_))));
 
-    // SQLite does not apply a log whose sums are wrong.
+    // SQLite does not apply a log with wrong checksums.
     let log = fs::File::options().write(true).open(log_of(&path)).expect("opens");
     log.write_all_at(&[0xa5; 4], 100).expect("writes");
     start(&path).await.expect("opens");
@@ -131,7 +131,7 @@ async fn the_log_of_an_idle_aggregator_tells_whose_it_is() {
 }
 
 #[tokio::test]
-async fn a_database_whose_process_was_killed_opens_with_its_log() {
+async fn database_of_killed_process_opens_with_its_log() {
     let mut bed = Bed::new().await;
     // The file itself has no number yet.
     bed.run_of(100).await;
@@ -147,7 +147,7 @@ async fn a_database_whose_process_was_killed_opens_with_its_log() {
     start(&path).await.expect("opens");
     assert_eq!(iterations(&path).await, 150);
 
-    // One of an earlier version, where the log is the first to have a number.
+    // A database of an earlier version, whose log has the number first.
     bed.writer.close().await.1.expect("closes");
     bed.store.close().await;
     fs::File::options()
@@ -165,7 +165,7 @@ async fn a_database_whose_process_was_killed_opens_with_its_log() {
 }
 
 #[tokio::test]
-async fn each_file_has_a_number_of_its_own_and_keeps_it() {
+async fn each_file_has_own_number_and_keeps_it() {
     let folder = tempfile::tempdir().expect("a folder");
     let fresh = folder.path().join("peernet.sqlite");
     start(&fresh).await.expect("makes it");

@@ -1,4 +1,4 @@
-//! Questions that take too long are stopped, and nobody else notices.
+//! Time limit of questions, read-only access, and the bounded log.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -11,7 +11,7 @@ use crate::error::StoreError;
 use crate::integrity::Integrity;
 use crate::readers::Readers;
 
-/// Counts for ever.
+/// A query without an end.
 const ENDLESS: &str = "WITH RECURSIVE endless (n) AS (SELECT 1 UNION ALL SELECT n + 1 FROM endless) SELECT count(*) FROM endless";
 
 fn impatient(path: &Path) -> Readers {
@@ -26,19 +26,19 @@ fn impatient(path: &Path) -> Readers {
 }
 
 #[tokio::test]
-async fn a_question_without_end_is_stopped_while_the_writer_commits() {
+async fn endless_query_is_stopped_while_writer_commits() {
     let mut bed = Bed::new().await;
     let readers = impatient(&bed.path);
     let pool = readers.pool();
     let endless = sqlx::query_scalar::<_, i64>(ENDLESS).fetch_one(&pool);
-    // The writer ends; the question would not.
+    // The writer finishes; the question would not.
     let (endless, _) = tokio::join!(endless, bed.run_of(50));
     let error = endless.map_err(readers.failed("everything")).expect_err("it has no end");
     assert!(matches!(error, StoreError::TooLong { what: "everything", .. }), "{error}");
     assert!(error.to_string().contains("longer than the 0.1 s of [aggregator] question_limit_ms"), "{error}");
     assert_eq!(bed.count("SELECT count(*) FROM iteration").await, 50);
 
-    // The only connection is as good as before, and each question has the whole time for itself.
+    // The only connection is still usable, and each question has the whole time limit.
     for _ in 0..3 {
         let seen: i64 = sqlx::query_scalar("SELECT count(*) FROM iteration")
             .fetch_one(&readers.pool())
@@ -57,7 +57,7 @@ async fn readers_cannot_write() {
 }
 
 #[tokio::test]
-async fn log_is_emptied_after_the_last_reader() {
+async fn log_is_emptied_after_last_reader() {
     let mut bed = Bed::new().await;
     let log = bed.path.with_extension("sqlite-wal");
     let bytes = || std::fs::metadata(&log).expect("it is there").len();
@@ -65,7 +65,7 @@ async fn log_is_emptied_after_the_last_reader() {
     sqlx::raw_sql("BEGIN; SELECT count(*) FROM host").execute(&mut reader).await.expect("reads");
     bed.run_of(200).await;
     let grown = bytes();
-    // While somebody reads it stays, and nothing waits.
+    // While a reader is active the log keeps its size, and nothing waits.
     bed.writer.bound_log(grown / 2).await.expect("tries");
     assert_eq!(bytes(), grown);
     sqlx::raw_sql("COMMIT").execute(&mut reader).await.expect("ends");

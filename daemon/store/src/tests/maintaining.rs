@@ -1,4 +1,4 @@
-//! Copies of the database and looks at its health, beside the writer.
+//! Backups and examinations of a database that is being written.
 
 use std::os::unix::fs::FileExt;
 use std::path::Path;
@@ -27,11 +27,11 @@ fn problems(report: &Report) -> Vec<&str> {
 }
 
 #[tokio::test]
-async fn a_copy_is_the_database_of_one_moment_and_never_takes_another_files_place() {
+async fn copy_is_consistent_and_overwrites_no_file() {
     let mut bed = Bed::new().await;
     bed.run_of(100).await;
     let target = bed.path.with_file_name("copy.sqlite");
-    // What a backup that was killed left behind is in nobody's way.
+    // A file that a killed backup left behind does not matter.
     std::fs::write(target.with_file_name("copy.sqlite.partial"), b"left behind").expect("writable");
     let backup = Backup::prepare(&bed.path, &target).await.expect("can be read");
     assert!(backup.expected_bytes() > 100_000);
@@ -49,7 +49,7 @@ async fn a_copy_is_the_database_of_one_moment_and_never_takes_another_files_plac
 
     let again = Backup::prepare(&bed.path, &target).await.expect_err("it exists");
     assert!(matches!(again, BackupError::Exists(_)), "{again}");
-    // A name that was taken meanwhile is left to who took it.
+    // A file that was created under the name meanwhile is not replaced.
     let other = bed.path.with_file_name("other.sqlite");
     let backup = Backup::prepare(&bed.path, &other).await.expect("can be read");
     std::fs::write(&other, b"theirs").expect("writable");
@@ -59,7 +59,7 @@ async fn a_copy_is_the_database_of_one_moment_and_never_takes_another_files_plac
 }
 
 #[tokio::test]
-async fn a_copy_that_is_stopped_leaves_nothing() {
+async fn stopped_copy_leaves_nothing() {
     let mut bed = Bed::new().await;
     bed.run_of(100).await;
     let target = bed.path.with_file_name("copy.sqlite");
@@ -74,7 +74,7 @@ async fn a_copy_that_is_stopped_leaves_nothing() {
 }
 
 #[tokio::test]
-async fn a_healthy_database_is_described_while_it_is_written() {
+async fn healthy_database_is_described_during_writing() {
     let mut bed = Bed::new().await;
     bed.run_of(100).await;
     let report = examine(&bed.path, QUICK).await.expect("opens");
@@ -90,7 +90,7 @@ async fn a_healthy_database_is_described_while_it_is_written() {
 }
 
 #[tokio::test]
-async fn rows_are_told_as_they_are_after_old_ones_were_deleted() {
+async fn row_counts_are_exact_after_deletions() {
     let mut bed = Bed::new().await;
     bed.run_of(100).await;
     let mut connection = SqliteConnectOptions::new().filename(&bed.path).connect().await.expect("opens");
@@ -108,7 +108,7 @@ async fn rows_are_told_as_they_are_after_old_ones_were_deleted() {
 }
 
 #[tokio::test]
-async fn an_agents_spool_is_told_from_a_database() {
+async fn spool_is_distinguished_from_database() {
     let folder = tempfile::tempdir().expect("a folder");
     let path = folder.path().join("spool.sqlite");
     let options = SqliteConnectOptions::new().filename(&path).create_if_missing(true);
@@ -132,7 +132,7 @@ async fn an_agents_spool_is_told_from_a_database() {
 }
 
 #[tokio::test]
-async fn a_damaged_page_is_found_and_named() {
+async fn damaged_page_is_found_and_named() {
     let mut bed = Bed::new().await;
     bed.run_of(200).await;
     let copy = bed.path.with_file_name("copy.sqlite");
@@ -151,7 +151,7 @@ async fn a_damaged_page_is_found_and_named() {
     assert!(problems(&report).iter().any(|problem| problem.contains("damaged")), "{report:?}");
     assert!(report.findings.iter().all(|finding| !finding.advice.is_empty()));
 
-    // And one that is no database at all, and one that is another program's.
+    // Also a file that is no database, and the database of another program.
     file.write_all_at(&[0xa5; 100], 0).expect("writes");
     let report = examine(&copy, QUICK).await.expect("opens");
     assert!(problems(&report).iter().any(|problem| problem.contains("no database")), "{report:?}");

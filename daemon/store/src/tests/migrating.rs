@@ -1,4 +1,4 @@
-//! Databases that earlier versions made: everything in them stays, everything new works.
+//! Migration of databases of earlier versions: all data stays, and new features work.
 
 use std::borrow::Cow;
 use std::path::{Path, PathBuf};
@@ -18,8 +18,7 @@ use crate::types::{IterationFilter, RunFilter};
 /// The last version with statistics of two widths only.
 const LAST_COARSE: i64 = 4;
 
-/// The same data in a file as a version of before would have left it: what it knew, in the order of its own columns, and
-/// of the statistics those that it kept.
+/// Copies the data into a file of an earlier version: only the columns of that version, and only the statistics that it kept.
 pub(super) async fn as_of_version(bed: &Bed, version: i64) -> PathBuf {
     let path = bed.path.with_file_name(format!("version-{version}.sqlite"));
     let mut old = database::writing(&path).connect().await.expect("makes");
@@ -67,7 +66,7 @@ pub(super) async fn as_of_version(bed: &Bed, version: i64) -> PathBuf {
     path
 }
 
-/// What pages ask about a run, as text. Series in points of ten seconds, which all versions had.
+/// Returns what pages show of a run, as text. Series have points of ten seconds, which all versions stored.
 async fn answers(bed: &Bed) -> String {
     let store = &bed.store;
     let series = store.series(1, &[stage::UPLOAD, stage::TOTAL], 21).await.expect("answers");
@@ -91,7 +90,7 @@ async fn reopen(bed: &mut Bed, path: &Path) -> SqliteConnection {
 
 /// Version 5 is the first with statistics of all widths.
 #[tokio::test]
-async fn a_database_without_experiments_goes_on_as_it_was() {
+async fn database_without_experiments_is_migrated_unchanged() {
     let mut bed = Bed::new().await;
     bed.run_of(200).await;
     let expected =
@@ -124,7 +123,7 @@ async fn skipped_starts_of_stored_runs_are_counted_once() {
 }
 
 #[tokio::test]
-async fn a_database_with_coarse_statistics_goes_on_as_it_was() {
+async fn database_with_coarse_statistics_is_migrated_unchanged() {
     for version in 1..=LAST_COARSE {
         let mut bed = Bed::new().await;
         bed.run_of(1_000).await;
@@ -139,7 +138,7 @@ async fn a_database_with_coarse_statistics_goes_on_as_it_was() {
         let mut connection = reopen(&mut bed, &path).await;
         assert_eq!(answers(&bed).await, expected, "version {version}");
         assert_eq!(bed.count("SELECT count(*) FROM node").await, 1_000 * 21);
-        // The coarser statistics were made of those that were there; finer ones there were none.
+        // The coarser statistics were made of the stored ones; finer ones did not exist.
         let coarser = grown.into_iter().filter(|((_, width_s, ..), _)| *width_s != 1).collect();
         assert_same(&table(&mut connection).await, &coarser);
         assert_eq!(bed.count("SELECT count(*) FROM rollup_debt").await, 0);
@@ -155,7 +154,7 @@ async fn a_database_with_coarse_statistics_goes_on_as_it_was() {
             let recomputed = bed.store.recompute(1).await.expect("answers").expect("exists");
             assert_eq!((recomputed.samples, recomputed.stages.len()), (0, 2));
         }
-        // Who updates has the whole of each period to pin what must stay, however old it is.
+        // After an update, data of any age stays for its whole period, so that the user can pin runs.
         let mut retention = Retention::new(crate::retention_config::RetentionConfig::default());
         let steps = work_off(&mut retention, &mut connection, day(0.9)).await;
         assert_eq!(bed.count("SELECT count(*) FROM node").await, 1_000 * 21, "{steps} steps");
@@ -164,7 +163,7 @@ async fn a_database_with_coarse_statistics_goes_on_as_it_was() {
         bed.commit(&[work]).await;
         let links = bed.store.links().await.expect("answers");
         assert_eq!((links.len(), links[0].last), (1, generate::at(1.0)));
-        // Opening it once more changes nothing.
+        // Opening it again changes nothing.
         let before = table(&mut connection).await;
         reopen(&mut bed, &path).await;
         assert_same(&table(&mut connection).await, &before);

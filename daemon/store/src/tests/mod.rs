@@ -1,4 +1,4 @@
-//! The store with a real file: what the writer wrote is what readers are told.
+//! Tests of the store with a real file: readers get what the writer stored.
 
 mod arguments;
 mod clock_samples;
@@ -53,13 +53,13 @@ use super::{Store, database};
 use crate::RetentionConfig;
 
 const NOW: WallTime = WallTime::from_unix_nanos(1_750_000_000_000_000_000);
-/// The clocks of the aggregator.
+/// Readings of the aggregator's clocks.
 const STAMP: Stamp = Stamp { wall: NOW, mono: MonoTime::from_nanos(0), raw: RawTime::from_nanos(0) };
 
-/// The process that all batches come from.
+/// Number of the process that all batches come from.
 const PROCESS: u64 = u64::MAX - 4;
 
-/// A database in a folder of its own, with one agent that writes to it.
+/// A database in a temporary folder with one agent that writes to it.
 struct Bed {
     _folder: TempDir,
     path: PathBuf,
@@ -91,7 +91,7 @@ impl Bed {
         (self.edge, self.cloud)
     }
 
-    /// The next batch of the stream.
+    /// Makes the next batch of the stream.
     fn batch(&mut self, events: Vec<Event>) -> Work {
         let number = self.next;
         self.next += 1;
@@ -114,7 +114,7 @@ impl Bed {
         self.writer.commit(work, STAMP).await.expect("commits")
     }
 
-    /// Stores a run of so many iterations.
+    /// Stores a run of `iterations` iterations.
     async fn run_of(&mut self, iterations: u64) -> RunId {
         let run = RunId::random();
         let mut numbers = generate::Numbers::new(7);
@@ -129,12 +129,12 @@ impl Bed {
         run
     }
 
-    /// A connection of another program that may write.
+    /// Opens a connection of another program that may write.
     async fn other(&self) -> SqliteConnection {
         database::writing(&self.path).connect().await.expect("opens")
     }
 
-    /// One number of the database.
+    /// Returns the number that a query selects.
     async fn count(&self, sql: &'static str) -> i64 {
         sqlx::query_scalar(sql).fetch_one(&self.store.readers.pool()).await.expect("counts")
     }
@@ -145,7 +145,7 @@ async fn open(path: &std::path::Path) -> Writer {
     Writer::new(path.to_owned(), connection, RetentionConfig::default()).await.expect("reads the marks")
 }
 
-/// A process of a host introduces itself, with a stream that nothing else of the test uses.
+/// Makes the introduction of a host's process, with a stream that the test does not use otherwise.
 fn hello(host: HostDescription, process: u64) -> Work {
     let stream = StreamId::random();
     Work::Hello(Box::new(Introduction {
@@ -160,7 +160,7 @@ fn hello(host: HostDescription, process: u64) -> Work {
     }))
 }
 
-/// Readers with a limit that no question of a test reaches.
+/// Makes readers with a time limit that no question of a test reaches.
 fn readers(path: &std::path::Path) -> Readers {
     let identity = ClockIdentity::of_this_machine(ClockIdentity::SYSTEM).expect("linux has a boot id");
     Readers::open(

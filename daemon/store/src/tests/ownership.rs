@@ -1,4 +1,4 @@
-//! Whose data it is: what hosts say of the runs of others, and their secrets.
+//! Reports of hosts on the runs of others, and the hosts' secrets.
 
 use peernet_stream::{Gap, HostSecret, Incident, IncidentKind, RunEnded};
 
@@ -20,14 +20,14 @@ fn ended(run: RunId) -> Event {
     Event::RunEnded(RunEnded { run, ended: NOW, reason: "taken".into() })
 }
 
-/// Goes on as the other host, in a stream of its own.
+/// Continues as the other host, in another stream.
 fn as_other(bed: &mut Bed) {
     (bed.edge, bed.cloud) = (bed.cloud, bed.edge);
     (bed.stream, bed.next) = (StreamId::random(), 1);
 }
 
 #[tokio::test]
-async fn foreign_events_of_every_kind_change_nothing_of_the_run() {
+async fn foreign_events_do_not_change_run() {
     let mut bed = Bed::new().await;
     let run = bed.run_of(3).await;
     let victim = "SELECT count(*) FROM run JOIN pipeline ON pipeline.id = run.pipeline JOIN host ON host.id = pipeline.host \
@@ -43,16 +43,16 @@ async fn foreign_events_of_every_kind_change_nothing_of_the_run() {
     }
     assert_eq!(bed.count("SELECT count(*) FROM gap WHERE run = 1").await, 0);
     assert_eq!(bed.count("SELECT count(*) FROM incident WHERE run = 1").await, 0);
-    let told = "SELECT count(*) FROM incident JOIN host ON host.id = incident.host \
+    let incidents_query = "SELECT count(*) FROM incident JOIN host ON host.id = incident.host \
                 WHERE host.name = 'cloud' AND incident.kind = 'refused'";
-    assert_eq!(bed.count(told).await, 1, "once for each run");
+    assert_eq!(bed.count(incidents_query).await, 1, "once for each run");
     let own = "SELECT count(*) FROM run JOIN pipeline ON pipeline.id = run.pipeline JOIN host ON host.id = pipeline.host \
                WHERE host.name = 'cloud' AND run.ok = 1 AND run.end_reason = 'taken' AND run.reported_uuid IS NOT NULL";
     assert_eq!(bed.count(own).await, 1);
 }
 
 #[tokio::test]
-async fn run_claimed_first_by_another_host_is_stored_for_its_own() {
+async fn run_claimed_by_another_host_is_stored_for_its_owner() {
     let mut bed = Bed::new().await;
     let run = RunId::random();
     as_other(&mut bed);
@@ -69,7 +69,7 @@ async fn run_claimed_first_by_another_host_is_stored_for_its_own() {
     assert_eq!(committed.runs, [(bed.edge, run, 2)]);
     assert_eq!(bed.count("SELECT ok FROM run WHERE number = 2").await, 5);
     assert_eq!(bed.count("SELECT count(*) FROM gap WHERE run IS NOT NULL").await, 0);
-    // It is found again by another writer, and its iterations are known when they come again.
+    // Another writer finds it again, and its iterations are known when they arrive again.
     bed.writer = open(&bed.path).await;
     bed.stream = StreamId::random();
     bed.next = 1;
@@ -82,7 +82,7 @@ async fn run_claimed_first_by_another_host_is_stored_for_its_own() {
 }
 
 #[tokio::test]
-async fn secret_is_kept_once_and_cleared_beside_the_writer() {
+async fn secret_is_stored_once_and_cleared_by_another_connection() {
     let mut bed = Bed::new().await;
     let run = RunId::random();
     let work = bed.batch(vec![generate::run_started(run, "line", NOW)]);
@@ -110,9 +110,9 @@ async fn secret_is_kept_once_and_cleared_beside_the_writer() {
 }
 
 #[tokio::test]
-async fn hosts_that_only_others_name_are_not_known() {
+async fn hosts_named_only_by_others_are_unknown() {
     let mut bed = Bed::new().await;
-    // Agents that serve an experiment never meet this aggregator: iterations name them.
+    // Agents that serve an experiment do not report to this aggregator: only iterations name them.
     for seed in 1..=5 {
         let (run, cloud) = (RunId::random(), HostId::random());
         let mut numbers = generate::Numbers::new(seed);

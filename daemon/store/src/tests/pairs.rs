@@ -1,4 +1,4 @@
-//! Two values of single iterations: which are looked at, and what an iteration with several nodes has.
+//! Pairs of values: which iterations are read, and the value of an iteration with several nodes of a name.
 
 use peernet_clock::Span;
 use peernet_logger::{Measure, NodeId, RunId, Unit, stage};
@@ -9,11 +9,11 @@ use super::{Bed, NOW, generate};
 use crate::retention::Retention;
 use crate::types::Pairs;
 
-/// Milliseconds of inference that each of these iterations has beside what the generator gives it.
+/// Duration in milliseconds of an additional inference node.
 const SLOW: f64 = 1_000.0;
 
 impl Bed {
-    /// An iteration whose answer has ten bytes and two tokens for each of its number, and takes as many seconds.
+    /// Makes an iteration whose answer has ten bytes and two tokens times its number, and takes as many seconds.
     fn talking(&self, run: RunId, number: u64) -> Iteration {
         let mut iteration =
             generate::iteration(run, number, self.hosts(), &mut generate::Numbers::new(number));
@@ -53,7 +53,7 @@ impl Bed {
 }
 
 #[tokio::test]
-async fn a_sample_is_spread_over_the_run_and_says_of_how_many_it_is() {
+async fn sample_is_spread_over_run_and_reports_total() {
     let mut bed = Bed::new().await;
     assert_eq!(bed.pairs("download-bytes", 10).await, Pairs::default(), "no such run");
     bed.run_that_talks(1..=400).await;
@@ -75,7 +75,7 @@ async fn a_sample_is_spread_over_the_run_and_says_of_how_many_it_is() {
 }
 
 #[tokio::test]
-async fn what_is_in_no_statistic_is_in_no_sample() {
+async fn values_outside_statistics_are_not_sampled() {
     let mut bed = Bed::new().await;
     let run = bed.run_that_talks(1..=4).await;
     let warm_up = Iteration { warm_up: true, ..bed.talking(run, 5) };
@@ -93,14 +93,14 @@ async fn what_is_in_no_statistic_is_in_no_sample() {
 }
 
 #[tokio::test]
-async fn several_nodes_are_one_number_as_in_the_results() {
+async fn nodes_of_one_name_are_combined_as_in_results() {
     let mut bed = Bed::new().await;
     let run = bed.run_that_talks(1..=1).await;
     let mut twice = bed.talking(run, 2);
     let (model, _) = twice.tree.find(&["inference"]).expect("a stage");
     let seconds = Measure::Timer(Some(Span::from_millis(SLOW as i64)));
     twice.tree.add(NodeId::ROOT, stage::INFERENCE, Span::ZERO, seconds.clone());
-    // A part of the model that is called as the whole counts once.
+    // A child of the stage with the same name counts once.
     twice.tree.add(model, stage::INFERENCE, Span::ZERO, seconds);
     for (parent, value) in [(model, 77.0), (NodeId::ROOT, 99.0)] {
         twice.tree.add(parent, "completion-tokens".into(), Span::ZERO, Measure::Value(value, Unit::NONE));
@@ -112,7 +112,7 @@ async fn several_nodes_are_one_number_as_in_the_results() {
 }
 
 #[tokio::test]
-async fn what_was_deleted_is_not_asked_for() {
+async fn deleted_iterations_are_not_sampled() {
     let (bed, _) = two_runs().await;
     let mut connection = bed.other().await;
     let mut retention = Retention::new(short());

@@ -1,4 +1,4 @@
-//! What readers are told.
+//! Answers of the store to its readers.
 
 use peernet_analysis::slowness::Cause;
 use peernet_clock::{DelaySource, OneWayDelay, Span, Verdict};
@@ -10,7 +10,7 @@ use super::{Bed, generate};
 use crate::figures::Figures;
 use crate::types::{IterationFilter, RunFilter, RunStatistics};
 
-/// The values of one name in the iterations of [`Bed::run_of`].
+/// Returns the values of one name in the iterations of [`Bed::run_of`].
 fn values(bed: &Bed, run: RunId, iterations: u64, name: &str) -> Vec<f64> {
     let mut numbers = generate::Numbers::new(7);
     (1..=iterations)
@@ -24,7 +24,7 @@ fn close(a: f64, b: f64) -> bool {
 }
 
 #[tokio::test]
-async fn a_runs_statistics_are_those_of_its_iterations() {
+async fn statistics_of_run_are_those_of_its_iterations() {
     let mut bed = Bed::new().await;
     let run = bed.run_of(400).await;
     let stages = bed.store.statistics_of(1).await.expect("answers").stages;
@@ -60,7 +60,7 @@ async fn a_runs_statistics_are_those_of_its_iterations() {
 }
 
 #[tokio::test]
-async fn runs_asked_for_together_are_what_each_is_alone() {
+async fn runs_read_together_equal_runs_read_alone() {
     let mut bed = Bed::new().await;
     for iterations in [40, 30, 20] {
         bed.run_of(iterations).await;
@@ -84,7 +84,7 @@ async fn runs_asked_for_together_are_what_each_is_alone() {
 }
 
 #[tokio::test]
-async fn warm_up_and_failures_are_stored_but_in_no_statistic() {
+async fn warm_up_and_failures_are_stored_outside_statistics() {
     let mut bed = Bed::new().await;
     let run = RunId::random();
     let mut numbers = generate::Numbers::new(1);
@@ -123,15 +123,15 @@ async fn warm_up_and_failures_are_stored_but_in_no_statistic() {
     assert_eq!(all.iter().map(|row| row.number).collect::<Vec<_>>(), [1, 2, 3, 4, 5, 6]);
     let filter = IterationFilter { unsuccessful: true, after: 3, limit: 10 };
     let bad = bed.store.iterations(1, &filter).await.expect("answers");
-    let told: Vec<_> =
+    let failures: Vec<_> =
         bad.iter().map(|row| (row.number, row.outcome.as_str(), row.reason.as_deref())).collect();
-    assert_eq!(told, [(4, "timeout", None), (5, "failed", Some("not a picture"))]);
+    assert_eq!(failures, [(4, "timeout", None), (5, "failed", Some("not a picture"))]);
     let lost = bed.store.iteration(1, 3).await.expect("answers").expect("exists");
     assert_eq!((lost.rank, lost.previous, lost.next), (None, Some(2), Some(4)));
 }
 
 #[tokio::test]
-async fn an_iteration_comes_back_as_it_was_sent() {
+async fn iteration_is_read_as_sent() {
     let mut bed = Bed::new().await;
     let run = bed.run_of(20).await;
     let mut numbers = generate::Numbers::new(7);
@@ -150,7 +150,7 @@ async fn an_iteration_comes_back_as_it_was_sent() {
 }
 
 #[tokio::test]
-async fn the_slowest_come_first_and_name_their_culprit() {
+async fn slowest_iterations_come_first_with_causes() {
     let mut bed = Bed::new().await;
     let run = bed.run_of(300).await;
     let mut totals: Vec<(f64, u64)> = values(&bed, run, 300, "total").into_iter().zip(1..).collect();
@@ -178,7 +178,7 @@ async fn the_slowest_come_first_and_name_their_culprit() {
     assert_eq!((first.rank, tenth.rank), (Some(1), Some(10)));
     assert_eq!((first.slower, first.faster), (None, Some(numbers[1])));
     assert_eq!((tenth.slower, tenth.faster), (Some(numbers[8]), Some(totals[10].1)));
-    // Those that took equally long have an order, too.
+    // Iterations with equal totals have a defined order, too.
     let mut other = bed.other().await;
     sqlx::query("UPDATE iteration SET total = 9 WHERE number IN (?1, ?2, ?3)")
         .bind(numbers[3].cast_signed())
@@ -197,7 +197,7 @@ async fn the_slowest_come_first_and_name_their_culprit() {
 }
 
 #[tokio::test]
-async fn a_series_adds_up_to_the_run_whatever_its_buckets() {
+async fn series_adds_up_to_run_for_any_buckets() {
     let mut bed = Bed::new().await;
     // 1,000 iterations of 0.2 s: 201 seconds, 21 buckets of 10 s.
     bed.run_of(1_000).await;
@@ -217,7 +217,7 @@ async fn a_series_adds_up_to_the_run_whatever_its_buckets() {
 }
 
 #[tokio::test]
-async fn a_histogram_counts_every_sample_once() {
+async fn histogram_counts_each_sample_once() {
     let mut bed = Bed::new().await;
     let run = bed.run_of(500).await;
     for (stage, bins) in [("upload", 40), ("total", 1), ("upload-bytes", 20), ("inference", 500)] {
@@ -226,7 +226,7 @@ async fn a_histogram_counts_every_sample_once() {
         assert_eq!(histogram.counts.iter().sum::<u64>() + histogram.beyond, 500, "{stage}");
         assert!(histogram.edges.windows(2).all(|pair| pair[0] < pair[1]));
     }
-    // The middle of the axis lies where the samples' middle lies, within the sketch's 1 %.
+    // The border of the two bins divides the samples correctly, within the sketch's 1 %.
     let histogram = bed.store.histogram(1, "upload", 2).await.expect("answers").expect("exists");
     let exact =
         values(&bed, run, 500, "upload").iter().filter(|value| **value < histogram.edges[1]).count() as u64;
@@ -256,7 +256,7 @@ async fn runs_are_listed_newest_first_in_pages() {
 }
 
 #[tokio::test]
-async fn a_run_with_a_clock_made_wrong_is_marked_wherever_it_is_told_of() {
+async fn rehearsed_run_is_marked_in_all_answers() {
     let mut bed = Bed::new().await;
     for fact in ["Rehearsal", "Rehearsal of cloud", "Rehearsals"] {
         let Event::RunStarted(mut run) = generate::run_started(RunId::random(), "line", generate::at(0.0))
@@ -274,7 +274,7 @@ async fn a_run_with_a_clock_made_wrong_is_marked_wherever_it_is_told_of() {
 }
 
 #[tokio::test]
-async fn delays_stand_in_the_rows_of_a_list_and_what_both_ways_took_where_they_are_not_known() {
+async fn listed_iterations_have_delays_or_their_sum() {
     let mut bed = Bed::new().await;
     let run = bed.run_of(100).await;
     let mut numbers = generate::Numbers::new(7);
@@ -326,7 +326,7 @@ async fn delays_stand_in_the_rows_of_a_list_and_what_both_ways_took_where_they_a
 }
 
 #[tokio::test]
-async fn incidents_come_in_the_order_in_which_they_happened() {
+async fn incidents_are_in_order_of_time() {
     let mut bed = Bed::new().await;
     let stranger = HostId::random();
     let incident = |seconds: f64, text: &str, peer| {
@@ -357,7 +357,7 @@ async fn incidents_come_in_the_order_in_which_they_happened() {
 }
 
 #[tokio::test]
-async fn people_with_a_sqlite_shell_find_their_way() {
+async fn views_answer_queries_of_sqlite_shell() {
     let mut bed = Bed::new().await;
     bed.run_of(5).await;
     let stages = "SELECT count(*) FROM stage_ms WHERE run = 1 AND iteration = 3 AND name = 'upload' AND ms > 1 \
@@ -371,7 +371,7 @@ async fn people_with_a_sqlite_shell_find_their_way() {
 }
 
 #[test]
-fn a_summary_of_many_parts_is_that_of_the_whole() {
+fn merged_summary_equals_summary_of_whole() {
     let mut numbers = generate::Numbers::new(3);
     let (mut whole, mut parts) = (Summary::default(), Summary::default());
     for _ in 0..20 {

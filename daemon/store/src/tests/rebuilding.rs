@@ -1,4 +1,4 @@
-//! Roll-ups made from the nodes are those that grew with them.
+//! Rebuilt roll-ups are equal to those that grew with the nodes.
 
 use peernet_clock::Span;
 use peernet_logger::{Measure, NodeId, RunId, Unit, stage};
@@ -10,7 +10,7 @@ use super::rollups::{assert_same, table};
 use super::{Bed, NOW};
 use crate::rebuild::{Rebuilt, rebuild};
 
-/// Iterations over some hours in any order, some of the warm-up, some without an answer.
+/// Makes iterations over some hours in random order, some of the warm-up, some without an answer.
 fn iterations(bed: &Bed, run: RunId, count: u64, numbers: &mut Numbers) -> Vec<Event> {
     let mut all: Vec<Iteration> = (1..=count)
         .map(|number| {
@@ -32,7 +32,7 @@ fn iterations(bed: &Bed, run: RunId, count: u64, numbers: &mut Numbers) -> Vec<E
     all.into_iter().map(Event::Iteration).collect()
 }
 
-/// A database with two runs whose iterations came in any order, in commits of any size.
+/// Makes a database with two runs whose iterations arrived in random order, in commits of random sizes.
 async fn mixed(seed: u64) -> Bed {
     let mut bed = Bed::new().await;
     let mut numbers = Numbers::new(seed);
@@ -59,7 +59,7 @@ async fn mixed(seed: u64) -> Bed {
 }
 
 #[tokio::test]
-async fn a_rebuild_equals_what_grew() {
+async fn rebuilt_statistics_equal_incremental_ones() {
     for seed in 1..=4 {
         let bed = mixed(seed).await;
         let mut connection = bed.other().await;
@@ -68,7 +68,7 @@ async fn a_rebuild_equals_what_grew() {
             sqlx::query_as(verdicts).fetch_all(&mut connection).await.expect("reads");
         let grown = table(&mut connection).await;
         assert!(grown.len() > 10_000 && judged.len() == 4, "{} {judged:?}", grown.len());
-        // Something is wrong with all of them, and one is too many.
+        // All of them are wrong, and there is one too many.
         sqlx::raw_sql("UPDATE rollup SET count = count + 1, mean = 7; UPDATE verdict_count SET count = 1")
             .execute(&mut connection)
             .await
@@ -77,21 +77,21 @@ async fn a_rebuild_equals_what_grew() {
             .execute(&mut connection)
             .await
             .expect("spoils");
-        let mut told = Vec::new();
-        let rebuilt = rebuild(&mut connection, None, |so_far| told.push(*so_far)).await.expect("rebuilds");
+        let mut reports = Vec::new();
+        let rebuilt = rebuild(&mut connection, None, |so_far| reports.push(*so_far)).await.expect("rebuilds");
         assert_same(&table(&mut connection).await, &grown);
         let again: Vec<(i64, i64, i64, i64)> =
             sqlx::query_as(verdicts).fetch_all(&mut connection).await.expect("reads");
         assert_eq!(again, judged);
         let ok = bed.count("SELECT sum(ok) FROM run").await.unsigned_abs();
         assert_eq!(rebuilt, Rebuilt { runs: 2, iterations: ok, in_part: 0 });
-        assert_eq!(told.last(), Some(&rebuilt));
+        assert_eq!(reports.last(), Some(&rebuilt));
         connection.close().await.expect("closes");
     }
 }
 
 #[tokio::test]
-async fn one_run_is_rebuilt_alone_and_an_unknown_one_not_at_all() {
+async fn rebuild_of_one_run_changes_no_other() {
     let bed = mixed(9).await;
     let mut connection = bed.other().await;
     let grown = table(&mut connection).await;
@@ -105,12 +105,12 @@ async fn one_run_is_rebuilt_alone_and_an_unknown_one_not_at_all() {
 }
 
 #[tokio::test]
-async fn readings_beyond_all_reason_are_stored_and_spoil_no_statistics() {
+async fn extreme_values_are_stored_and_spare_statistics() {
     let mut bed = Bed::new().await;
     let (run, mut numbers) = (RunId::random(), Numbers::new(3));
     let work = bed.batch(vec![generate::run_started(run, "line", NOW)]);
     bed.commit(&[work]).await;
-    // What drivers give for "nothing there", among readings.
+    // Numbers that drivers report for "nothing there", among readings.
     for (at, range) in [f64::MAX, 1.0, -f64::MAX, f64::INFINITY, 3.0].into_iter().enumerate() {
         let mut iteration = generate::iteration(run, at as u64 + 1, bed.hosts(), &mut numbers);
         iteration.tree.add(NodeId::ROOT, "range".into(), Span::ZERO, Measure::Value(range, Unit::new("m")));
@@ -128,9 +128,9 @@ async fn readings_beyond_all_reason_are_stored_and_spoil_no_statistics() {
     assert_same(&grown, &table(&mut connection).await);
 }
 
-/// A version before counted readings as good as infinite in.
+/// An earlier version counted readings close to infinity.
 #[tokio::test]
-async fn statistics_that_were_spoilt_hold_nothing_up_and_are_healed() {
+async fn spoilt_statistics_block_nothing_and_are_repaired() {
     let mut bed = Bed::new().await;
     let run = bed.run_of(60).await;
     let mut connection = bed.other().await;

@@ -1,4 +1,4 @@
-//! A run judged again: never worse than before, raw stamps untouched, nothing claimed where nothing can be added.
+//! Judging a run again: never worse than before, with unchanged stamps, and without changes where nothing can be added.
 
 use peernet_clock::{DelaySource, Direction, Discipline, OneWayDelay, RelatedClocks, Span, Verdict};
 use peernet_logger::RunId;
@@ -6,19 +6,19 @@ use peernet_stream::{Event, Iteration, Outcome};
 
 use super::simulation::{Simulation, delays};
 use super::{Bed, generate};
-use crate::read::recompute::judge_again;
+use crate::read::recompute::rejudge_delays;
 use crate::types::{Judgement, Recomputed, RecomputedStage};
 
-/// So many seconds before, within and after the run.
+/// Number of seconds before, within and after the run.
 pub(super) const SECONDS: (i64, i64, i64) = (5, 60, 60);
 
 pub(super) struct Simulated {
     pub(super) iterations: Vec<Iteration>,
-    /// The delays of each as they really were.
+    /// The true delays of each iteration: up, down.
     pub(super) truths: Vec<(Span, Span)>,
 }
 
-/// Stores a run in a simulated world that `change` changes at the begin of each second of the run.
+/// Stores a run of a simulation that `change` changes at the begin of each second of the run.
 async fn simulate(
     bed: &mut Bed,
     seconds: (i64, i64, i64),
@@ -27,7 +27,7 @@ async fn simulate(
     simulate_by(bed, RelatedClocks::Wall, seconds, change).await
 }
 
-/// The same of hosts that are related by these clocks.
+/// Does the same for hosts whose clocks are related by `clocks`.
 pub(super) async fn simulate_by(
     bed: &mut Bed,
     clocks: RelatedClocks,
@@ -38,7 +38,7 @@ pub(super) async fn simulate_by(
     go_on(bed, simulation, seconds, change).await
 }
 
-/// Stores a run of a world as it is.
+/// Stores a run of an existing simulation.
 pub(super) async fn go_on(
     bed: &mut Bed,
     mut simulation: Simulation,
@@ -69,7 +69,7 @@ pub(super) async fn recompute(bed: &Bed) -> Recomputed {
 
 pub(super) async fn recompute_run(bed: &Bed, run: i64) -> Recomputed {
     let recomputed = bed.store.recompute(run).await.expect("answers").expect("exists");
-    // What it says of before is what statistics say.
+    // The judgement before agrees with the statistics.
     let stages = bed.store.statistics_of(run).await.expect("answers").stages;
     for RecomputedStage { stage, before, .. } in &recomputed.stages {
         let stored = stages.iter().find(|known| known.stage == *stage).expect("has statistics");
@@ -93,14 +93,14 @@ pub(super) fn times(judgement: &Judgement, verdict: Verdict) -> u64 {
     judgement.verdicts.iter().find(|(known, _)| *known == verdict).map_or(0, |(_, times)| *times)
 }
 
-/// Every delay judged again holds the truth, within what was known before.
+/// Asserts that every delay that was judged again contains the truth, within the bounds before.
 pub(super) async fn assert_sound(bed: &Bed, simulated: &Simulated) {
     assert_run_is_sound(bed, 1, simulated).await;
 }
 
 pub(super) async fn assert_run_is_sound(bed: &Bed, run: i64, simulated: &Simulated) {
     let mut judged = 0;
-    let samples = judge_again(&bed.store.readers, run, |delay| {
+    let samples = rejudge_delays(&bed.store.readers, run, |delay| {
         let (Some(before), Some(after)) = (delay.before, delay.after) else { panic!("judged: {delay:?}") };
         let (up, down) = simulated.truths[judged / 2];
         let truth = if delay.direction == Direction::Up { up } else { down };
@@ -120,7 +120,7 @@ pub(super) async fn assert_run_is_sound(bed: &Bed, run: i64, simulated: &Simulat
 #[tokio::test]
 async fn what_was_learnt_after_an_iteration_narrows_its_delays() {
     let mut bed = Bed::new().await;
-    // Probes crawl until the fifth second.
+    // Probes are slow until the fifth second.
     let simulated = simulate(&mut bed, SECONDS, |second, simulation| {
         simulation.congestion = if second < 5 { Span::from_millis(40) } else { Span::ZERO };
     })
@@ -133,7 +133,7 @@ async fn what_was_learnt_after_an_iteration_narrows_its_delays() {
     let widest = |judgement: &Judgement| judgement.half_width.expect("has bounds").max;
     assert!(widest(before) > 1e-3 && widest(after) < 0.7e-3, "{before:?} {after:?}");
     assert!(times(after, Verdict::Ok) > times(before, Verdict::Ok));
-    // What was stamped and judged is as it was sent.
+    // The stored stamps and judgements are those that were sent.
     for iteration in simulated.iterations.iter().step_by(100) {
         let stored = bed.store.iteration(1, iteration.number).await.expect("answers").expect("stored");
         assert_eq!(stored.tree, iteration.tree);
@@ -141,7 +141,7 @@ async fn what_was_learnt_after_an_iteration_narrows_its_delays() {
 }
 
 #[tokio::test]
-async fn a_long_run_is_judged_page_by_page() {
+async fn long_run_is_judged_in_pages() {
     let mut bed = Bed::new().await;
     let simulated = simulate(&mut bed, (5, 1_500, 5), |_, _| {}).await;
     let recomputed = recompute(&bed).await;
@@ -153,7 +153,7 @@ async fn a_long_run_is_judged_page_by_page() {
 }
 
 #[tokio::test]
-async fn one_clock_needs_no_judging_and_no_samples_add_nothing() {
+async fn single_clock_or_missing_samples_change_nothing() {
     let mut bed = Bed::new().await;
     bed.run_of(30).await;
     let recomputed = recompute(&bed).await;
@@ -171,7 +171,7 @@ async fn one_clock_needs_no_judging_and_no_samples_add_nothing() {
 }
 
 #[tokio::test]
-async fn warm_up_and_iterations_without_an_answer_are_left_out() {
+async fn warm_up_and_unanswered_iterations_are_left_out() {
     let mut bed = Bed::new().await;
     let run = RunId::random();
     let mut simulation = Simulation::new(bed.hosts(), RelatedClocks::Wall);
@@ -198,14 +198,14 @@ async fn warm_up_and_iterations_without_an_answer_are_left_out() {
 }
 
 #[tokio::test]
-async fn a_step_in_the_middle_stays_one_and_both_sides_of_it_are_judged_by_themselves() {
+async fn sides_of_step_are_judged_separately() {
     type Step = fn(&mut Simulation);
     let steps: [Step; 6] = [
         |simulation| simulation.step_cloud(Span::from_seconds(3)),
         |simulation| simulation.step_cloud(Span::from_millis(-5)),
         |simulation| simulation.step_edge(Span::from_seconds(7)),
         |simulation| simulation.step_edge(Span::from_seconds(-7)),
-        // Nobody notices but the exchanges.
+        // Only the exchanges show it.
         |simulation| simulation.cloud_ahead += Span::from_seconds(3),
         |simulation| simulation.edge_ahead += Span::from_seconds(-7),
     ];
@@ -232,15 +232,15 @@ async fn a_step_in_the_middle_stays_one_and_both_sides_of_it_are_judged_by_thems
     }
 }
 
-/// The cloud's clock jumps by less than a round trip, and nobody notices. Agents begin another window then; those of earlier
-/// versions did not, and what they stored is judged by exchanges alone.
+/// The cloud's clock jumps by less than a round trip, and the cloud does not report it. Agents begin another window then; those
+/// of earlier versions did not, and what they stored is judged by exchanges alone.
 #[tokio::test]
-async fn jump_without_notice_moves_no_delay_before_it() {
+async fn unannounced_jump_moves_no_earlier_delay() {
     for (is_one_window, jump) in [(false, 3), (false, -3), (true, 3), (true, -3)] {
         let mut bed = Bed::new().await;
         let simulated = simulate(&mut bed, (5, 60, 20), |second, simulation| {
             simulation.is_one_window = is_one_window;
-            // Only data shows it.
+            // Only exchanges of data show it.
             simulation.congestion = Span::from_millis(20);
             if second == 30 {
                 let forward: fn(&mut Simulation) = |it| it.cloud_ahead += Span::from_millis(3);
@@ -257,7 +257,7 @@ async fn jump_without_notice_moves_no_delay_before_it() {
 }
 
 #[tokio::test]
-async fn claims_of_time_daemons_count_again_as_they_did_then() {
+async fn time_daemon_claims_count_as_in_first_judgement() {
     let claim = |interval| Some(Discipline { source: DelaySource::Chrony, error: interval });
     for wrong in [0, 50] {
         let mut bed = Bed::new().await;
@@ -287,7 +287,7 @@ async fn claims_of_time_daemons_count_again_as_they_did_then() {
 }
 
 #[tokio::test]
-async fn only_the_link_over_the_network_of_the_run_counts() {
+async fn only_link_over_network_of_run_counts() {
     let mut bed = Bed::new().await;
     simulate(&mut bed, SECONDS, |_, _| {}).await;
     assert_eq!(recompute(&bed).await.samples, 125);

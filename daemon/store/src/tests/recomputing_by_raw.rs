@@ -1,4 +1,5 @@
-//! Runs with raw stamps judged again: by these alone, whatever happens to wall clocks, and each start of a machine apart.
+//! Judging runs with raw stamps again: by these alone, whatever happens to wall clocks, and separately for each start of a
+//! machine.
 
 use peernet_clock::{RelatedClocks, Span, Verdict};
 
@@ -11,13 +12,13 @@ use crate::types::{DelayAssumptions, RecomputedStage};
 
 const PAIRS: [RelatedClocks; 2] = [RelatedClocks::Raw, RelatedClocks::RawToWall];
 
-/// Probes crawl until the fifth second, so that there is something to learn for it afterwards.
+/// Makes probes slow until the fifth second, so that later exchanges improve the delays before.
 fn slow_begin(second: i64, simulation: &mut Simulation) {
     simulation.congestion = if second < 5 { Span::from_millis(40) } else { Span::ZERO };
 }
 
 #[tokio::test]
-async fn raw_stamps_are_stored_and_delays_are_judged_by_them() {
+async fn delays_are_judged_by_stored_raw_stamps() {
     for clocks in PAIRS {
         let mut bed = Bed::new().await;
         let simulated = simulate_by(&mut bed, clocks, SECONDS, slow_begin).await;
@@ -34,7 +35,7 @@ async fn raw_stamps_are_stored_and_delays_are_judged_by_them() {
 }
 
 #[tokio::test]
-async fn steps_of_wall_clocks_do_not_reach_delays_by_raw_stamps() {
+async fn wall_clock_steps_leave_delays_by_raw_stamps_unchanged() {
     type Step = fn(&mut Simulation);
     let steps: [Step; 4] = [
         |simulation| simulation.edge_ahead += Span::from_seconds(-7),
@@ -64,7 +65,8 @@ async fn steps_of_wall_clocks_do_not_reach_delays_by_raw_stamps() {
     }
 }
 
-/// A world in which both machines were started again: so long after the first one's begin, with free-running clocks that show the same times.
+/// Makes a simulation in which both machines were restarted `after` the begin of the first one, with free-running clocks that
+/// show the same times.
 fn started_again(bed: &Bed, after: Span) -> Simulation {
     let mut again = Simulation::new(bed.hosts(), RelatedClocks::Raw);
     again.now = after;
@@ -89,10 +91,10 @@ async fn runs_of_two_starts_are_judged_by_their_own_windows() {
 }
 
 #[tokio::test]
-async fn time_of_two_starts_alike_is_not_judged_again() {
+async fn ambiguous_time_of_two_starts_is_not_judged() {
     let mut bed = Bed::new().await;
     simulate_by(&mut bed, RelatedClocks::Raw, SECONDS, slow_begin).await;
-    // A machine without a battery: after its second start both of its clocks show the same again.
+    // A machine without a battery: after its second start both of its clocks show the same times again.
     let mut again = started_again(&bed, Span::from_seconds(1_000));
     again.edge_ahead = Span::from_seconds(-1_000);
     go_on(&mut bed, again, SECONDS, slow_begin).await;
@@ -106,12 +108,12 @@ async fn time_of_two_starts_alike_is_not_judged_again() {
 }
 
 #[tokio::test]
-async fn windows_of_other_clocks_or_of_another_start_do_not_judge() {
+async fn windows_of_other_clocks_or_starts_judge_nothing() {
     for other in [
         "UPDATE clock_sample SET clocks = 1",
         "UPDATE clock_sample SET clocks = NULL",
         "UPDATE clock_sample SET at_raw_ns = NULL",
-        // The edge's wall clock stood otherwise when its free-running clock showed these times.
+        // The edge's wall clock had another reading when its free-running clock showed these times.
         "UPDATE clock_sample SET at_ns = at_ns + 5500000000",
     ] {
         let mut bed = Bed::new().await;
@@ -125,7 +127,7 @@ async fn windows_of_other_clocks_or_of_another_start_do_not_judge() {
 }
 
 #[tokio::test]
-async fn each_delay_says_what_its_bounds_rest_on() {
+async fn each_delay_names_basis_of_its_bounds() {
     let by_raw = DelayAssumptions {
         clocks: RelatedClocks::Raw,
         max_drift_ppm: Some(50.0),
@@ -149,7 +151,7 @@ async fn each_delay_says_what_its_bounds_rest_on() {
         assert!(delays().all(|delay| delay.assumptions == Some(expected)), "{clocks}");
         let key = bed.store.links().await.expect("answers")[0].key();
         assert_eq!(bed.store.link_assumptions(&key).await.expect("answers"), Some(expected));
-        // What was not authenticated once counts for its whole window.
+        // One sample without authentication counts for its whole window.
         let unsigned = "UPDATE clock_window SET probes_authenticated = 0 WHERE probes_authenticated = 1";
         sqlx::raw_sql(unsigned).execute(&mut bed.other().await).await.expect("changes");
         let known = bed.store.link_assumptions(&key).await.expect("answers").expect("stored");

@@ -1,4 +1,4 @@
-//! Damaged databases that are repaired.
+//! Repair of damaged databases.
 
 use std::os::unix::fs::FileExt;
 use std::path::Path;
@@ -9,8 +9,8 @@ use sqlx::{ConnectOptions, Connection, SqliteConnection};
 use super::{Bed, NOW};
 use crate::maintenance::{Examination, RepairError, examine, repair};
 
-/// What must add up whatever was lost: iterations by rows, by the runs' counters and by their gaps, trees that are not whole,
-/// and nodes by rows and by the hosts' counters.
+/// Sums that must agree after any loss: iterations by rows, by the runs' counters and by their gaps, incomplete trees, and nodes
+/// by rows and by the hosts' counters.
 const SUMS: &str = "SELECT (SELECT count(*) FROM iteration), (SELECT sum(ok + failed + lost + timeout + warm_up) FROM run), \
      (SELECT coalesce(sum(count), 0) FROM gap), (SELECT coalesce(sum(missing), 0) FROM host), \
      (SELECT count(*) FROM (SELECT run, iteration, count(*) AS n, max(node) AS last FROM node GROUP BY run, iteration) \
@@ -67,7 +67,7 @@ async fn database_is_whole_after_repair_of_any_page() {
         let (rows, counted, gaps, missing, torn, nodes): (i64, i64, i64, i64, i64, i64) =
             sqlx::query_as(SUMS).fetch_one(&mut connection).await.expect("reads");
         let context = format!("page {page} of {table}: {repaired:?}");
-        // What is lost with the row of a run itself nobody can count.
+        // The losses of a run whose own row is lost are unknown.
         if table != "run" {
             assert_eq!((rows + gaps, gaps), (120, missing), "{context}");
             assert_eq!(counted, rows, "{context}");
@@ -92,7 +92,7 @@ async fn database_is_whole_after_repair_of_any_page() {
     assert!(most * 10 > stored.len() * 8, "a page costs a few iterations: {stored:?}");
 }
 
-/// Pseudo-random bytes, the same for the same seed.
+/// Returns pseudo-random bytes, the same for the same seed.
 fn noise(seed: u64, bytes: usize) -> Vec<u8> {
     let mut state = seed;
     let next = |_| {
@@ -102,7 +102,7 @@ fn noise(seed: u64, bytes: usize) -> Vec<u8> {
     (0..bytes).map(next).collect()
 }
 
-/// Bytes of a row that are not those of another row may still be read as one, with another key.
+/// An overwritten row may still be readable, with another key.
 #[tokio::test]
 async fn trees_are_whole_after_repair_of_single_rows() {
     let mut bed = Bed::new().await;
@@ -123,11 +123,11 @@ async fn trees_are_whole_after_repair_of_single_rows() {
         let path = whole.with_file_name(format!("{seed}.sqlite"));
         std::fs::copy(&whole, &path).expect("copies");
         let page = pages[seed as usize % pages.len()];
-        // Somewhere in the second half of a page, where its rows are.
+        // A place in the second half of a page, where its rows are.
         let (at, bytes) = (2048 + (seed * 137) % 2000, 1 + (seed % 40) as usize);
         let file = std::fs::File::options().write(true).open(&path).expect("opens");
         file.write_all_at(&noise(seed, bytes), (page.cast_unsigned() - 1) * 4096 + at).expect("writes");
-        // Another value in the place of one is not seen, but a database that is repaired adds up.
+        // A changed value is not detected, but the sums of a repaired database agree.
         if repair(&path, NOW, "now", |_| {}).await.expect("repairs").is_none() {
             continue;
         }

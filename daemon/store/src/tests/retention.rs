@@ -1,4 +1,4 @@
-//! What is old goes in its time, a little at a time, and nothing else does. Age is time on the storage clock.
+//! Retention deletes old data at its time, a little at a time, and nothing else. Age is time on the storage clock.
 
 use peernet_clock::{MonoTime, Span, Stamp, WallTime};
 use peernet_logger::{RunId, stage};
@@ -17,14 +17,14 @@ use crate::storage_clock::StorageClock;
 use crate::types::IterationFilter;
 
 const DAY: f64 = 86_400.0;
-/// Time between two iterations: a bucket of each width for each of them, nearly.
+/// Seconds between two iterations: each of them has almost its own bucket of each width.
 const EVERY: f64 = 1_200.0;
-/// Iterations that arrive together.
+/// Number of iterations that arrive together.
 const TOGETHER: u64 = 3;
-/// Arrivals are told apart by the hour.
+/// Length of the parts by which arrivals are distinguished.
 const RESOLUTION_S: i64 = 3_600;
 
-/// Iterations of a run, one every [`EVERY`] seconds from a day on.
+/// Makes iterations of a run, one every [`EVERY`] seconds.
 pub(super) fn iterations(bed: &Bed, run: RunId, numbers: std::ops::RangeInclusive<u64>) -> Vec<Event> {
     let mut random = Numbers::new(*numbers.start());
     numbers
@@ -39,7 +39,7 @@ pub(super) fn day(days: f64) -> WallTime {
     generate::at(days * DAY)
 }
 
-/// Sets the storage clock of a database to a moment of the test.
+/// Sets the storage clock of a database to a time of the test.
 pub(super) async fn set_storage_clock(connection: &mut SqliteConnection, at: WallTime) {
     let elapsed = at - generate::at(0.0);
     sqlx::query("UPDATE storage_clock SET elapsed_ns = ?")
@@ -49,10 +49,10 @@ pub(super) async fn set_storage_clock(connection: &mut SqliteConnection, at: Wal
         .expect("sets");
 }
 
-/// One step at a moment of the storage clock. The aggregator's wall clock stands still.
+/// Makes one step at a time of the storage clock. The aggregator's wall clock stands still.
 pub(super) async fn step(retention: &mut Retention, connection: &mut SqliteConnection, at: WallTime) -> Step {
     set_storage_clock(connection, at).await;
-    // Nothing has passed since the storage clock was stored.
+    // No time has passed since the storage clock was stored.
     let mono = MonoTime::from_nanos((at - generate::at(0.0)).nanos());
     let mut clock = StorageClock::default();
     retention
@@ -61,13 +61,13 @@ pub(super) async fn step(retention: &mut Retention, connection: &mut SqliteConne
         .expect("steps")
 }
 
-/// Steps until there is nothing to do; returns how many did something.
+/// Steps until there is nothing to do; returns the number of steps that did something.
 pub(super) async fn work_off(
     retention: &mut Retention,
     connection: &mut SqliteConnection,
     now: WallTime,
 ) -> usize {
-    // Behind the second in which it is not looked again.
+    // After the second in which a step with nothing to do is not repeated.
     let now = now + Span::from_seconds(2);
     for steps in 0..10_000 {
         if step(retention, connection, now).await == Step::Done {
@@ -77,7 +77,7 @@ pub(super) async fn work_off(
     panic!("there is no end");
 }
 
-/// Stores events at a moment of the storage clock; what arrived an hour before is an arrival by itself by then.
+/// Stores events at a time of the storage clock. Events that arrived an hour earlier are a separate arrival by then.
 pub(super) async fn arrive(bed: &mut Bed, events: Vec<Event>, at: WallTime) {
     let mut connection = bed.other().await;
     work_off(&mut Retention::new(for_ever()), &mut connection, at).await;
@@ -85,7 +85,7 @@ pub(super) async fn arrive(bed: &mut Bed, events: Vec<Event>, at: WallTime) {
     bed.commit(&[work]).await;
 }
 
-/// Two runs alike of four days, the second one pinned, neither ended. What was measured arrives each hour.
+/// Stores two equal runs of four days, the second one pinned, neither ended. Measurements arrive each hour.
 pub(super) async fn two_runs() -> (Bed, [RunId; 2]) {
     let mut bed = Bed::new().await;
     let runs = [RunId::random(), RunId::random()];
@@ -125,7 +125,7 @@ pub(super) fn short() -> RetentionConfig {
 }
 
 #[tokio::test]
-async fn each_kind_goes_in_its_time_and_pinned_runs_stay() {
+async fn each_kind_is_deleted_after_its_period_except_pinned_runs() {
     let (bed, _) = two_runs().await;
     let mut connection = bed.other().await;
     let before = table(&mut connection).await;
@@ -144,7 +144,7 @@ async fn each_kind_goes_in_its_time_and_pinned_runs_stay() {
     let must_stay = |((run, width_s, bucket_s, ..), _): &(&(i64, i64, i64, i64, i64), &_)| {
         *run == 2 || *width_s == 0 || bucket_s + width_s > now_s - kept_s(*width_s)
     };
-    // It arrives at most an hour after it began, and goes with what arrived within the next hour.
+    // An iteration arrives at most an hour after it began, and is deleted with those that arrived within the next hour.
     let may_stay = |((_, width_s, bucket_s, ..), _): &(&(i64, i64, i64, i64, i64), &_)| {
         bucket_s + width_s + 2 * RESOLUTION_S + 60 > now_s - kept_s(*width_s)
     };
@@ -183,7 +183,7 @@ async fn each_kind_goes_in_its_time_and_pinned_runs_stay() {
     assert_eq!(bed.count("SELECT count(*) FROM trimmed WHERE run = 1").await, 4);
     assert_eq!(bed.count("SELECT count(*) FROM trimmed WHERE run = 2").await, 0);
 
-    // What is told of the run is what was told of it before, in wider points.
+    // The run's figures are the same as before, in wider points.
     assert_eq!(bed.store.statistics_of(1).await.expect("answers").stages, stages);
     let filter = IterationFilter::default();
     let listed = bed.store.iterations(1, &filter).await.expect("answers");
@@ -220,19 +220,19 @@ async fn deletions_are_one_incident_with_counts() {
     );
     let report = examine(&bed.path, Examination { full: false, now: NOW }).await.expect("opens");
     assert!(report.findings.iter().any(|it| it.what.contains(&incident.text)), "{:?}", report.findings);
-    // A day later it is another one.
+    // A day later another incident begins.
     work_off(&mut retention, &mut connection, day(5.0)).await;
     assert_eq!(bed.store.incidents(10, None).await.expect("answers").len(), 2);
 }
 
 #[tokio::test]
-async fn jump_of_a_robots_clock_deletes_nothing_early() {
+async fn jump_of_robot_clock_deletes_nothing_early() {
     for jump in [400.0, -400.0] {
         let mut bed = Bed::new().await;
         let run = RunId::random();
         let mut random = Numbers::new(5);
         arrive(&mut bed, vec![generate::run_started(run, "line", day(0.0))], day(0.0)).await;
-        // The robot's clock is wrong in the second of three days.
+        // The robot's clock is wrong on the second of three days.
         for hour in 0..72_u32 {
             let arrived = generate::at(f64::from(hour) * 3_600.0);
             let wrong = if (24..48).contains(&hour) { jump * DAY } else { 0.0 };
@@ -245,7 +245,7 @@ async fn jump_of_a_robots_clock_deletes_nothing_early() {
         let config = RetentionConfig { nodes_days: 3, seconds_days: 3, ten_seconds_days: 3, ..for_ever() };
         let mut retention = Retention::new(config);
         let stored = "SELECT count(DISTINCT bucket_s) FROM rollup WHERE resolution_s = 1";
-        // Each hour from the third day on, what arrived three days before goes, up to two hours late.
+        // From the third day on, data that arrived three days before is deleted each hour, up to two hours late.
         for hour in 72..150_i64 {
             work_off(&mut retention, &mut connection, generate::at(hour as f64 * 3_600.0)).await;
             let young = (72 - (hour - 72) - 1).clamp(0, 72);
@@ -260,7 +260,7 @@ async fn jump_of_a_robots_clock_deletes_nothing_early() {
 }
 
 #[tokio::test]
-async fn a_step_deletes_little_and_nothing_to_do_costs_no_writing() {
+async fn step_is_bounded_and_idle_step_writes_nothing() {
     let (bed, _) = two_runs().await;
     let mut connection = bed.other().await;
     let mut retention = Retention::new(short());
@@ -274,7 +274,7 @@ async fn a_step_deletes_little_and_nothing_to_do_costs_no_writing() {
         steps += 1;
     }
     assert!(steps > 40, "{steps}");
-    // It is told to each connection by itself, of what others wrote.
+    // SQLite reports to each connection whether others have written.
     let mut onlooker = bed.other().await;
     let mut version = async || -> i64 {
         sqlx::query_scalar("PRAGMA data_version").fetch_one(&mut onlooker).await.expect("tells")
@@ -291,10 +291,10 @@ async fn a_step_deletes_little_and_nothing_to_do_costs_no_writing() {
 }
 
 #[tokio::test]
-async fn what_arrives_late_is_kept_for_its_period_and_goes_then() {
+async fn late_arrivals_are_kept_for_their_period() {
     let mut bed = Bed::new().await;
     let run = RunId::random();
-    // Stored when it was older than any period.
+    // It was older than any period when it was stored.
     let mut events = vec![generate::run_started(run, "line", day(0.0))];
     events.extend(iterations(&bed, run, 1..=288));
     events.push(Event::RunEnded(RunEnded { run, ended: day(4.0), reason: EndReason::Stopped }));
@@ -312,7 +312,7 @@ async fn what_arrives_late_is_kept_for_its_period_and_goes_then() {
     );
     assert_eq!(bed.count("SELECT group_concat(kind) = '3600' FROM arrival WHERE owner = 1").await, 1);
 
-    // A batch of iterations from a time that is gone.
+    // A batch of iterations from a time that is already deleted.
     let events = iterations(&bed, run, 300..=310);
     arrive(&mut bed, events, day(104.0)).await;
     assert_eq!(bed.count("SELECT count(*) FROM node WHERE run = 1").await, 11 * 21);
@@ -325,7 +325,7 @@ async fn what_arrives_late_is_kept_for_its_period_and_goes_then() {
     let rebuilt = rebuild(&mut connection, Some(1), |_| {}).await.expect("rebuilds");
     assert_eq!(rebuilt.in_part, 1);
     assert_eq!(bed.store.statistics_of(1).await.expect("answers").stages, whole);
-    // Taken within the hour.
+    // The arrival is recorded within the hour.
     work_off(&mut retention, &mut connection, day(104.1)).await;
     work_off(&mut retention, &mut connection, day(108.0)).await;
     assert_eq!(bed.count("SELECT count(*) FROM node WHERE run = 1").await, 0);
@@ -333,7 +333,7 @@ async fn what_arrives_late_is_kept_for_its_period_and_goes_then() {
 }
 
 #[tokio::test]
-async fn statistics_made_anew_go_again_in_their_time() {
+async fn rebuilt_statistics_are_deleted_after_their_period() {
     let (bed, _) = two_runs().await;
     let mut connection = bed.other().await;
     let seconds = "SELECT count(*) FROM rollup WHERE run = 1 AND resolution_s = 1";
@@ -344,7 +344,7 @@ async fn statistics_made_anew_go_again_in_their_time() {
     assert!(left < before / 3, "{left} of {before}");
     rebuild(&mut connection, Some(1), |_| {}).await.expect("rebuilds");
     assert_eq!(bed.count(seconds).await, before);
-    // What arrived last is taken within the hour.
+    // The latest arrivals are recorded within the hour.
     work_off(&mut retention, &mut connection, day(4.05)).await;
     work_off(&mut retention, &mut connection, day(4.9)).await;
     assert!(bed.count(seconds).await >= before - left);
@@ -353,10 +353,10 @@ async fn statistics_made_anew_go_again_in_their_time() {
 }
 
 #[tokio::test]
-async fn a_run_that_is_let_go_has_its_whole_period_before_it() {
+async fn unpinned_run_is_kept_for_whole_period() {
     let (bed, _) = two_runs().await;
     let mut connection = bed.other().await;
-    // By hand, as with the sqlite3 shell.
+    // Pinned by hand, as with the sqlite3 shell.
     sqlx::query("UPDATE run SET pinned = 1 WHERE number = 1").execute(&mut connection).await.expect("pins");
     let mut retention = Retention::new(short());
     work_off(&mut retention, &mut connection, day(50.0)).await;
@@ -370,10 +370,10 @@ async fn a_run_that_is_let_go_has_its_whole_period_before_it() {
 }
 
 #[tokio::test]
-async fn samples_of_clocks_go_except_those_of_a_pinned_run() {
+async fn clock_samples_are_deleted_except_for_pinned_runs() {
     let (mut bed, [_, pinned]) = two_runs().await;
     let seconds = |from: f64| (0..50).map(move |n| (from * DAY) as i64 + n);
-    // The edge's clock says nothing of when they arrive.
+    // The edge's clock does not determine when they arrive.
     for (from, arrived) in [(-1.0, 4.1), (1.0, 4.2), (4.0, 4.3), (6.0, 4.4), (11.9, 11.9)] {
         let samples = seconds(from).map(|second| Event::Clock(Box::new(sample(bed.cloud, second, 40))));
         let events = samples.collect();
@@ -384,7 +384,7 @@ async fn samples_of_clocks_go_except_those_of_a_pinned_run() {
         assert_eq!(bed.count("SELECT count(*) FROM clock_sample").await, 5 * 50);
     }
     let mut connection = bed.other().await;
-    // One connection beside each clock sample.
+    // One connection for each clock sample.
     sqlx::query(
         "INSERT INTO connection_sample (link, at_ns, pipeline, sent_bytes, sent_messages, received_bytes, \
          received_messages, malformed_messages, late_messages, lost_messages) \
@@ -395,13 +395,13 @@ async fn samples_of_clocks_go_except_those_of_a_pinned_run() {
     .expect("stores");
     let config = RetentionConfig { clock_samples_days: 1, ..for_ever() };
     let mut retention = Retention::new(config);
-    // The pinned run may go on: of its edge, all stays from its begin on.
+    // The pinned run may continue: all samples of its edge stay from its begin on.
     work_off(&mut retention, &mut connection, day(12.0)).await;
     assert_eq!(bed.count("SELECT count(*) FROM clock_sample").await, 4 * 50);
     let ended = RunEnded { run: pinned, ended: day(4.0), reason: EndReason::Stopped };
     let work = bed.batch(vec![Event::RunEnded(ended)]);
     bed.commit(&[work]).await;
-    // What was kept for it is looked at again a period later.
+    // Samples that were kept for it are checked again a period later.
     work_off(&mut retention, &mut connection, day(13.2)).await;
     assert_eq!(bed.count("SELECT count(*) FROM clock_sample").await, 2 * 50);
     assert_eq!(bed.count("SELECT count(*) FROM connection_sample").await, 2 * 50);

@@ -1,4 +1,4 @@
-//! Above the limit of the file's size the oldest goes, of all runs in turns.
+//! Above the limit of the file's size the oldest data is deleted, of all runs in turns.
 
 use std::collections::BTreeMap;
 
@@ -19,7 +19,7 @@ fn limited(size_limit_bytes: u64) -> Retention {
 }
 
 #[tokio::test]
-async fn above_the_limit_the_oldest_goes_first_and_pinned_runs_stay() {
+async fn oldest_unpinned_rows_are_deleted_above_limit() {
     let (mut bed, [run, _]) = two_runs().await;
     let mut connection = bed.other().await;
     let full = bed.count(USED).await.unsigned_abs();
@@ -42,7 +42,7 @@ async fn above_the_limit_the_oldest_goes_first_and_pinned_runs_stay() {
     );
     assert_eq!(told.iter().map(|row| row.text.as_str()).collect::<Vec<_>>(), [expected.as_str()]);
 
-    // Nothing is small enough: what may go is gone, and that is the end of it.
+    // No size is small enough: everything that may be deleted is deleted, and then it stops.
     let mut retention = limited(1);
     work_off(&mut retention, &mut connection, day(4.1)).await;
     assert_eq!(bed.count("SELECT count(*) FROM node WHERE run = 1").await, 0);
@@ -52,7 +52,7 @@ async fn above_the_limit_the_oldest_goes_first_and_pinned_runs_stay() {
     );
     assert!(bed.count("SELECT count(*) FROM rollup WHERE run = 1 AND resolution_s = 3600").await > 90);
     assert_eq!(bed.count("SELECT count(*) FROM node WHERE run = 2").await, 288 * 21);
-    // The run goes on.
+    // The run continues.
     let events = iterations(&bed, run, 289..=290);
     let work = bed.batch(events);
     bed.commit(&[work]).await;
@@ -63,8 +63,8 @@ async fn above_the_limit_the_oldest_goes_first_and_pinned_runs_stay() {
     );
 }
 
-/// Runs that go on side by side: their names, the hours in which they are measured, and how many iterations an hour. All of an
-/// hour arrives at its end.
+/// Stores concurrent runs: their names, the hours in which they are measured, and the iterations per hour. All iterations of an
+/// hour arrive at its end.
 async fn side_by_side(bed: &mut Bed, runs: &[(&str, std::ops::Range<u32>, u32)], hours: u32) {
     let ids: Vec<RunId> = runs.iter().map(|_| RunId::random()).collect();
     let mut random = Numbers::new(7);
@@ -93,7 +93,7 @@ async fn side_by_side(bed: &mut Bed, runs: &[(&str, std::ops::Range<u32>, u32)],
     }
 }
 
-/// The oldest that is left of each run and kind that retention still looks at, and up to where it is gone, in seconds.
+/// Returns, for each kind, the oldest data of each run and the second before which it is deleted.
 async fn course(bed: &Bed) -> BTreeMap<i64, Vec<(Option<i64>, i64)>> {
     let rows: Vec<(i64, Option<i64>, i64)> = sqlx::query_as(
         "SELECT kind.column1, \
@@ -112,14 +112,14 @@ async fn course(bed: &Bed) -> BTreeMap<i64, Vec<(Option<i64>, i64)>> {
 }
 
 #[tokio::test]
-async fn runs_that_overlap_are_trimmed_in_turns() {
+async fn overlapping_runs_are_trimmed_in_turns() {
     let mut bed = Bed::new().await;
-    // One that goes on, two that ended meanwhile, and one that began late.
+    // One that continues, two that ended meanwhile, and one that began late.
     let runs = [("line", 0..20, 3), ("arm", 0..5, 4), ("belt", 5..15, 2), ("cell", 16..20, 2)];
     side_by_side(&mut bed, &runs, 20).await;
     let mut connection = bed.other().await;
     let mut retention = limited(1);
-    // What arrives within an hour goes together, and a bucket goes whole.
+    // Data that arrives within an hour is deleted together, and a bucket as a whole.
     let tolerance_s = |kind: i64| 2 * 3_600 + 60 + kind;
     let mut together = 0;
     while step(&mut retention, &mut connection, at(20.0 * 3_600.0)).await == Step::More {
@@ -139,7 +139,7 @@ async fn runs_that_overlap_are_trimmed_in_turns() {
 }
 
 #[tokio::test]
-async fn what_seems_to_come_from_the_future_goes_as_well() {
+async fn rows_from_future_are_deleted_too() {
     let mut bed = Bed::new().await;
     for name in ["line", "arm"] {
         let run = RunId::random();

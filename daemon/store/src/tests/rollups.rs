@@ -1,4 +1,4 @@
-//! Roll-ups that grow: whatever comes when and whatever is forgotten in between, the table holds what was added.
+//! Growing roll-ups: the table holds what was added, in any order and with any part of memory forgotten in between.
 
 use std::collections::BTreeMap;
 
@@ -12,7 +12,7 @@ use crate::rollups::{Quantity, Rollups, WHOLE_RUN, WIDTHS_S, bucket};
 /// Run, width, bucket, name, quantity.
 pub(super) type Key = (i64, i64, i64, i64, i64);
 
-/// The whole table.
+/// Reads the whole table.
 pub(super) async fn table(connection: &mut SqliteConnection) -> BTreeMap<Key, Summary> {
     type Row = (i64, i64, i64, i64, i64, i64, f64, f64, f64, f64, Vec<u8>);
     let rows: Vec<Row> = sqlx::query_as(
@@ -30,7 +30,7 @@ pub(super) async fn table(connection: &mut SqliteConnection) -> BTreeMap<Key, Su
         .collect()
 }
 
-/// Counts, extremes and bins exactly, moments to 1e-9.
+/// Asserts that counts, extremes and bins are equal, and moments equal within 1e-9.
 pub(super) fn assert_same(a: &BTreeMap<Key, Summary>, b: &BTreeMap<Key, Summary>) {
     assert_eq!(a.keys().collect::<Vec<_>>(), b.keys().collect::<Vec<_>>());
     for ((key, a), b) in a.iter().zip(b.values()) {
@@ -38,7 +38,7 @@ pub(super) fn assert_same(a: &BTreeMap<Key, Summary>, b: &BTreeMap<Key, Summary>
         let (a, b) = (a.moments, b.moments);
         assert_eq!((a.count, a.min, a.max), (b.count, b.min, b.max), "{key:?}");
         assert!((a.mean - b.mean).abs() <= 1e-9 * a.mean.abs().max(b.mean.abs()), "{key:?} {a:?} {b:?}");
-        // Beside the numbers' own size: those of a bucket may all be the same.
+        // Relative to the size of the numbers: those of a bucket may all be equal.
         let size = a.m2.max(b.m2).max(a.count as f64 * a.max.abs().max(a.min.abs()).powi(2) * 1e-6);
         assert!((a.m2 - b.m2).abs() <= 1e-9 * size, "{key:?} {a:?} {b:?}");
     }
@@ -50,7 +50,7 @@ type Number = (i64, i64, i64, f64, bool);
 #[derive(Clone, Debug)]
 enum Turn {
     Commit(Vec<Number>),
-    /// A transaction that does not end well.
+    /// A transaction that is rolled back.
     Abort(Vec<Number>),
     Restart,
     /// Memory is short.
@@ -58,7 +58,7 @@ enum Turn {
 }
 
 fn number() -> impl Strategy<Value = Number> {
-    // Mostly about now, sometimes late by hours, sometimes before 1970.
+    // Mostly close to the present, sometimes hours late, sometimes before 1970.
     let second = prop_oneof![5 => 7_195_i64..7_205, 2 => 0_i64..9_000, 1 => -70_i64..70];
     (1_i64..4, 1_i64..4, second, -1.0..10.0_f64, any::<bool>())
 }
@@ -136,14 +136,14 @@ proptest! {
     #![proptest_config(ProptestConfig::with_cases(48))]
 
     #[test]
-    fn the_table_holds_what_was_added(turns in prop::collection::vec(turn(), 1..25)) {
+    fn table_holds_added_values(turns in prop::collection::vec(turn(), 1..25)) {
         let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().expect("a runtime");
         runtime.block_on(play(turns));
     }
 }
 
 #[tokio::test]
-async fn memory_is_bounded_by_the_newest_buckets_of_each_run() {
+async fn memory_is_bounded_by_newest_buckets_of_each_run() {
     let folder = tempfile::tempdir().expect("a folder");
     let mut connection = database::open(&folder.path().join("peernet.sqlite")).await.expect("opens");
     let mut rollups = Rollups::default();
@@ -166,7 +166,7 @@ async fn memory_is_bounded_by_the_newest_buckets_of_each_run() {
     assert_eq!(rollups.bytes(), 0);
 }
 
-/// Tables that grow without end.
+/// Tables that grow without a limit.
 const LARGE: [&str; 12] = [
     "node",
     "iteration",
@@ -183,7 +183,7 @@ const LARGE: [&str; 12] = [
 ];
 
 #[tokio::test]
-async fn what_is_read_and_deleted_is_found_by_a_key() {
+async fn rollup_and_retention_queries_use_keys() {
     let folder = tempfile::tempdir().expect("a folder");
     let mut connection = database::open(&folder.path().join("peernet.sqlite")).await.expect("opens");
     let questions = crate::rollups::QUESTIONS
@@ -198,7 +198,7 @@ async fn what_is_read_and_deleted_is_found_by_a_key() {
             .unwrap_or_else(|error| panic!("{name}: {error}"));
         for (_, _, _, step) in &steps {
             let scans = LARGE.iter().any(|table| step.starts_with(&format!("SCAN {table}")));
-            // The few that are pinned are an index of their own, and so are the aggregator's few incidents.
+            // The few pinned runs have their own index, and so have the aggregator's few incidents.
             let few = step.contains("INDEX run_pinned") || step.contains("INDEX incident_of_aggregator");
             assert!(!scans || few, "{name}: {step}");
             let sorts = step.contains("TEMP B-TREE");

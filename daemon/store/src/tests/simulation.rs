@@ -1,8 +1,8 @@
-//! An edge and a cloud with clocks of their own, a network between them, and the relation that a real agent would keep:
-//! what is stored was judged by the same code that judges it again.
+//! Simulation of an edge and a cloud with their clocks, of a network between them, and of the relation that a real agent would
+//! keep: the delays were judged by the same code that judges them again.
 
 use peernet_clock::{
-    Discipline, Exchange, ExchangeObservation, Interval, Judged, Learned, OneWayDelay, RawTime,
+    Discipline, Exchange, ExchangeObservation, Interval, JudgedExchange, LearnResult, OneWayDelay, RawTime,
     RelatedClocks, Relation, RelationSettings, Span, WallTime,
 };
 use peernet_logger::{HostId, Measure, RawStamps, RunId, Transit};
@@ -11,41 +11,41 @@ use peernet_stream::{ClockSample, EstimateBasis, Event, Iteration, NetworkName, 
 use super::clocks::micros;
 use super::generate::{self, Numbers};
 
-/// Delays of data: the truth, give or take [`JITTER`].
+/// Delays of data, plus up to [`JITTER`].
 const UP: Span = Span::from_millis(4);
 const DOWN: Span = Span::from_micros(600);
 const JITTER: Span = Span::from_micros(100);
 
-/// Both hosts and their relation, as time goes on.
+/// Both hosts and their relation over time.
 pub(super) struct Simulation {
     hosts: (HostId, HostId),
     clocks: RelatedClocks,
-    /// The true time at which the free-running clock of the edge, and that of the cloud, showed zero.
+    /// True times at which the free-running clocks of the edge and of the cloud showed zero.
     pub(super) raw_zeros: (Span, Span),
     numbers: Numbers,
     relation: Relation,
-    /// True time since [`generate::at`]'s zero.
+    /// True time since the zero of [`generate::at`].
     pub(super) now: Span,
     /// The cloud's wall clock minus true time, without its drift of 20 ppm, and the edge's.
     pub(super) cloud_ahead: Span,
     pub(super) edge_ahead: Span,
     epochs: (u32, u32),
-    /// One way of a probe takes so long on top of 50 µs.
+    /// Time that one way of a probe takes in addition to 50 µs.
     pub(super) congestion: Span,
-    /// Samples name one window, as those of agents that suspected no jumps.
+    /// `true` if all samples name one window, like those of agents that did not detect jumps.
     pub(super) is_one_window: bool,
-    /// Happens in the middle of a second.
+    /// Change in the middle of a second.
     pub(super) halfway: Option<fn(&mut Self)>,
     best: (Option<Exchange>, Option<Exchange>),
     /// Number of the first window.
     pub(super) first_window: u64,
     window: u64,
-    /// The delays of each iteration as they really were: up, down.
+    /// True delays of each iteration: up, down.
     pub(super) truths: Vec<(Span, Span)>,
 }
 
 impl Simulation {
-    /// Both hosts, related by these clocks.
+    /// Makes both hosts, related by these clocks.
     pub(super) fn new(hosts: (HostId, HostId), clocks: RelatedClocks) -> Self {
         let settings = RelationSettings {
             clocks,
@@ -73,25 +73,25 @@ impl Simulation {
         }
     }
 
-    /// The cloud's clock is set, and the cloud says so.
+    /// Sets the cloud's clock; the cloud reports it.
     pub(super) fn step_cloud(&mut self, by: Span) {
         self.cloud_ahead += by;
         self.epochs.1 += 1;
     }
 
-    /// The edge's clock is set, and the edge notices.
+    /// Sets the edge's clock; the edge notices it.
     pub(super) fn step_edge(&mut self, by: Span) {
         self.edge_ahead += by;
         self.epochs.0 += 1;
     }
 
-    /// Both hosts' time daemons speak: together they claim this of the offset.
+    /// Sets the claim of both hosts' time daemons about the offset.
     pub(super) fn claim(&mut self, claim: Option<Discipline>) {
         let exact = claim.map(|claim| Discipline { error: Interval::exactly(Span::ZERO), ..claim });
         self.relation.set_disciplines(exact, claim);
     }
 
-    /// A second with ten probes, ten iterations of `run` if there is one, and the sample at its end.
+    /// Simulates a second with ten probes and, if there is a run, ten iterations. Returns them with the sample at its end.
     pub(super) fn second(&mut self, run: Option<RunId>) -> (Vec<Iteration>, Event) {
         let mut iterations = Vec::new();
         for turn in 0..10 {
@@ -115,7 +115,7 @@ impl Simulation {
         let Passage { stamps, wall, delays } = self.exchange((UP, DOWN), Span::from_millis(10));
         self.truths.push(delays);
         let number = self.truths.len() as u64;
-        let Judged { learned, up, down } = self.relation.judge(&self.observation(stamps));
+        let JudgedExchange { learned, up, down } = self.relation.judge(&self.observation(stamps));
         self.note(stamps, learned);
         let mut random = Numbers::new(number);
         let mut iteration = generate::iteration_at(run, number, self.hosts, started, &mut random);
@@ -137,7 +137,7 @@ impl Simulation {
         iteration
     }
 
-    /// A message and its answer, with so much delay and some jitter each, and what that came to.
+    /// Simulates a message and its answer with these delays plus jitter. Returns the stamps and the true delays.
     fn exchange(&mut self, (up, down): (Span, Span), at_cloud: Span) -> Passage {
         let base = Span::from_micros(50);
         let mut jitter = |of: Span| of + Span::from_nanos(self.numbers.between(0, JITTER.nanos()));
@@ -159,7 +159,7 @@ impl Simulation {
         ExchangeObservation { exchange, cloud_elapsed: None, edge_epoch, cloud_epoch: Some(cloud_epoch) }
     }
 
-    /// What the edge's clock of the two that are related shows.
+    /// Returns the reading of the edge's related clock.
     fn edge_stamp(&self, truth: Span) -> RawTime {
         match self.clocks {
             RelatedClocks::Wall => RawTime::of_wall(self.edge(truth)),
@@ -169,7 +169,7 @@ impl Simulation {
         }
     }
 
-    /// What the cloud's shows. Its free-running clock drifts as its wall clock does.
+    /// Returns the reading of the cloud's related clock. Its free-running clock drifts as its wall clock does.
     fn cloud_stamp(&self, truth: Span) -> RawTime {
         match self.clocks {
             RelatedClocks::Wall | RelatedClocks::RawToWall => RawTime::of_wall(self.cloud(truth)),
@@ -187,13 +187,13 @@ impl Simulation {
         generate::at(0.0) + truth + self.cloud_ahead + Span::from_nanos(truth.nanos() / 50_000)
     }
 
-    fn note(&mut self, exchange: Exchange, learned: Learned) {
+    fn note(&mut self, exchange: Exchange, learned: LearnResult) {
         let restarts = if self.is_one_window { 0 } else { self.relation.counts().restarts };
         let window = self.first_window + u64::from(restarts);
         if window != self.window {
             (self.window, self.best) = (window, (None, None));
         }
-        if let Learned::Refused(_) = learned {
+        if let LearnResult::Refused(_) = learned {
             return;
         }
         let (upper, lower) = &mut self.best;
@@ -232,12 +232,12 @@ impl Simulation {
             up: None,
             down: None,
             network: NetworkName::default(),
-            // As a release before 0.3 sends it.
+            // A release before 0.3 sends none.
             basis: (self.clocks != RelatedClocks::Wall).then_some(basis),
         }))
     }
 
-    /// A claim around the true offset of now, that far to each side.
+    /// Returns a claim around the present true offset.
     pub(super) fn offset_within(&self, micros_around: i64) -> Interval {
         let offset = self.cloud_stamp(self.now) - self.edge_stamp(self.now);
         let around = micros(-micros_around, micros_around);
@@ -248,13 +248,13 @@ impl Simulation {
 /// A message and its answer.
 struct Passage {
     stamps: Exchange,
-    /// The four moments by the wall clocks: left, arrived, answered, back.
+    /// Times by the wall clocks: left, arrived, answered, back.
     wall: [WallTime; 4],
-    /// The true delays: up, down.
+    /// True delays: up, down.
     delays: (Span, Span),
 }
 
-/// The delays of an iteration as it was judged.
+/// Returns the judged delays of an iteration.
 pub(super) fn delays(iteration: &Iteration) -> [OneWayDelay; 2] {
     ["upload", "download"].map(|stage| {
         let (_, node) = iteration.tree.find(&[stage]).expect("measured");

@@ -1,4 +1,4 @@
-//! Starts that were skipped count whatever became of the iterations that tell of them.
+//! Counting of skipped starts, whatever the outcome of the iterations that report them.
 
 use peernet_clock::Span;
 use peernet_logger::{Measure, NodeId, RunId, Unit};
@@ -7,12 +7,12 @@ use peernet_stream::{Event, Iteration, Outcome};
 use super::{Bed, NOW, generate};
 use crate::rebuild::rebuild;
 
-/// Starts that were skipped in [`Bed::run_that_skips`].
+/// Number of starts that were skipped in [`Bed::run_that_skips`].
 pub(super) const SKIPPED: u64 = 3 + 4 + 5 + 6;
 
 impl Bed {
-    /// An iteration before which so many starts were skipped.
-    fn late(&self, run: RunId, number: u64, skipped: f64) -> Iteration {
+    /// Makes an iteration before which `skipped` starts were skipped.
+    fn late_iteration(&self, run: RunId, number: u64, skipped: f64) -> Iteration {
         let mut iteration =
             generate::iteration(run, number, self.hosts(), &mut generate::Numbers::new(number));
         let measure = Measure::Value(skipped, Unit::NONE);
@@ -23,14 +23,14 @@ impl Bed {
     /// Stores a run with skipped starts before the warm-up and before iterations of every outcome, in two commits.
     pub(super) async fn run_that_skips(&mut self) -> RunId {
         let run = RunId::random();
-        let mut warm_up = self.late(run, 1, 100.0);
+        let mut warm_up = self.late_iteration(run, 1, 100.0);
         warm_up.warm_up = true;
-        let mut late_warm_up = self.late(run, 2, 50.0);
+        let mut late_warm_up = self.late_iteration(run, 2, 50.0);
         (late_warm_up.warm_up, late_warm_up.outcome) = (true, Outcome::Timeout);
         let ends =
             [Outcome::Ok, Outcome::Timeout, Outcome::Failed("no".into()), Outcome::Lost("gone".into())];
         let rest = (3..).zip(ends).map(|(number, outcome)| {
-            Event::Iteration(Iteration { outcome, ..self.late(run, number, number as f64) })
+            Event::Iteration(Iteration { outcome, ..self.late_iteration(run, number, number as f64) })
         });
         let rest: Vec<Event> = rest.collect();
         let first = [warm_up, late_warm_up].map(Event::Iteration);
@@ -50,7 +50,7 @@ impl Bed {
 }
 
 #[tokio::test]
-async fn starts_that_were_skipped_before_iterations_without_an_answer_count() {
+async fn skipped_starts_before_unanswered_iterations_count() {
     let mut bed = Bed::new().await;
     bed.run_that_skips().await;
     bed.run_of(5).await;
@@ -58,7 +58,7 @@ async fn starts_that_were_skipped_before_iterations_without_an_answer_count() {
 }
 
 #[tokio::test]
-async fn a_rebuild_counts_skipped_starts_again() {
+async fn rebuild_counts_skipped_starts_again() {
     let mut bed = Bed::new().await;
     bed.run_that_skips().await;
     bed.run_of(5).await;
@@ -67,7 +67,7 @@ async fn a_rebuild_counts_skipped_starts_again() {
     rebuild(&mut connection, None, |_| {}).await.expect("rebuilds");
     assert_eq!(bed.skipped_starts().await, [SKIPPED, 0]);
 
-    // Of a part of the iterations nobody can count them.
+    // If a part of the iterations is deleted, they cannot be counted again.
     sqlx::query("INSERT INTO trimmed (run, kind, before_s) VALUES (1, 0, 9000000000)")
         .execute(&mut connection)
         .await
@@ -78,12 +78,12 @@ async fn a_rebuild_counts_skipped_starts_again() {
 }
 
 #[tokio::test]
-async fn numbers_that_are_no_counts_hold_nothing_up() {
+async fn invalid_counts_of_skipped_starts_block_nothing() {
     let mut bed = Bed::new().await;
     let run = RunId::random();
     let odd = [f64::MAX, f64::MAX, f64::INFINITY, -5.0, f64::NAN, 2.0];
     for (number, skipped) in (1..).zip(odd) {
-        let iteration = Event::Iteration(bed.late(run, number, skipped));
+        let iteration = Event::Iteration(bed.late_iteration(run, number, skipped));
         let work = bed.batch(vec![iteration]);
         let committed = bed.commit(&[work]).await;
         assert!(committed.quarantined.is_empty(), "{skipped}: {:?}", committed.quarantined);

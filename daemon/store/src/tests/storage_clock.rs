@@ -11,7 +11,7 @@ use crate::{IncidentRow, RetentionConfig};
 
 const ELAPSED_S: &str = "SELECT elapsed_ns / 1000000000 FROM storage_clock";
 
-/// So long after the test began.
+/// Returns the clocks' readings some seconds after the begin of the test.
 fn after(seconds: i64) -> Stamp {
     STAMP + Span::from_seconds(seconds)
 }
@@ -29,20 +29,20 @@ async fn storage_clock_ignores_wall_clock_and_pauses() {
     }
     let elapsed = bed.count(ELAPSED_S).await;
     assert!((70..=100).contains(&elapsed), "{elapsed}");
-    // A transaction stores it as well.
+    // Other transactions store it as well.
     let work = [hello(generate::host(bed.edge, "edge"), 1)];
     bed.writer.commit(&work, after(100)).await.expect("commits");
     assert_eq!(bed.count(ELAPSED_S).await, 100);
-    // The wall clock alone moves.
+    // Only the wall clock moves.
     let month = Span::from_seconds(30 * 86_400);
     for wall in [after(101).wall + month, after(101).wall - month] {
         bed.writer.keep_clocks(Stamp { wall, ..after(101) }, &mut pending).await.expect("stores");
     }
     assert_eq!(bed.count(ELAPSED_S).await, 101);
-    // Nobody was storing for a day.
+    // The aggregator did not store for a day.
     bed.writer.keep_clocks(after(86_400), &mut pending).await.expect("stores");
     assert_eq!(bed.count(ELAPSED_S).await, 161);
-    // Another process, on a machine that booted later: it goes on from there, with its first transaction.
+    // Another process, on a machine that booted later: the clock continues with its first transaction.
     bed.writer = open(&bed.path).await;
     for seconds in [0, 40] {
         bed.writer.keep_clocks(after(seconds), &mut pending).await.expect("stores");
@@ -64,24 +64,24 @@ async fn step_of_wall_clock_is_an_incident_of_the_aggregator() {
         .keep_clocks(Stamp { wall: NOW + Span::from_seconds(3_600), ..after(3) }, &mut pending)
         .await
         .expect("stores");
-    let told = incidents(&bed).await;
-    let [step] = &told[..] else { panic!("{told:?}") };
+    let stored = incidents(&bed).await;
+    let [step] = &stored[..] else { panic!("{stored:?}") };
     assert_eq!((step.kind.as_str(), step.host, step.host_name.clone()), ("clock-step", None, None));
     assert!(step.text.contains("set forward by 3588.0 s"), "{}", step.text);
 
-    // It starts again after the clock was set back.
+    // The aggregator starts again after the clock was set back.
     let connection = database::open(&bed.path).await.expect("opens");
     let config = RetentionConfig::default();
     bed.writer = Writer::new(bed.path.clone(), connection, config).await.expect("reads");
     let mut pending = PendingIncidents::new(STAMP);
     bed.writer.keep_clocks(STAMP, &mut pending).await.expect("stores");
-    let told = incidents(&bed).await;
-    assert_eq!(told.len(), 2);
-    assert!(told.iter().any(|step| step.text.contains("3600.0 s less")), "{told:?}");
+    let stored = incidents(&bed).await;
+    assert_eq!(stored.len(), 2);
+    assert!(stored.iter().any(|step| step.text.contains("3600.0 s less")), "{stored:?}");
 }
 
 #[tokio::test]
-async fn incident_waits_until_the_database_can_be_written() {
+async fn incident_waits_until_database_is_writable() {
     let mut bed = Bed::new().await;
     let mut pending = PendingIncidents::new(STAMP);
     let mut other = bed.other().await;
@@ -91,15 +91,15 @@ async fn incident_waits_until_the_database_can_be_written() {
     other.close().await.expect("unlocks");
     bed.writer.keep_clocks(after(2), &mut pending).await.expect("stores");
     bed.writer.keep_clocks(after(3), &mut pending).await.expect("stores");
-    let told = incidents(&bed).await;
+    let stored = incidents(&bed).await;
     assert_eq!(
-        told.iter().map(|row| (row.kind.as_str(), row.text.as_str())).collect::<Vec<_>>(),
+        stored.iter().map(|row| (row.kind.as_str(), row.text.as_str())).collect::<Vec<_>>(),
         [("storage", "it refused")]
     );
 }
 
 #[tokio::test]
-async fn newest_ten_thousand_incidents_of_the_aggregator_stay() {
+async fn newest_ten_thousand_aggregator_incidents_stay() {
     let mut bed = Bed::new().await;
     let mut pending = PendingIncidents::new(STAMP);
     let mut other = bed.other().await;
@@ -118,9 +118,9 @@ async fn newest_ten_thousand_incidents_of_the_aggregator_stay() {
     assert_eq!(incidents(&bed).await[0].text, "new");
 }
 
-/// Seconds that really pass, one look each minute: from the first commit to the deletion by an aggregator's writer.
+/// Simulates real time, with one check each minute, from the first commit to the deletion by an aggregator's writer.
 #[tokio::test]
-async fn data_goes_after_its_period_of_running_time() {
+async fn data_is_deleted_after_its_period_of_running_time() {
     let mut bed = Bed::new().await;
     let mut pending = PendingIncidents::new(STAMP);
     let config = RetentionConfig { nodes_days: 1, seconds_days: 1, ..RetentionConfig::default() };
@@ -138,13 +138,13 @@ async fn data_goes_after_its_period_of_running_time() {
     look(&mut bed, 1..24 * 60).await;
     assert_eq!(bed.count("SELECT count(*) FROM iteration").await, 50);
     let seconds = bed.count("SELECT count(*) FROM rollup WHERE resolution_s = 1").await;
-    // What arrives within a sixty-fourth of the period goes together.
+    // Data that arrives within a sixty-fourth of the period is deleted together.
     look(&mut bed, 24 * 60..24 * 60 + 26).await;
     assert_eq!(bed.count("SELECT count(*) FROM iteration").await, 0);
     assert_eq!(bed.count("SELECT count(*) FROM rollup WHERE resolution_s = 1").await, 0);
-    let told = bed.store.incidents(1_000, None).await.expect("answers");
+    let stored = bed.store.incidents(1_000, None).await.expect("answers");
     let deleted: Vec<&str> =
-        told.iter().filter(|row| row.kind == "retention").map(|row| row.text.as_str()).collect();
+        stored.iter().filter(|row| row.kind == "retention").map(|row| row.text.as_str()).collect();
     let expected = format!(
         "deleted 50 iterations with their trees of 1 run (nodes_days = 1), {seconds} statistics per second of 1 run \
          (seconds_days = 1)"

@@ -1,4 +1,4 @@
-//! Several runs taken together are what all their iterations are.
+//! Statistics of several runs taken together are those of all their iterations.
 
 use peernet_clock::Span;
 use peernet_logger::{Measure, NodeId, RunId, Unit, stage};
@@ -7,7 +7,7 @@ use peernet_stream::Event;
 use super::{Bed, NOW, generate};
 use crate::types::RunStatistics;
 
-/// Stores a run of these readings, each in an iteration of its own.
+/// Stores a run with one iteration for each reading.
 async fn store(bed: &mut Bed, readings: &[f64]) {
     let (run, mut numbers) = (RunId::random(), generate::Numbers::new(11));
     let mut events = vec![generate::run_started(run, "line", NOW)];
@@ -25,9 +25,9 @@ async fn store(bed: &mut Bed, readings: &[f64]) {
 }
 
 #[tokio::test]
-async fn quantiles_of_several_runs_are_within_one_percent_of_those_of_all_samples() {
+async fn merged_quantiles_are_within_one_percent() {
     let mut bed = Bed::new().await;
-    // Three ranges, of which two overlap: no weighing of the runs' own quantiles comes near the true ones.
+    // Three ranges, of which two overlap: an average of the runs' own quantiles is far from the true ones.
     let mut numbers = generate::Numbers::new(5);
     let mut readings = |count: usize, lo: i64, hi: i64| {
         (0..count).map(|_| numbers.between(lo, hi) as f64 / 1e3).collect::<Vec<f64>>()
@@ -62,7 +62,7 @@ async fn quantiles_of_several_runs_are_within_one_percent_of_those_of_all_sample
     let kept = together.kept.known("range").expect("kept");
     assert_eq!((kept.count(), kept.moments.max), (390, all[389]));
 
-    // Bounds of delays are added up as well.
+    // Bounds of delays are merged as well.
     let bound = together.kept.bound(&stage::UPLOAD).expect("judged");
     let each: Vec<_> = statistics.iter().filter_map(|run| run.kept.bound(&stage::UPLOAD)).collect();
     assert_eq!(bound.verdicts[0].1, each.iter().map(|bound| bound.verdicts[0].1).sum::<u64>());

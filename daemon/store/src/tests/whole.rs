@@ -1,4 +1,4 @@
-//! Iterations are read back as they were sent.
+//! Reading of iterations as they were sent.
 
 use peernet_clock::Span;
 use peernet_logger::{HostId, Measure, NodeId, RunId};
@@ -11,7 +11,7 @@ async fn run(bed: &Bed) -> RunSummary {
     bed.store.run(1).await.expect("answers").expect("exists").summary
 }
 
-/// Stores a run of so many, then one that was lost and one with a part more; returns them all.
+/// Stores a run of `iterations` iterations, then a lost one and one with an additional node; returns them all.
 async fn stored(bed: &mut Bed, iterations: u64) -> Vec<Iteration> {
     let run = bed.run_of(iterations).await;
     let mut numbers = generate::Numbers::new(7);
@@ -29,7 +29,7 @@ async fn stored(bed: &mut Bed, iterations: u64) -> Vec<Iteration> {
 }
 
 #[tokio::test]
-async fn whole_iterations_are_what_was_sent() {
+async fn whole_iterations_are_read_as_sent() {
     let mut bed = Bed::new().await;
     let sent = stored(&mut bed, 450).await;
     let (run, mut read, mut after, mut pages) = (run(&bed).await, Vec::new(), 0, 0);
@@ -42,7 +42,7 @@ async fn whole_iterations_are_what_was_sent() {
 }
 
 #[tokio::test]
-async fn each_shape_of_a_tree_is_found_once_on_a_page() {
+async fn each_tree_shape_is_found_once_per_page() {
     let mut bed = Bed::new().await;
     let sent = stored(&mut bed, 40).await;
     let run = run(&bed).await;
@@ -52,9 +52,9 @@ async fn each_shape_of_a_tree_is_found_once_on_a_page() {
     assert_eq!(bed.store.whole(&run, 43).await.expect("answers"), None);
 }
 
-/// A published server reports to no aggregator: it is known by what the edge calls it.
+/// A published server reports to no aggregator: it has the name that the edge gives it.
 #[tokio::test]
-async fn a_server_that_never_reported_has_the_name_of_the_run() {
+async fn silent_server_has_name_given_by_run() {
     let mut bed = Bed::new().await;
     let (run, silent) = (RunId::random(), HostId::random());
     let mut numbers = generate::Numbers::new(5);

@@ -1,8 +1,9 @@
-//! What the writer promises: each batch exactly once, a bad one aside, nothing half done.
+//! Promises of the writer: each batch is stored exactly once, an invalid one is quarantined, and nothing is half stored.
 
 use peernet_logger::{HostId, RunId};
 use peernet_stream::{
-    Chain, Event, Gap, Hello, Iteration, Known, Lacking, Mark, Missing, STREAM_VERSIONS, StreamId,
+    Chain, Event, Gap, Hello, Iteration, LackingBatches, Mark, MissingBatches, STREAM_VERSIONS, StreamId,
+    StreamRecord,
 };
 
 use super::rollups::{assert_same, table};
@@ -16,12 +17,12 @@ fn iterations(bed: &Bed, run: RunId, numbers: std::ops::RangeInclusive<u64>) -> 
     numbers.map(|n| Event::Iteration(generate::iteration(run, n, bed.hosts(), &mut random))).collect()
 }
 
-/// How many iterations are in the statistics of whole runs.
+/// Number of iterations in the statistics of whole runs.
 const TOTALS: &str = "SELECT count FROM rollup JOIN name ON name.id = rollup.name \
      WHERE resolution_s = 0 AND quantity = 0 AND text = 'total'";
 
 #[tokio::test]
-async fn a_batch_that_comes_again_is_stored_once() {
+async fn repeated_batch_is_stored_once() {
     let mut bed = Bed::new().await;
     let run = RunId::random();
     let mut events = vec![generate::run_started(run, "line", NOW)];
@@ -48,7 +49,7 @@ async fn a_batch_that_comes_again_is_stored_once() {
 }
 
 #[tokio::test]
-async fn rollups_grow_over_commits_and_restarts_as_over_one() {
+async fn rollups_do_not_depend_on_commits_and_restarts() {
     let mut bed = Bed::new().await;
     let run = RunId::random();
     let started = generate::run_started(run, "line", NOW);
@@ -88,7 +89,7 @@ async fn rollups_grow_over_commits_and_restarts_as_over_one() {
 }
 
 #[tokio::test]
-async fn a_bad_batch_is_put_aside_and_the_others_are_stored() {
+async fn bad_batch_is_quarantined_and_others_are_stored() {
     let mut bed = Bed::new().await;
     let run = RunId::random();
     let good = vec![generate::run_started(run, "line", NOW)];
@@ -104,8 +105,8 @@ async fn a_bad_batch_is_put_aside_and_the_others_are_stored() {
         .collect();
     let committed = bed.commit(&work).await;
     assert_eq!(committed.marks[&bed.stream].stored, 5);
-    let aside: Vec<u64> = committed.quarantined.iter().map(|(head, _)| head.number).collect();
-    assert_eq!(aside, [3, 4]);
+    let quarantined: Vec<u64> = committed.quarantined.iter().map(|(head, _)| head.number).collect();
+    assert_eq!(quarantined, [3, 4]);
     assert_eq!(bed.count("SELECT count(*) FROM iteration").await, 7);
     assert_eq!(bed.count("SELECT count(*) FROM node").await, 7 * 21);
     assert_eq!(bed.count("SELECT ok FROM run").await, 7);
@@ -118,11 +119,11 @@ async fn a_bad_batch_is_put_aside_and_the_others_are_stored() {
 }
 
 #[tokio::test]
-async fn iterations_that_come_again_in_another_stream_are_left_out() {
+async fn iterations_repeated_in_another_stream_are_left_out() {
     let mut bed = Bed::new().await;
     let run = bed.run_of(20).await;
     let stranger = RunId::random();
-    // A copy of the spool goes on by itself: half of what it sends is known, some of it of a run that is not.
+    // A copy of the spool is in use as well: half of the iterations that it sends are stored, some belong to an unknown run.
     bed.stream = StreamId::random();
     let mut events = vec![generate::run_started(run, "line", generate::at(0.0))];
     events.extend(iterations(&bed, run, 11..=30));
@@ -154,7 +155,7 @@ async fn iterations_that_come_again_in_another_stream_are_left_out() {
 }
 
 #[tokio::test]
-async fn nothing_is_acknowledged_without_the_log() {
+async fn commit_without_log_is_not_acknowledged() {
     let mut bed = Bed::new().await;
     bed.run_of(3).await;
     let work = [bed.batch(vec![generate::run_started(RunId::random(), "line", NOW)])];
@@ -163,26 +164,26 @@ async fn nothing_is_acknowledged_without_the_log() {
     for _ in 0..2 {
         let refused = bed.writer.commit(&work, STAMP).await.expect_err("gone").to_string();
         assert!(refused.contains("sqlite-wal of the database was deleted"), "{refused}");
-        // As another program would that opens the database.
+        // Another program that opens the database would create it.
         std::fs::write(&log, "").expect("writes");
     }
     assert!(bed.writer.check_file().is_err());
-    // A restart goes on with what is in the main file.
+    // After a restart, the contents of the main file count.
     let Bed { _folder, path, writer, store, stream, .. } = bed;
     store.close().await;
     writer.close().await.1.expect("closes");
     let mut writer = open(&path).await;
-    // SQLite has carried over what it still had open; what was refused is not stored.
+    // SQLite has carried over the log that it had open; what was refused is not stored.
     assert_eq!(writer.streams().marks.get(&stream).map(|mark| mark.stored), Some(1));
     assert_eq!(writer.commit(&work, STAMP).await.expect("commits").marks[&stream].stored, 2);
 }
 
 #[tokio::test]
-async fn an_unreadable_batch_is_kept_as_it_came_and_left_behind() {
+async fn unreadable_batch_is_quarantined_unchanged() {
     let mut bed = Bed::new().await;
     let head = bed.head(1, &[], 0);
-    let aside = Aside { head, frame: vec![0x81, 0xa5].into(), body: None, reason: "cut off".into() };
-    let unreadable = Work::Aside(Box::new(aside));
+    let batch = Aside { head, frame: vec![0x81, 0xa5].into(), body: None, reason: "cut off".into() };
+    let unreadable = Work::Aside(Box::new(batch));
     let after = bed.batch_numbered(2, vec![generate::run_started(RunId::random(), "line", NOW)]);
     let committed = bed.commit(&[unreadable, after]).await;
     assert_eq!(committed.marks[&bed.stream].stored, 2);
@@ -194,7 +195,7 @@ async fn an_unreadable_batch_is_kept_as_it_came_and_left_behind() {
 }
 
 #[tokio::test]
-async fn iterations_of_a_run_whose_beginning_never_came_are_kept() {
+async fn iterations_of_run_without_start_are_kept() {
     let mut bed = Bed::new().await;
     let run = RunId::random();
     let events = iterations(&bed, run, 4..=6);
@@ -213,7 +214,7 @@ async fn iterations_of_a_run_whose_beginning_never_came_are_kept() {
 }
 
 #[tokio::test]
-async fn gaps_are_told_with_their_run_and_holes_with_their_host() {
+async fn gaps_are_recorded_per_run_and_holes_per_host() {
     let mut bed = Bed::new().await;
     let run = bed.run_of(3).await;
     let gap = Gap {
@@ -232,9 +233,9 @@ async fn gaps_are_told_with_their_run_and_holes_with_their_host() {
     let (host, stream) = (bed.edge, bed.stream);
     let (from, through, chain, process) = (3, 9, Chain::START, 7);
     let (events, events_through) = (Some(40), 700);
-    let missing = Missing { host, stream, from, through, chain, process, events, events_through };
+    let missing = MissingBatches { host, stream, from, through, chain, process, events, events_through };
     let after = bed.batch_numbered(10, vec![]);
-    let committed = bed.commit(&[Work::Missing(missing), after]).await;
+    let committed = bed.commit(&[Work::MissingBatches(missing), after]).await;
     assert_eq!(committed.marks[&bed.stream].stored, 10);
     let (stored, _) = committed.hosts[&bed.edge];
     assert_eq!((stored.gaps, stored.missing), (2, 1_090));
@@ -249,7 +250,7 @@ async fn gaps_are_told_with_their_run_and_holes_with_their_host() {
 }
 
 #[tokio::test]
-async fn a_replaced_spool_leaves_one_gap_and_its_stream_is_the_last() {
+async fn replaced_spool_leaves_one_gap() {
     let mut bed = Bed::new().await;
     let (old, new) = (bed.stream, StreamId::random());
     let greeting = |stream, previous, replaced| {
@@ -273,7 +274,7 @@ async fn a_replaced_spool_leaves_one_gap_and_its_stream_is_the_last() {
     );
     bed.commit(&[first, renewed]).await;
     assert_eq!(bed.count("SELECT count(*) FROM gap").await, 0);
-    // Handed in twice, as after a commit that was not told of.
+    // Handed in twice, as after a commit whose result was lost.
     bed.commit(std::slice::from_ref(&replaced)).await;
     let committed = bed.commit(&[replaced]).await;
     assert_eq!(committed.hosts[&bed.edge].0.gaps, 1);
@@ -286,21 +287,22 @@ async fn a_replaced_spool_leaves_one_gap_and_its_stream_is_the_last() {
     bed.writer = open(&bed.path).await;
     assert!(bed.writer.streams().marks.is_empty(), "nothing of any is stored");
     let hello = hello_of(bed.edge, StreamId::from_bytes([9; 16]), None);
-    let known = Known { came: true, last: Some(hello.stream), ..Known::default() };
+    let known = StreamRecord { came: true, last: Some(hello.stream), ..StreamRecord::default() };
     assert_eq!(bed.writer.streams().known(&hello, None), known);
 }
 
 #[tokio::test]
-async fn what_an_older_database_lacks_of_a_stream_that_was_left_is_one_gap() {
+async fn batches_of_left_stream_missing_in_backup_are_one_gap() {
     let mut bed = Bed::new().await;
     let (old, new) = (bed.stream, StreamId::random());
     let work = bed.batch(vec![generate::run_started(RunId::random(), "line", generate::at(1.0))]);
     let mark = bed.commit(&[work]).await.marks[&old];
     bed.writer = open(&bed.path).await;
     let hello = hello_of(bed.edge, new, Some(old));
-    let known = Known { last: Some(old), previous: Some(mark), ..Known::default() };
+    let known = StreamRecord { last: Some(old), previous: Some(mark), ..StreamRecord::default() };
     assert_eq!(bed.writer.streams().known(&hello, None), known);
-    let (host, lacking) = (hello.host, Some(Lacking { stream: old, from: 2, through: 4, events: Some(17) }));
+    let (host, lacking) =
+        (hello.host, Some(LackingBatches { stream: old, from: 2, through: 4, events: Some(17) }));
     let (process, previous, first, replaced) = (1, Some(old), 5, None);
     let came = Introduction { host, process, stream: new, previous, first, replaced, lacking, secret: None };
     for _ in 0..2 {
@@ -329,7 +331,7 @@ fn hello_of(host: HostId, stream: StreamId, previous: Option<StreamId>) -> Hello
 }
 
 #[tokio::test]
-async fn what_an_agent_claims_to_be_missing_fits_into_its_column() {
+async fn claimed_missing_counts_do_not_overflow() {
     let mut bed = Bed::new().await;
     let at = generate::at(1.0);
     let gap = Gap { pipeline: None, run: None, from: at, to: at, count: u64::MAX, reason: "many".into() };
@@ -342,7 +344,7 @@ async fn what_an_agent_claims_to_be_missing_fits_into_its_column() {
 }
 
 #[tokio::test]
-async fn a_locked_database_is_an_error_that_changes_nothing() {
+async fn locked_database_is_error_without_changes() {
     let mut bed = Bed::new().await;
     let run = RunId::random();
     let mut other = open(&bed.path).await;
@@ -357,7 +359,7 @@ async fn a_locked_database_is_an_error_that_changes_nothing() {
 }
 
 #[tokio::test]
-async fn a_full_disk_is_an_error_that_changes_nothing() {
+async fn full_disk_is_error_without_changes() {
     let mut bed = Bed::new().await;
     let run = RunId::random();
     let mut events = vec![generate::run_started(run, "line", NOW)];
@@ -373,7 +375,7 @@ async fn a_full_disk_is_an_error_that_changes_nothing() {
 }
 
 #[tokio::test]
-async fn a_database_of_a_newer_version_is_refused() {
+async fn database_of_newer_version_is_refused() {
     let bed = Bed::new().await;
     let mut connection = super::database::open(&bed.path).await.expect("opens");
     sqlx::query("INSERT INTO _sqlx_migrations (version, description, success, checksum, execution_time) VALUES (9000, 'later', 1, x'00', 0)")

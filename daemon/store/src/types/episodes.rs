@@ -1,34 +1,34 @@
-//! What stands beside the course of a run over time.
+//! Episodes, warm-up and unanswered iterations for charts of a run over time.
 
 use peernet_clock::WallTime;
 
-/// Episodes, warm-up and iterations without an answer of a run. Moments are on the edge's wall clock, and those of
-/// stored iterations: what retention deleted or the way lost has none.
+/// Episodes, warm-up and iterations without an answer of a run. Times are on the edge's wall clock and come from stored
+/// iterations; deleted or lost iterations have none.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Episodes {
-    /// When the first iteration began, where it is still stored.
+    /// Start of the first iteration, if it is still stored.
     pub first: Option<WallTime>,
-    /// Episodes that began; 1 as well where a run is not parted into any, 0 without iterations.
+    /// Number of episodes that began: 1 for a run that is not divided into episodes, 0 without iterations.
     pub count: u64,
-    /// Iterations of each but the last; `None` where there is but one.
+    /// Iterations of each episode but the last; `None` if there is only one.
     pub steps: Option<u64>,
-    /// When episodes began, but for the first. Empty where there are more than [`Episodes::MOST_BORDERS`].
+    /// Starts of the episodes but the first. Empty if there are more than [`Episodes::MOST_BORDERS`].
     pub borders: Vec<WallTime>,
-    /// When the first iteration began that is not of the warm-up; `None` where nothing shows it.
+    /// Start of the first iteration after the warm-up; `None` if none is stored that shows it.
     pub warm_up_until: Option<WallTime>,
-    /// When iterations without an answer began, those of the warm-up included: all of them, or where there are more than
-    /// [`Episodes::MOST_UNANSWERED`] the first of each of as many parts of the run.
+    /// Starts of iterations without an answer, those of the warm-up included: all of them, or, if there are more than
+    /// [`Episodes::MOST_UNANSWERED`], the first in each of that many parts of the run.
     pub unanswered: Vec<WallTime>,
-    /// How many of those are stored, of which `unanswered` are all or some; one more than [`Episodes::MOST_COUNTED`] where
-    /// there are more than that.
+    /// Number of stored iterations without an answer, of which `unanswered` holds all or some. At most one more than
+    /// [`Episodes::MOST_COUNTED`].
     pub without_answer: u64,
 }
 
 impl Episodes {
-    /// With more their borders would be all that is seen.
+    /// Most episodes whose borders are shown: more would cover the chart.
     pub const MOST_BORDERS: u32 = 30;
-    /// More than anybody can tell apart in a picture.
+    /// Most unanswered iterations in a chart: more could not be distinguished.
     pub const MOST_UNANSWERED: usize = 300;
-    /// So that the count takes no longer for a run in which nothing was ever answered.
+    /// Limit of the count of unanswered iterations, which bounds the time of the query in a run without any answer.
     pub const MOST_COUNTED: u64 = 10_000;
 }

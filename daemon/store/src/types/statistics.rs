@@ -1,4 +1,4 @@
-//! What is known of whole runs.
+//! Statistics of whole runs.
 
 use std::collections::HashMap;
 use std::sync::Arc;
@@ -18,30 +18,30 @@ pub struct StageStatistics {
     pub stage: Name,
     /// Unit of the figures: `s`, `B`, `bit/s` or the user's own.
     pub unit: String,
-    /// Whether it is one of the stages that add up to `stages-total`.
+    /// `true` if it is one of the stages that add up to `stages-total`.
     pub is_stage: bool,
     /// The figures.
     pub figures: Figures,
-    /// Sum over the sum of `total`, 0 to 1, for durations; a child's share is also its parent's.
+    /// Its sum divided by the sum of `total`, 0 to 1, for durations. The share of a child is also part of its parent's.
     pub share: Option<f64>,
-    /// How well it is known, for one-way delays.
+    /// Accuracy of one-way delays; `None` for other names.
     pub bound: Option<Bound>,
 }
 
-/// What is known of a whole run, or of several taken together.
+/// Statistics of a whole run, or of several taken together.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct RunStatistics {
-    /// Of each node name, in the order of tables.
+    /// Statistics of each node name, in the order of tables.
     pub stages: Vec<StageStatistics>,
-    /// How well the one-way delays are known: `upload`, `download`. Also where no delay had a value, so that there are
-    /// no statistics of it.
+    /// Accuracy of the one-way delays: `upload`, `download`. Also present where no delay had a value and `stages` lacks the
+    /// name.
     pub bounds: Vec<Bound>,
-    /// What both were made of.
+    /// The mergeable sums from which `stages` and `bounds` were made.
     pub kept: Arc<Kept>,
 }
 
 impl RunStatistics {
-    /// Several runs as if they were one: counts, means and deviations exact, quantiles within 1 %.
+    /// Combines several runs as if they were one: counts, means and deviations are exact, quantiles within 1 %.
     pub fn together(runs: &[Self]) -> Self {
         if let [only] = runs {
             return only.clone();
@@ -51,7 +51,7 @@ impl RunStatistics {
         Self::from(all)
     }
 
-    /// What was sent, and how long it was on its way.
+    /// Returns the sums of bytes sent and of their delays.
     pub fn transfers(&self) -> Transfers {
         Transfers::of(|name| {
             let found = self.stages.iter().find(|stage| stage.stage == *name)?;
@@ -66,22 +66,22 @@ impl From<Kept> for RunStatistics {
     }
 }
 
-/// All that is kept of runs: how often, how long, how spread. Adding runs to each other loses nothing.
+/// Mergeable statistics of runs: counts, values, widths of intervals. Merging loses nothing.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Kept {
-    values: HashMap<Name, Known>,
+    values: HashMap<Name, NameSummary>,
     half_widths: HashMap<Name, Summary>,
     verdicts: HashMap<Name, Vec<(Verdict, u64)>>,
 }
 
-/// What is known of one node name.
+/// Values of one node name.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub(crate) struct Known {
+pub(crate) struct NameSummary {
     pub(crate) unit: String,
     pub(crate) summary: Summary,
 }
 
-impl Known {
+impl NameSummary {
     pub(crate) fn of_unit(unit: &str) -> Self {
         Self { unit: unit.to_owned(), summary: Summary::default() }
     }
@@ -92,22 +92,22 @@ impl Known {
 }
 
 impl Kept {
-    /// The values of a node name, in its SI unit; `None` where there are none.
+    /// Returns the values of a node name in its SI unit, or `None` where it has none.
     pub fn known(&self, name: &str) -> Option<&Summary> {
         self.values.get(name).map(|known| &known.summary)
     }
 
-    /// Adds values of a node name. One that was used with several kinds is taken together.
+    /// Adds values of a node name. Values of a name that was used with several kinds are merged.
     pub fn add(&mut self, name: Name, unit: &str, values: &Summary) {
-        self.values.entry(name).or_insert_with(|| Known::of_unit(unit)).summary.merge(values);
+        self.values.entry(name).or_insert_with(|| NameSummary::of_unit(unit)).summary.merge(values);
     }
 
-    /// Adds half the widths, seconds, of the intervals that contain the delays of one direction.
+    /// Adds half the widths, in seconds, of the intervals that contain the delays of one direction.
     pub fn add_half_widths(&mut self, stage: Name, widths: &Summary) {
         self.half_widths.entry(stage).or_default().merge(widths);
     }
 
-    /// Adds that delays of one direction were judged so, this many times.
+    /// Adds `times` delays of one direction with this verdict.
     pub fn add_verdicts(&mut self, stage: Name, verdict: Verdict, times: u64) {
         let known = self.verdicts.entry(stage).or_default();
         match known.iter_mut().find(|(one, _)| *one == verdict) {
@@ -116,7 +116,7 @@ impl Kept {
         }
     }
 
-    /// Adds all of another.
+    /// Adds all statistics of another.
     pub fn merge(&mut self, other: &Self) {
         for (name, known) in &other.values {
             self.add(name.clone(), &known.unit, &known.summary);
@@ -130,7 +130,7 @@ impl Kept {
     }
 
     fn stages(&self) -> Vec<StageStatistics> {
-        let sum = |known: &Known| known.summary.moments.sum();
+        let sum = |known: &NameSummary| known.summary.moments.sum();
         let total = self.values.get(stage::TOTAL.as_str()).map(sum).filter(|total| *total > 0.0);
         let stages = self.values.iter().filter_map(|(stage, known)| {
             Some(StageStatistics {
@@ -155,7 +155,7 @@ impl Kept {
         bounds
     }
 
-    /// How well a one-way delay is known; `None` of what is none.
+    /// Returns the accuracy of a one-way delay, or `None` for other names.
     pub fn bound(&self, stage: &Name) -> Option<Bound> {
         let (half_width, verdicts) = (self.half_widths.get(stage), self.verdicts.get(stage));
         (half_width.is_some() || verdicts.is_some()).then(|| {
@@ -183,7 +183,7 @@ mod tests {
     }
 
     #[test]
-    fn several_runs_are_as_one_with_all_their_samples() {
+    fn merged_runs_equal_one_run_of_all_samples() {
         let all: Vec<f64> = (0..400).map(|n| 0.01 + f64::from(n % 13) * 1e-3).collect();
         let part = |some: &[f64], verdict| run(some.iter().copied(), verdict);
         let parts = [part(&all[..150], Verdict::Stale), part(&all[150..], Verdict::Ok)];
@@ -207,7 +207,7 @@ mod tests {
     }
 
     #[test]
-    fn quantiles_of_few_runs_wait_until_there_are_enough_samples_together() {
+    fn quantiles_need_enough_samples_over_all_runs() {
         let short = run((0..40).map(|_| 0.01), Verdict::Ok);
         let of = |runs: &[RunStatistics]| RunStatistics::together(runs).stages[1].figures;
         assert_eq!(of(std::slice::from_ref(&short)).p95, None);

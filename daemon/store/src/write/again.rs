@@ -1,8 +1,8 @@
-//! Iterations that came before under another batch number: two copies of one spool that take turns send the same ones
-//! in two streams.
+//! Detection of iterations that arrived earlier under another batch number: two copies of one spool that take turns send the
+//! same iterations in two streams.
 //!
-//! What else such a batch holds is stored as it stands: runs and clock samples are the same rows again; incidents and
-//! gaps have nothing to be told apart by, and appear twice.
+//! The rest of such a batch is stored unchanged: runs and clock samples replace the same rows; incidents and gaps have
+//! nothing to identify them, and appear twice.
 
 use std::collections::HashSet;
 
@@ -18,7 +18,7 @@ const STORED: &str = "SELECT iteration.number FROM run \
      CROSS JOIN iteration ON iteration.run = run.number AND iteration.number = asked.value \
      WHERE (run.uuid = ?1 OR run.reported_uuid = ?1) AND host.uuid = ?2";
 
-/// The iterations of a batch that are stored already, of runs of its own host.
+/// Returns the iterations of a batch that are already stored in runs of the same host.
 pub(super) async fn stored(
     connection: &mut SqliteConnection,
     batch: &Prepared,

@@ -1,4 +1,4 @@
-//! Links and their samples: one row per link and second.
+//! Storing of links and their clock samples: one row per link and second.
 
 use std::collections::HashMap;
 
@@ -18,11 +18,10 @@ use crate::column::column;
 use crate::extent::Extent;
 use crate::plausible;
 
-/// Links kept in memory; beyond, all are forgotten and read again when needed.
+/// Maximum number of links in memory; beyond it, all are forgotten and read again when needed.
 const MOST_LINKS: usize = 10_000;
 
-/// A second that comes again replaces what was stored of it, as in the live picture: each report of it is complete up
-/// to then.
+/// A second that arrives again replaces its row, as in the live picture: each report of a second is complete up to its time.
 const INSERT: &str = "INSERT OR REPLACE INTO clock_sample (link, at_ns, window, max_drift_ppm, \
      upper_sent_ns, upper_received_ns, upper_replied_ns, upper_returned_ns, upper_uncertainty_ns, \
      lower_sent_ns, lower_received_ns, lower_replied_ns, lower_returned_ns, lower_uncertainty_ns, \
@@ -35,15 +34,15 @@ const INSERT: &str = "INSERT OR REPLACE INTO clock_sample (link, at_ns, window, 
      VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, \
      ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)";
 
-/// The time that a second of a window is stored at. A wall clock that was set back shows the same times again, while the window of
-/// free-running clocks goes on: each further second of such a time is stored a nanosecond before the last one, in the same second all the
-/// same.
+/// Selects the time at which a sample of a window is stored. A wall clock that was set back shows the same times again while
+/// the window of free-running clocks continues: each further sample of such a time is stored a nanosecond before the last
+/// one, which is still in the same second.
 /// ?1 link, ?2 its time, ?3 window, ?4 the free-running clock then.
 const FREE_TIME: &str = "SELECT coalesce( \
      (SELECT max(at_ns) FROM clock_sample WHERE link = ?1 AND at_ns BETWEEN ?2 - 999 AND ?2 AND window = ?3 AND at_raw_ns = ?4), \
      ?2 - (SELECT count(*) FROM clock_sample WHERE link = ?1 AND at_ns BETWEEN ?2 - 999 AND ?2 AND window = ?3 AND at_raw_ns <> ?4))";
 
-/// What the bounds rest on is that of the newest sample; probes count as authenticated where those of all samples are.
+/// The assumptions are those of the newest sample; probes count as authenticated only if those of all samples are.
 const WINDOW: &str = "INSERT INTO clock_window (link, window, first_ns, last_ns, clocks, max_drift_ppm, \
      max_drift_change_ppm_per_s, claims_trusted, probes_authenticated) VALUES (?1, ?2, ?3, ?3, ?4, ?5, ?6, ?7, ?8) \
      ON CONFLICT (link, window) DO UPDATE SET first_ns = min(first_ns, excluded.first_ns), \
@@ -57,16 +56,17 @@ const ARRIVED: &str = "UPDATE link SET arriving_from_s = coalesce(arriving_from_
      arriving_first_ns = min(coalesce(arriving_first_ns, ?3), ?3), \
      arriving_last_ns = max(coalesce(arriving_last_ns, ?4), ?4) WHERE id = ?1";
 
-/// What the writer remembers of the table `link`: by the edge's row, the cloud and the network, its row and the cloud's name.
+/// The writer's memory of the table `link`: the edge's row, the cloud and the network lead to the link's row and the cloud's
+/// name.
 #[derive(Debug, Default)]
 pub(super) struct Links {
     known: HashMap<(i64, HostId, NetworkName), (i64, Slug)>,
-    /// Times of the samples that the transaction stores, by link.
+    /// Range of times of the samples that the transaction stores, by link.
     arrived: HashMap<i64, Extent>,
 }
 
 impl Links {
-    /// Stores a second of the relation between an edge's clock and a cloud's, which may never have been heard of.
+    /// Stores one second of the relation between an edge's clock and a cloud's. The cloud may be unknown so far.
     pub(super) async fn store(
         &mut self,
         connection: &mut SqliteConnection,
@@ -96,7 +96,7 @@ impl Links {
         Ok(())
     }
 
-    /// Writes what arrived of each link, for retention; `storage_s` is the storage clock.
+    /// Notes for retention which samples of each link arrived; `storage_s` is the storage clock.
     pub(super) async fn write(
         &mut self,
         connection: &mut SqliteConnection,
@@ -171,7 +171,7 @@ async fn free_time(
         .await
 }
 
-/// The values of a row. SQLite keeps not-a-number as NULL.
+/// Returns the values of a row. SQLite stores not-a-number as NULL.
 fn values(
     link: i64,
     at: i64,
@@ -231,7 +231,7 @@ fn offset(offset: Option<&Offset>, to: &mut SqliteArguments) -> Result<(), BoxDy
     to.add(offset.and_then(|it| it.age).map(|age| age.nanos()))
 }
 
-/// What each source says alone; nothing when that says no more than the offset itself.
+/// Returns the interval of each source alone, or `None` if it says no more than the offset itself.
 fn sources(offset: &Offset) -> Option<Vec<(&'static str, i64, i64)>> {
     if offset.sources == [(offset.source, offset.bounds)] {
         return None;

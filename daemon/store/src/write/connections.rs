@@ -1,4 +1,4 @@
-//! Statistics of connections: a row for each connection and minute.
+//! Storing of statistics of connections: one row per connection and minute.
 
 use peernet_clock::{Span, WallTime};
 use peernet_logger::HostId;
@@ -9,21 +9,21 @@ use sqlx::{Arguments, SqliteConnection};
 
 use crate::column::column;
 
-/// What an edge told of one of its connections.
+/// An edge's report on one of its connections.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ConnectionSample {
     /// The edge.
     pub edge: HostId,
     /// The cloud.
     pub cloud: HostId,
-    /// When, on the edge's wall clock.
+    /// Time of the report on the edge's wall clock.
     pub at: WallTime,
-    /// The connection, and its totals so far.
+    /// The connection with its totals so far.
     pub connection: Connection,
 }
 
-/// A link has its row from the first sample of its clocks on. The time is that of a live update, which may claim any: it is
-/// moved into the time of the link's stored samples, with which retention deletes it.
+/// A link has its row from the first sample of its clocks on. The time comes from a live update, which may claim any time: it
+/// is moved into the range of the link's stored samples, with which retention deletes it.
 const INSERT: &str = "INSERT OR REPLACE INTO connection_sample (link, at_ns, pipeline, local_address, remote_address, \
      interface, interface_type, mtu_bytes, \
      sent_bytes, sent_messages, sent_datagrams, sent_lost, sent_duplicated, sent_reordered, sent_retransmitted, \
@@ -40,7 +40,7 @@ const INSERT: &str = "INSERT OR REPLACE INTO connection_sample (link, at_ns, pip
      FROM link JOIN host AS edge ON edge.id = link.edge JOIN host AS cloud ON cloud.id = link.cloud \
      WHERE edge.uuid = ?1 AND cloud.uuid = ?2 AND link.network = ?3 AND EXISTS (SELECT 1 FROM clock_sample WHERE clock_sample.link = link.id)";
 
-/// Stores samples; those of a link that is not stored are left out.
+/// Stores samples. Those of a link that is not stored are left out.
 pub(super) async fn store(
     connection: &mut SqliteConnection,
     samples: &[ConnectionSample],
@@ -81,18 +81,18 @@ fn values(sample: &ConnectionSample) -> Result<SqliteArguments, BoxDynError> {
     Ok(to)
 }
 
-/// Adds the seven totals of a direction; NULL where nothing was told of it.
-fn direction(told: Option<&DirectionStatistics>, to: &mut SqliteArguments) -> Result<(), BoxDynError> {
-    to.add(told.map(|told| column(told.bytes)))?;
-    to.add(told.map(|told| column(told.messages)))?;
-    let known = told.copied().unwrap_or_default();
+/// Adds the seven totals of a direction; NULL where they were not reported.
+fn direction(reported: Option<&DirectionStatistics>, to: &mut SqliteArguments) -> Result<(), BoxDynError> {
+    to.add(reported.map(|reported| column(reported.bytes)))?;
+    to.add(reported.map(|reported| column(reported.messages)))?;
+    let known = reported.copied().unwrap_or_default();
     let datagrams = [known.datagrams, known.lost, known.duplicated, known.reordered, known.retransmitted];
     datagrams.into_iter().try_for_each(|count| to.add(count.map(column)))
 }
 
 /// Adds the three figures of a transport's round trip.
-fn round_trip(told: Option<&ConnectionStatistics>, to: &mut SqliteArguments) -> Result<(), BoxDynError> {
-    let trip = told.and_then(|told| told.round_trip);
+fn round_trip(reported: Option<&ConnectionStatistics>, to: &mut SqliteArguments) -> Result<(), BoxDynError> {
+    let trip = reported.and_then(|reported| reported.round_trip);
     to.add(trip.and_then(|trip| trip.min).map(Span::nanos))?;
     to.add(trip.map(|trip| trip.smoothed.nanos()))?;
     to.add(trip.map(|trip| trip.variation.nanos()))

@@ -1,4 +1,4 @@
-//! Counters of hosts and runs: added up over a transaction, written at its end.
+//! Counters of hosts and runs: summed up over a transaction and written at its end.
 
 use std::collections::HashMap;
 use std::collections::hash_map::Entry;
@@ -15,14 +15,15 @@ use crate::extent::Extent;
 use crate::insert::Insert;
 use crate::stored::Stored;
 
-/// Hosts whose counters are kept in memory, as many as `[aggregator] max_hosts` may allow; beyond, all are forgotten and read
-/// again when needed.
+/// Maximum number of hosts whose counters are in memory, as many as `[aggregator] max_hosts` may allow; beyond it, all are
+/// forgotten and read again when needed.
 const MOST_HOSTS: usize = 65_536;
 
-/// Skipped starts that a run may have: an agent may claim any number, and no column and no sum of runs may overflow.
+/// Maximum number of skipped starts of a run: an agent may claim any number, and neither the column nor a sum of runs may
+/// overflow.
 const MOST_SKIPPED: u64 = 1 << 53;
 
-/// What a transaction adds to the counters of a host.
+/// Additions of a transaction to the counters of a host.
 #[derive(Debug, Default)]
 pub(super) struct HostCounts {
     id: i64,
@@ -36,11 +37,11 @@ struct RunCounts {
     warm_up: u64,
     skipped_starts: u64,
     last: WallTime,
-    /// Numbers and seconds of the iterations.
+    /// Ranges of numbers and seconds of the iterations.
     arrived: Option<(Extent, Extent)>,
 }
 
-/// What a transaction adds, and the hosts' counters as they will stand after it.
+/// Additions of a transaction, and the hosts' counters as they will be after it.
 #[derive(Debug)]
 pub(super) struct Counters {
     hosts: HashMap<HostId, HostCounts>,
@@ -56,7 +57,8 @@ impl Default for Counters {
             hosts: HashMap::new(),
             runs: HashMap::new(),
             totals: HashMap::new(),
-            // Whole counts and no sums: what an agent claims to be missing may not overflow a column.
+            // The statement writes totals instead of adding: an agent may claim any number of missing events, and the column may not
+            // overflow.
             write_hosts: Insert::new(
                 "UPDATE host SET last_seen_ns = now.column2, events = now.column3, nodes = now.column4, \
                  gaps = now.column5, missing = now.column6, quarantined = now.column7 FROM (",
@@ -82,14 +84,14 @@ impl Default for Counters {
 }
 
 impl Counters {
-    /// What the transaction adds to a host, whose row has that id.
+    /// Returns the additions to a host; `id` is its row.
     pub(super) fn host(&mut self, host: HostId, id: i64) -> &mut HostCounts {
         let counts = self.hosts.entry(host).or_default();
         counts.id = id;
         counts
     }
 
-    /// Adds to a run.
+    /// Adds a batch's part of a run.
     pub(super) fn run(&mut self, run: i64, part: &RunPart) {
         let counts = self.runs.entry(run).or_default();
         counts.outcomes.merge(&part.outcomes);
@@ -100,7 +102,7 @@ impl Counters {
         counts.arrived = Some((numbers.hull(part.numbers), seconds.hull(part.seconds)));
     }
 
-    /// Writes all of it; returns what the database then holds of the hosts, and their newest moments.
+    /// Writes all additions. Returns the hosts' totals in the database, and the time of their newest iteration.
     pub(super) async fn write(
         &mut self,
         connection: &mut SqliteConnection,
@@ -168,7 +170,7 @@ impl HostCounts {
 }
 
 impl Stored {
-    /// From the columns of `host`: events, nodes, gaps, missing, quarantined.
+    /// Makes it from the columns of `host`: events, nodes, gaps, missing, quarantined.
     pub(super) fn of_columns((events, nodes, gaps, missing, quarantined): (i64, i64, i64, i64, i64)) -> Self {
         let [events, nodes, gaps, missing, quarantined] =
             [events, nodes, gaps, missing, quarantined].map(count);

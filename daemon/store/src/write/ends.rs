@@ -1,24 +1,24 @@
-//! Runs that ended without saying so: their agent was killed.
+//! Ends of runs that were not reported, because the agent was killed.
 
 use sqlx::SqliteConnection;
 
 use super::Refusal;
 
-/// Reason of a run's end that nobody reported. When its last iterations come late they move its end; when its real
-/// end comes it counts.
+/// Reason of an end that was not reported. Iterations of the run that arrive later move this end; a real end that arrives
+/// later replaces it.
 pub(super) const LEFT: &str = "the agent ended without saying so";
 
-/// Ends that follow from what a transaction stores: written at its end, when the last iterations are counted.
+/// Ends that follow from what a transaction stores. They are written at its end, when the last iterations are counted.
 #[derive(Debug, Default)]
 pub(super) struct Ends {
-    /// Hosts whose process ended, and the newest run that may be of it.
+    /// Hosts whose process ended, with the newest run that may belong to it.
     processes: Vec<(i64, i64)>,
-    /// Pipelines with a new run, and its number.
+    /// Pipelines with a new run, with its number.
     pipelines: Vec<(i64, i64)>,
 }
 
 impl Ends {
-    /// A process of a host introduced itself: the runs of another one before have ended.
+    /// Notes the process with which a host introduced itself. If it is another one than before, the runs of that one have ended.
     pub(super) async fn process(
         &mut self,
         connection: &mut SqliteConnection,
@@ -35,7 +35,7 @@ impl Ends {
             return Ok(());
         }
         if before.is_some() {
-            self.left(connection, host).await?;
+            self.end_process(connection, host).await?;
         }
         sqlx::query("UPDATE host SET process = ? WHERE id = ?")
             .bind(process)
@@ -45,20 +45,24 @@ impl Ends {
         Ok(())
     }
 
-    /// The process of a host has ended: so have the runs that are known by now.
-    pub(super) async fn left(&mut self, connection: &mut SqliteConnection, host: i64) -> Result<(), Refusal> {
+    /// Notes that the process of a host has ended, and with it the runs that are stored by now.
+    pub(super) async fn end_process(
+        &mut self,
+        connection: &mut SqliteConnection,
+        host: i64,
+    ) -> Result<(), Refusal> {
         let newest =
             sqlx::query_scalar("SELECT coalesce(max(number), 0) FROM run").fetch_one(connection).await?;
         self.processes.push((host, newest));
         Ok(())
     }
 
-    /// A run of a pipeline began: those before it have ended.
+    /// Notes that a run of a pipeline began: the runs before it have ended.
     pub(super) fn followed(&mut self, pipeline: i64, run: i64) {
         self.pipelines.push((pipeline, run));
     }
 
-    /// Ends what is still open.
+    /// Ends the noted runs that are still open.
     pub(super) async fn write(&mut self, connection: &mut SqliteConnection) -> Result<(), Refusal> {
         for (host, newest) in self.processes.drain(..) {
             sqlx::query(

@@ -1,4 +1,4 @@
-//! Hosts, pipelines, runs and streams: what the rows of iterations refer to.
+//! Storing and lookup of hosts, pipelines, runs and streams, to which the rows of iterations refer.
 
 use std::collections::HashMap;
 use std::str::FromStr;
@@ -12,29 +12,30 @@ use sqlx::SqliteConnection;
 use super::{Refusal, RunName};
 use crate::stored::Stored;
 
-/// Runs kept in memory; beyond, all are forgotten and read again when needed.
+/// Maximum number of runs in memory; beyond it, all are forgotten and read again when needed.
 const MOST_RUNS: usize = 10_000;
-/// Stands for what is not known of a run whose beginning never arrived.
+/// Value for what is unknown about a run whose beginning never arrived.
 pub(crate) const UNKNOWN: &str = "unknown";
 
-/// The host whose batch or message is being stored. Only what belongs to it can be found or changed through it: runs are
-/// looked up by their reporter, whatever kind of event names them.
+/// The host whose batch or message is being stored.
+///
+/// Runs are looked up by their reporter, never by their id alone: no kind of event can find or change the run of another host.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Reporter {
     pub(super) id: HostId,
-    /// Its row of the table `host`.
+    /// Its row in the table `host`.
     pub(super) row: i64,
 }
 
-/// What the writer remembers of the small tables.
+/// The writer's memory of the small tables.
 #[derive(Debug, Default)]
 pub(super) struct Entities {
     hosts: HashMap<HostId, i64>,
-    /// By the reporting host's row, and the id under which it reports the run.
+    /// By the reporting host's row and the id under which it reports the run.
     runs: HashMap<(i64, RunId), KnownRun>,
-    /// Runs that came into `runs` since they were last asked for.
+    /// Runs that were added to `runs` since `take_met` was last called.
     met: Vec<(HostId, RunId, i64)>,
-    /// Runs that were made without their beginning since they were last asked for.
+    /// Runs that were created without their beginning since `take_unknown` was last called.
     unknown: Vec<(HostId, RunId)>,
 }
 
@@ -42,21 +43,22 @@ pub(super) struct Entities {
 #[derive(Clone, Copy, Debug)]
 pub(super) struct KnownRun {
     pub(super) number: i64,
-    /// Its own id: another than that under which it is reported, where another host used that one before.
+    /// Id under which it is stored. It differs from the reported id if another host used that one first, so that no host can
+    /// take an id before its owner comes.
     uuid: RunId,
 }
 
-/// What the store knows of a run id.
+/// Result of looking up a run id.
 #[derive(Clone, Copy, Debug)]
 struct Lookup {
     /// The reporter's run of this id.
     own: Option<KnownRun>,
-    /// Whether another host has a run of this id.
+    /// `true` if another host has a run of this id.
     is_taken: bool,
 }
 
 impl Entities {
-    /// The row of a host, made when missing.
+    /// Returns the row of a host and creates it if it is missing.
     pub(super) async fn host(
         &mut self,
         connection: &mut SqliteConnection,
@@ -66,7 +68,7 @@ impl Entities {
         if let Some(id) = self.hosts.get(&host) {
             return Ok(*id);
         }
-        // The update changes nothing: it makes RETURNING answer for a row that was there.
+        // The update changes nothing: it makes RETURNING answer for a row that exists already.
         let id = sqlx::query_scalar(
             "INSERT INTO host (uuid, first_seen_ns, last_seen_ns) VALUES (?1, ?2, ?2) \
              ON CONFLICT (uuid) DO UPDATE SET uuid = uuid RETURNING id",
@@ -79,7 +81,7 @@ impl Entities {
         Ok(id)
     }
 
-    /// The row of a host, if there is one.
+    /// Returns the row of a host, if there is one.
     pub(super) async fn known_host(
         &self,
         connection: &mut SqliteConnection,
@@ -92,7 +94,7 @@ impl Entities {
         Ok(id.fetch_optional(connection).await?)
     }
 
-    /// Takes down how a host introduced itself.
+    /// Stores a host's description of itself.
     pub(super) async fn introduce(
         &mut self,
         connection: &mut SqliteConnection,
@@ -111,7 +113,7 @@ impl Entities {
         Ok(id)
     }
 
-    /// The run that rows of the reporter refer to; one is made when its beginning never arrived.
+    /// Returns the run to which rows of the reporter refer. It is created if its beginning never arrived.
     pub(super) async fn run_of(
         &mut self,
         connection: &mut SqliteConnection,
@@ -140,7 +142,7 @@ impl Entities {
         Ok(self.remember(reporter, run, KnownRun { number, uuid }))
     }
 
-    /// The reporter's run of this id, if it exists.
+    /// Returns the reporter's run of this id, if it exists.
     pub(super) async fn known_run(
         &mut self,
         connection: &mut SqliteConnection,
@@ -150,7 +152,7 @@ impl Entities {
         Ok(self.look_up(connection, reporter, run).await?.own)
     }
 
-    /// Whether a run of this id belongs to another host and none to the reporter.
+    /// Returns whether a run of this id belongs to another host and none to the reporter.
     pub(super) async fn is_foreign(
         &mut self,
         connection: &mut SqliteConnection,
@@ -186,7 +188,7 @@ impl Entities {
         Ok(Lookup { own, is_taken })
     }
 
-    /// A run began; or its description arrives after some of its iterations. Returns it and its pipeline.
+    /// Stores a run's description, which may arrive after some of its iterations. Returns the run and its pipeline.
     pub(super) async fn run_started(
         &mut self,
         connection: &mut SqliteConnection,
@@ -229,7 +231,7 @@ impl Entities {
         Ok((self.remember(reporter, run.run, KnownRun { number, uuid }), pipeline))
     }
 
-    /// The live lane names a run. What its beginning told, or will tell, counts more.
+    /// Stores a run's name from the live lane. The description in the run's beginning takes precedence, earlier or later.
     pub(super) async fn name_run(
         &mut self,
         connection: &mut SqliteConnection,
@@ -258,7 +260,7 @@ impl Entities {
         Ok(())
     }
 
-    /// A run ended.
+    /// Stores the end of a run.
     pub(super) async fn run_ended(
         &mut self,
         connection: &mut SqliteConnection,
@@ -292,20 +294,19 @@ impl Entities {
         known
     }
 
-    /// Runs that were met since the last time, with their numbers.
+    /// Returns the runs that were added to memory since the last call, with their numbers.
     pub(super) fn take_met(&mut self) -> Vec<(HostId, RunId, i64)> {
         std::mem::take(&mut self.met)
     }
 
-    /// Runs that were made without their beginning since the last time.
+    /// Returns the runs that were created without their beginning since the last call.
     pub(super) fn take_unknown(&mut self) -> Vec<(HostId, RunId)> {
         std::mem::take(&mut self.unknown)
     }
 }
 
 impl Lookup {
-    /// The id under which the reporter's run stands or is to stand, and that under which it is reported where that is
-    /// another.
+    /// Returns the id under which the reporter's run is stored, and the id under which it is reported if that differs.
     fn ids(&self, run: RunId) -> (RunId, Option<RunId>) {
         let uuid = match self.own {
             Some(own) => own.uuid,
@@ -331,7 +332,7 @@ async fn pipeline(connection: &mut SqliteConnection, host: i64, name: &str) -> R
     Ok(id)
 }
 
-/// The newest runs by their hosts and the ids under which these report them, and their numbers.
+/// Returns the newest runs: their hosts, the ids under which these report them, and their numbers.
 pub(crate) async fn newest_runs(
     connection: &mut SqliteConnection,
     limit: u32,
@@ -347,7 +348,7 @@ pub(crate) async fn newest_runs(
     rows.into_iter().map(|(host, run, number)| Ok((id(&host)?, id(&run)?, number))).collect()
 }
 
-/// Open runs of which the store knows iterations only, by their hosts.
+/// Returns open runs of which only iterations are stored, with their hosts.
 pub(crate) async fn unknown_runs(
     connection: &mut SqliteConnection,
     limit: u32,
@@ -364,7 +365,7 @@ pub(crate) async fn unknown_runs(
     rows.iter().map(|(host, run)| Ok((id(host)?, id(run)?))).collect()
 }
 
-/// What is stored of the hosts that were seen last.
+/// Returns the counts of the hosts that were seen last.
 pub(crate) async fn stored_hosts(
     connection: &mut SqliteConnection,
     limit: u32,

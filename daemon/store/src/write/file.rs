@@ -1,32 +1,36 @@
-//! Whether the paths of the database and of its log still name the files that are open.
+//! Check that the paths of the database and of its log still name the open files.
+//!
+//! The writer checks before and after each commit, and once a second: data that is written to a file which was moved or deleted
+//! would be lost.
 
 use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
 
 use crate::database_error::DatabaseError;
 
-/// Why a commit did not count.
+/// The reason why a commit did not count.
 #[derive(Debug, thiserror::Error)]
 pub enum CommitError {
-    /// The path names another file or none: what is written now is lost when this process ends.
+    /// The path names another file or none: data that is written now is lost when this process ends.
     #[error("the database file {} was deleted, moved or replaced, or its file system is not mounted; put it back, or restart to begin with what is there", .0.display())]
     Moved(PathBuf),
-    /// The path of the log names another file or none: what is written now is lost when this process is killed.
+    /// The path of the log names another file or none: data that is written now is lost when this process is killed.
     #[error("the log {} of the database was deleted, moved or replaced while it was in use", .0.display())]
     LogMoved(PathBuf),
-    /// The file is damaged: what it is, and what to do.
+    /// The file is damaged. The text describes the damage and what to do.
     #[error("{0}")]
     Damaged(String),
-    /// SQLite's own words.
+    /// SQLite reported an error.
     #[error(transparent)]
     Database(#[from] DatabaseError),
 }
 
 impl CommitError {
-    /// Whether the connection is as good as before: the database is full or another program locks it. One to a damaged
-    /// file is kept until another file is put in its place. After anything
-    /// else the file is opened anew: the error may be one of the descriptors alone, which stay read-only, or lead to a
-    /// file system that is gone, long after the path is well again.
+    /// Returns whether the connection is still usable: the database is full, or another program locks it.
+    ///
+    /// A connection to a damaged file is kept until another file is put in its place. After any other error the file is opened
+    /// again: the error may come from the descriptors, which stay read-only or lead to a file system that is gone, even if the path
+    /// is usable again.
     pub fn leaves_connection_usable(&self) -> bool {
         match self {
             Self::Database(error) => error.is_passing(),
@@ -36,30 +40,30 @@ impl CommitError {
     }
 }
 
-/// Device and inode.
+/// Device and inode of a file.
 type Identity = (u64, u64);
 
-/// The file that was opened, and the log beside it.
+/// The open file of the database, and its log.
 #[derive(Debug)]
 pub(super) struct DatabaseFile {
     path: PathBuf,
     identity: Identity,
     log_path: PathBuf,
-    /// Which file the log is. SQLite makes it with the first connection and removes it with the last: while the writer
-    /// has one it stays the same, however often it is carried over and begun again.
+    /// Identity of the log. SQLite creates it with the first connection and removes it with the last: while the writer is
+    /// connected it stays the same, however often it is carried over and restarted.
     log: Log,
 }
 
 #[derive(Debug)]
 enum Log {
-    /// Not looked for since the connection was made.
+    /// Not examined since the connection was made.
     Unknown,
-    /// As it was found; `None` when there was none although something had been committed.
+    /// Identity when it was examined; `None` if there was no log although something had been committed.
     Found(Option<Identity>),
 }
 
 impl DatabaseFile {
-    /// Remembers which files are there now, with a connection that has read.
+    /// Records the identities of the present files. A connection must have read from the database before.
     pub(super) fn of(path: PathBuf) -> std::io::Result<Self> {
         let identity = identity(&path)?;
         let mut log_path = path.clone().into_os_string();
@@ -69,19 +73,19 @@ impl DatabaseFile {
         Ok(file)
     }
 
-    /// Path of the log.
+    /// Returns the path of the log.
     pub(super) fn log_path(&self) -> &Path {
         &self.log_path
     }
 
-    /// Remembers the log of a connection which has committed or read.
+    /// Records the identity of the log. The connection must have committed or read before.
     pub(super) fn remember_log(&mut self) {
         if matches!(self.log, Log::Unknown) {
             self.log = Log::Found(identity(&self.log_path).ok());
         }
     }
 
-    /// Whether the paths still name them: a few words of the file system's cache, cheap beside any commit.
+    /// Checks that the paths still name the files. It reads the file system's cache only, which is cheap compared with a commit.
     pub(super) fn check(&self) -> Result<(), CommitError> {
         if identity(&self.path).ok() != Some(self.identity) {
             return Err(CommitError::Moved(self.path.clone()));
@@ -94,7 +98,7 @@ impl DatabaseFile {
     }
 }
 
-/// The files of a database that was closed.
+/// The files of a closed database.
 #[derive(Debug)]
 pub struct FormerFiles(DatabaseFile);
 
@@ -103,7 +107,7 @@ impl FormerFiles {
         Self(file)
     }
 
-    /// Path of the log when it still stands where it was, with something in it, while the database was replaced.
+    /// Returns the path of the log if it is unchanged and not empty although the database was replaced.
     pub fn log_beside_another_file(&self) -> Option<PathBuf> {
         let Self(file) = self;
         let replaced = identity(&file.path).ok() != Some(file.identity);

@@ -1,21 +1,25 @@
-//! The one writing connection: batches in, one transaction for many of them, marks out.
+//! The only writing connection: it stores many batches in one transaction and returns the streams' new marks.
+//!
+//! A batch and the number up to which its stream is stored (the mark) are committed together, and a batch at or below the mark
+//! is acknowledged but not stored: so each batch is stored exactly once. Below `iteration` there are no foreign keys: they would
+//! cost a check per node, and one writer owns the tables.
 
 mod again;
-mod aside;
 mod clock;
 mod connections;
 mod counters;
 mod ends;
 mod entities;
 mod file;
+mod foreign_reports;
 mod names;
 mod prepared;
+mod quarantine;
 mod records;
 mod rows;
 mod secrets;
 mod streams;
 mod transaction;
-mod trespasses;
 mod work;
 
 use std::collections::HashMap;
@@ -49,30 +53,32 @@ use crate::retention_config::RetentionConfig;
 use crate::storage_clock::StorageClock;
 use crate::stored::Stored;
 
-/// Carries the whole log over into the file and empties it, unless somebody reads.
+/// Carries the whole log over into the file and empties it, unless a reader is active.
 const CARRY_OVER_ALL: &str = "PRAGMA wal_checkpoint(TRUNCATE)";
 
-/// What a transaction stored.
+/// Result of a transaction.
 #[derive(Debug, Default)]
 pub struct Committed {
-    /// New marks: all batches of the stream up to the number are stored.
+    /// New marks: all batches of a stream up to the mark's number are stored.
     pub marks: HashMap<StreamId, Mark>,
-    /// What the database now holds of each host concerned, and the newest moment it holds, on the host's clock.
+    /// Totals of each host concerned, and the time of its newest event on the host's clock.
     pub hosts: HashMap<HostId, (Stored, Option<WallTime>)>,
-    /// Numbers of runs that were met for the first time.
+    /// Numbers of runs that were created or read since the last commit.
     pub runs: Vec<(HostId, RunId, i64)>,
-    /// Runs of which only iterations came.
+    /// Runs that were created without their beginning.
     pub unknown: Vec<(HostId, RunId)>,
-    /// Nodes stored.
+    /// Number of nodes stored.
     pub nodes: u64,
-    /// Secrets that were read again, as they stand in the file.
+    /// Secrets that were read again from the file.
     pub secrets: Vec<(HostId, Option<HostSecret>)>,
-    /// Batches that were put aside, and why.
+    /// Quarantined batches with the reason.
     pub quarantined: Vec<(BatchHead, String)>,
 }
 
-/// Owns the writing connection. It is never made anew: after an error that may be the connection's own the whole writer
-/// is replaced, and with it all that memory holds of the database.
+/// Owner of the writing connection.
+///
+/// The connection is never replaced: after an error that may be the connection's own the whole writer is replaced, and with it
+/// everything that memory holds of the database.
 #[derive(Debug)]
 pub struct Writer {
     file: DatabaseFile,
@@ -80,16 +86,17 @@ pub struct Writer {
     staging: Staging,
     retention: Retention,
     storage_clock: StorageClock,
-    /// The aggregator's wall clock when something was last stored before this writer, until it is compared.
+    /// The aggregator's wall clock at the last commit before this writer; taken once it is compared.
     last_wall: Option<WallTime>,
-    /// As committed.
+    /// State of the streams as committed.
     streams: Streams,
-    /// What a part of a group committed before another part failed: told when the group is handed in again.
-    untold: Committed,
+    /// Results of the parts of a group that were committed before another part failed. They are returned when the group is
+    /// handed in again.
+    unreported: Committed,
 }
 
 impl Writer {
-    /// A writer over an open connection, and what is stored of each stream.
+    /// Makes a writer over an open connection and reads the state of the streams.
     pub async fn new(
         path: PathBuf,
         mut connection: SqliteConnection,
@@ -106,16 +113,16 @@ impl Writer {
             storage_clock: StorageClock::default(),
             last_wall,
             streams,
-            untold: Committed::default(),
+            unreported: Committed::default(),
         })
     }
 
-    /// Closes the connection. Returns which files it was to.
+    /// Closes the connection. Returns which files it was connected to.
     pub async fn close(mut self) -> (FormerFiles, Result<(), DatabaseError>) {
         self.retention.end();
         if self.file.check().is_err() {
-            // SQLite leaves the log of a file that was moved where it is, and would apply it to whatever is put in
-            // that file's place. Carried over now, through the descriptors, each file is whole by itself.
+            // SQLite leaves the log of a moved file in place, and would apply it to any file that takes its place. Carried over
+            // now, through the descriptors, each file is complete by itself.
             if let Err(error) = sqlx::query(CARRY_OVER_ALL).execute(&mut self.connection).await {
                 tracing::warn!(%error, log = %self.file.log_path().display(), "cannot carry the log over into the database that was moved");
             }
@@ -124,21 +131,21 @@ impl Writer {
         (FormerFiles::new(self.file), closed)
     }
 
-    /// What is stored of each stream; of each host its last stream, as it was at the start.
+    /// Returns the marks of the streams, and each host's last stream as it was at the start.
     pub fn streams(&self) -> &Streams {
         &self.streams
     }
 
-    /// Stores all of `work` in one transaction. A batch that cannot be stored is put aside, and only it; of one that
-    /// brings iterations again the others are stored.
+    /// Stores all of `work` in one transaction. Only batches that cannot be stored are quarantined. If a batch repeats stored
+    /// iterations, its other iterations are stored.
     ///
     /// # Errors
     /// When the database cannot store anything now: the same work may be handed in again if the error
-    /// [leaves the connection usable](CommitError::leaves_connection_usable), and else to a new writer. Or when its file
-    /// or its log is no longer where it was: nothing of it counts as stored then.
+    /// [leaves the connection usable](CommitError::leaves_connection_usable), otherwise to a new writer. Also when the file
+    /// or its log is no longer at its path: then nothing of the work counts as stored.
     pub async fn commit(&mut self, work: &[Work], now: Stamp) -> Result<Committed, CommitError> {
         self.check_file()?;
-        // The group, or what is left of it: halved around a bad batch until that one is alone.
+        // The group, or the rest of it: it is halved around an invalid batch until that one is alone.
         let mut parts = vec![work];
         while let Some(part) = parts.pop() {
             let committed = match self.attempt(part, now, None).await {
@@ -149,16 +156,16 @@ impl Writer {
                     parts.extend([second, first]);
                     continue;
                 }
-                Err(Refusal::Batch(reason)) => self.alone(part, now, reason).await?,
+                Err(Refusal::Batch(reason)) => self.store_single_batch(part, now, reason).await?,
             };
-            self.untold.merge(committed);
+            self.unreported.merge(committed);
         }
         self.file.remember_log();
         self.check_file()?;
-        Ok(std::mem::take(&mut self.untold))
+        Ok(std::mem::take(&mut self.unreported))
     }
 
-    /// Keeps a run whatever its age, or no longer. Returns whether there is such a run.
+    /// Pins a run, so that retention keeps it, or releases it. Returns whether the run exists.
     ///
     /// # Errors
     /// When the database refuses, or is damaged.
@@ -171,15 +178,15 @@ impl Writer {
         result.inspect_err(|error| integrity.note(error)).map_err(StoreError::pinning)
     }
 
-    /// Deletes a little of what is old, if anything is; whether there is more.
+    /// Deletes a small amount of old data, if there is any. Returns whether more remains.
     pub async fn retain(&mut self, now: Stamp) -> Result<Step, DatabaseError> {
         let Self { connection, storage_clock, .. } = self;
         let result = self.retention.step(connection, storage_clock, now, retention::ROWS).await;
         self.rolled_back(result).await.map_err(DatabaseError::new)
     }
 
-    /// Looks at the wall clock, stores incidents of the aggregator that wait, and the storage clock where nothing else was
-    /// stored for a while.
+    /// Checks the wall clock, stores waiting incidents of the aggregator, and stores the storage clock if nothing else was stored
+    /// for a while.
     pub async fn keep_clocks(
         &mut self,
         now: Stamp,
@@ -188,7 +195,7 @@ impl Writer {
         if let Some(last_wall) = self.last_wall.take() {
             incidents.compare(now, last_wall);
         }
-        incidents.look(now);
+        incidents.check_step(now);
         if incidents.is_empty() && !self.storage_clock.is_due(now.mono) {
             return Ok(());
         }
@@ -208,7 +215,7 @@ impl Writer {
         raw_transaction::commit(connection).await
     }
 
-    /// Stores statistics of connections; those of a link of which nothing else is stored are left out.
+    /// Stores statistics of connections. Those of a link that is not stored are left out.
     ///
     /// # Errors
     /// When the database cannot store anything now.
@@ -224,10 +231,10 @@ impl Writer {
         Ok(())
     }
 
-    /// Carries the log over and empties it when its file has more bytes than this, unless somebody reads just now.
+    /// Carries the log over and empties it if its file has more bytes than `most_bytes`, unless a reader is active.
     ///
-    /// SQLite begins the log again only when no reader is using it at the moment of a commit: one long reader, or many
-    /// short ones that overlap, let it grow, and without further commits it stays as it is.
+    /// SQLite restarts the log only if no reader uses it at the moment of a commit: one long reader, or many short ones that
+    /// overlap, let it grow, and without further commits it keeps its size.
     pub async fn bound_log(&mut self, most_bytes: u64) -> Result<(), CommitError> {
         let bytes = std::fs::metadata(self.file.log_path()).map_or(0, |log| log.len());
         if bytes <= most_bytes {
@@ -237,7 +244,7 @@ impl Writer {
     }
 
     async fn carry_over(&mut self) -> Result<(), sqlx::Error> {
-        // Tried again soon: what waits to be stored does not wait for readers.
+        // It is tried again soon: waiting for readers would delay the next commit.
         sqlx::query("PRAGMA busy_timeout = 0").execute(&mut self.connection).await?;
         let carried_over = sqlx::query(CARRY_OVER_ALL).execute(&mut self.connection).await;
         let wait = format!("PRAGMA busy_timeout = {}", BUSY.as_millis());
@@ -245,14 +252,14 @@ impl Writer {
         carried_over.map(drop)
     }
 
-    /// Writes something that changes nothing, to see that writing works.
+    /// Writes something that changes nothing, to check that writing works.
     pub async fn write_nothing(&mut self) -> Result<(), DatabaseError> {
         mark(&mut self.connection).await.map_err(DatabaseError::new)?;
         self.file.remember_log();
         Ok(())
     }
 
-    /// Whether the paths of the database and of its log still name the files that are open.
+    /// Checks that the paths of the database and of its log still name the open files.
     ///
     /// # Errors
     /// When they do not.
@@ -260,21 +267,21 @@ impl Writer {
         self.file.check()
     }
 
-    /// Keeps others from writing, as a program that opened the file might.
+    /// Prevents others from writing, as a program that opened the file might.
     #[cfg(test)]
     pub async fn lock(&mut self) {
         sqlx::query("BEGIN EXCLUSIVE").execute(&mut self.connection).await.expect("locks");
     }
 
-    /// Lets the file grow to so many pages and no further, as a full disk would.
+    /// Limits the size of the file, as a full disk would.
     #[cfg(test)]
     pub async fn limit_pages(&mut self, pages: u32) {
         let limit = format!("PRAGMA max_page_count = {pages}");
         sqlx::raw_sql(sqlx::AssertSqlSafe(limit)).execute(&mut self.connection).await.expect("limits");
     }
 
-    /// Stores one batch that was refused: without the iterations that are stored already, or else aside.
-    async fn alone(
+    /// Stores one batch that was refused: without the iterations that are already stored, or in the quarantine.
+    async fn store_single_batch(
         &mut self,
         part: &[Work],
         now: Stamp,
@@ -307,16 +314,16 @@ impl Writer {
         }
     }
 
-    /// One transaction; with `aside` the batches go to the quarantine for that reason.
+    /// Executes one transaction. With `quarantine_reason` the batches are quarantined for that reason.
     async fn attempt(
         &mut self,
         work: &[Work],
         now: Stamp,
-        aside: Option<&str>,
+        quarantine_reason: Option<&str>,
     ) -> Result<Committed, Refusal> {
         let result = {
             let Self { staging, connection, streams, storage_clock, .. } = self;
-            staging.run(connection, work, &streams.marks, (storage_clock, now), aside).await
+            staging.run(connection, work, &streams.marks, (storage_clock, now), quarantine_reason).await
         };
         match result {
             Ok(committed) => {
@@ -334,7 +341,7 @@ impl Writer {
         }
     }
 
-    /// Undoes what a failed statement may have left open.
+    /// Rolls back a transaction that a failed statement may have left open.
     async fn rolled_back<T>(&mut self, result: Result<T, sqlx::Error>) -> Result<T, sqlx::Error> {
         if result.is_err() {
             self.roll_back().await?;
@@ -342,7 +349,7 @@ impl Writer {
         result
     }
 
-    /// Undoes an unfinished transaction, also in memory: the names that it added are gone.
+    /// Rolls back an unfinished transaction and reads the names again, because those that it added are gone.
     async fn roll_back(&mut self) -> Result<(), sqlx::Error> {
         raw_transaction::roll_back(&mut self.connection).await?;
         self.staging.names = Names::load(&mut self.connection).await?;

@@ -1,4 +1,4 @@
-//! Names of nodes as small numbers.
+//! Numbers of node names: one number stands for name, kind and unit together.
 
 use std::collections::HashMap;
 
@@ -8,14 +8,14 @@ use sqlx::SqliteConnection;
 use super::Refusal;
 use super::prepared::NameKey;
 
-/// Distinct names the store takes in; beyond, batches that bring new ones are put aside. A program that puts
+/// Maximum number of distinct names in the store; beyond it, batches with new names are quarantined. A program that puts
 /// numbers into its names would otherwise fill memory and table.
 const MOST: usize = 65_536;
 
 /// The table `name` in memory.
 #[derive(Debug, Default)]
 pub(super) struct Names {
-    /// By text; a text rarely has more than one kind.
+    /// By name; a name rarely has more than one kind.
     known: HashMap<Name, Vec<Entry>>,
     count: usize,
 }
@@ -40,7 +40,7 @@ impl Names {
         Ok(names)
     }
 
-    /// The number of a name with its kind and unit.
+    /// Returns the number of a name with its kind and unit, and stores it if it is new.
     pub(super) async fn id(
         &mut self,
         connection: &mut SqliteConnection,

@@ -1,9 +1,9 @@
-//! The rows that are written one by one: incidents, gaps, the quarantine.
+//! Rows that are written one by one: incidents, gaps, quarantined batches.
 
 use bytes::Bytes;
 use peernet_clock::WallTime;
 use peernet_logger::RunId;
-use peernet_stream::{BatchHead, Gap, Incident, Missing};
+use peernet_stream::{BatchHead, Gap, Incident, MissingBatches};
 use sqlx::SqliteConnection;
 
 use super::Refusal;
@@ -11,10 +11,10 @@ use super::entities::{Entities, Reporter};
 use crate::column::column;
 use crate::stored::Stored;
 
-/// Quarantined batches that are kept.
+/// Number of quarantined batches that are kept.
 const QUARANTINE_KEEPS: i64 = 1_000;
 
-/// Something happened beside the measurements.
+/// Stores an incident of a host.
 pub(super) async fn incident(
     connection: &mut SqliteConnection,
     entities: &mut Entities,
@@ -42,7 +42,7 @@ pub(super) async fn incident(
     Ok(())
 }
 
-/// The agent dropped events.
+/// Stores a gap that an agent reported.
 pub(super) async fn gap(
     connection: &mut SqliteConnection,
     entities: &mut Entities,
@@ -77,14 +77,14 @@ async fn known_number(
     }
 }
 
-/// Batches of a stream will never come.
+/// Stores a gap for batches of a stream that will never arrive.
 pub(super) async fn missing(
     connection: &mut SqliteConnection,
     host: i64,
-    missing: &Missing,
+    missing: &MissingBatches,
     now: WallTime,
 ) -> Result<Stored, Refusal> {
-    let Missing { stream, from, through, events, .. } = missing;
+    let MissingBatches { stream, from, through, events, .. } = missing;
     let reason = format!(
         "batches {from} to {through} of stream {stream} are not in this database: another one stored them before this one was made or \
          put back, and their agent has deleted them from its spool"
@@ -92,8 +92,8 @@ pub(super) async fn missing(
     hole(connection, host, &reason, *events, now).await
 }
 
-/// Records a gap of so many events, of which nobody says to which run they belong; `None` when nobody knows how many they
-/// are, which the table has as 0. Returns what the gap adds to the counters of its host.
+/// Stores a gap of `events` events whose runs are unknown; `None` if their number is unknown, which the table holds as 0.
+/// Returns the additions to the counters of its host.
 pub(super) async fn hole(
     connection: &mut SqliteConnection,
     host: i64,
@@ -101,7 +101,7 @@ pub(super) async fn hole(
     events: Option<u64>,
     now: WallTime,
 ) -> Result<Stored, Refusal> {
-    // Batches that an agent's file lacks: the agent itself reports the events as lost.
+    // Batches that an agent's spool lacks: the agent itself reports the events as lost.
     if events == Some(0) {
         return Ok(Stored::default());
     }
@@ -116,7 +116,7 @@ pub(super) async fn hole(
     Ok(Stored { gaps: 1, missing, ..Stored::default() })
 }
 
-/// Puts a batch aside that cannot be stored; `events` as far as they can be read.
+/// Stores a batch that cannot be stored otherwise; `events` is their number if they can be decoded.
 pub(super) async fn quarantine(
     connection: &mut SqliteConnection,
     host: i64,

@@ -1,4 +1,4 @@
-//! The statements that insert what grows with every iteration, straight from the batches.
+//! Statements that insert the rows of iterations directly from the batches.
 
 use sqlx::error::BoxDynError;
 use sqlx::sqlite::SqliteArguments;
@@ -8,7 +8,7 @@ use super::prepared::{AnchorRow, IterationRow, NodeRow, Prepared, TransitRow};
 use crate::insert::Insert;
 use crate::rollups::Rollups;
 
-/// A batch, and the numbers of what stands in its lists.
+/// A batch with the numbers of its runs, names and hosts.
 #[derive(Debug)]
 pub(super) struct Resolved<'a> {
     pub(super) batch: &'a Prepared,
@@ -29,14 +29,14 @@ impl Resolved<'_> {
         }
     }
 
-    /// Run and number of the iteration at a position.
+    /// Returns run and number of the iteration at a position.
     fn iteration(&self, at: u32) -> (i64, i64) {
         let row = &self.batch.iterations[at as usize];
         (self.runs[row.run as usize], row.number)
     }
 }
 
-/// The statements.
+/// Statements of the four tables that grow with every iteration.
 #[derive(Debug)]
 pub(super) struct Inserts {
     iterations: Insert,
@@ -70,7 +70,7 @@ impl Default for Inserts {
 }
 
 impl Inserts {
-    /// Inserts the rows of all batches, and adds their statistics to the roll-ups while SQLite is busy with the nodes.
+    /// Inserts the rows of all batches, and adds their statistics to the roll-ups while SQLite executes.
     pub(super) async fn run(
         &self,
         connection: &mut SqliteConnection,
@@ -81,6 +81,7 @@ impl Inserts {
         self.iterations.run(connection, iterations, bind_iteration).await?;
         let nodes = Rows::of(batches, |batch| &batch.nodes);
         let bind = |(of, row): (&Resolved<'_>, &NodeRow), to: &mut SqliteArguments| {
+            // The first node of a batch: sums are made here, because the next statement is bound while SQLite executes one.
             if (row.iteration, row.node) == (0, 0) {
                 of.sum_up(rollups);
             }

@@ -1,4 +1,4 @@
-//! Secrets of hosts: stored with the first events of a host, read when the aggregator starts and when a proof was wrong.
+//! Secrets of hosts: stored with a host's first events (trust on first use), read at the start and after a wrong proof.
 
 use std::collections::HashMap;
 
@@ -9,7 +9,7 @@ use sqlx::SqliteConnection;
 
 use super::entities::id;
 
-/// Keeps the secret of a host, unless there is one.
+/// Stores the secret of a host unless it has one.
 pub(super) async fn enrol(
     connection: &mut SqliteConnection,
     host: i64,
@@ -27,7 +27,7 @@ pub(super) async fn enrol(
     Ok(())
 }
 
-/// The secret of one host, as it stands in the file now: an operator may have cleared it.
+/// Reads the secret of one host again: an operator may have cleared it.
 pub(super) async fn of_host(
     connection: &mut SqliteConnection,
     host: HostId,
@@ -41,7 +41,7 @@ pub(super) async fn of_host(
     row.map(secret).transpose()
 }
 
-/// Every host of which something is stored, those first that came first, with its secret if it has one.
+/// Returns all stored hosts in the order of their first contact, with their secrets.
 pub(crate) async fn known_hosts(
     connection: &mut SqliteConnection,
 ) -> Result<Vec<(HostId, Option<HostSecret>)>, sqlx::Error> {

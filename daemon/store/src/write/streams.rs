@@ -1,10 +1,10 @@
-//! Streams: how far each is stored, and which one a host's batches belong to.
+//! Streams of batches: up to which number each is stored, and which stream a host uses.
 
 use std::collections::{HashMap, HashSet};
 
 use peernet_clock::WallTime;
 use peernet_logger::HostId;
-use peernet_stream::{BatchHead, Chain, Hello, Known, Lacking, Mark, StreamId};
+use peernet_stream::{BatchHead, Chain, Hello, LackingBatches, Mark, StreamId, StreamRecord};
 use sqlx::{Arguments, FromRow, SqliteConnection};
 
 use super::entities::id;
@@ -13,26 +13,26 @@ use crate::column::{column, count};
 use crate::insert::Insert;
 use crate::stored::Stored;
 
-/// What the database knows of streams.
+/// The database's knowledge of streams.
 #[derive(Clone, Debug, Default)]
 pub struct Streams {
-    /// How far each is stored, where any of it is.
+    /// Mark of each stream of which something is stored.
     pub marks: HashMap<StreamId, Mark>,
-    /// All streams that a host ever came with.
+    /// All streams with which a host ever introduced itself.
     came: HashSet<StreamId>,
-    /// The stream that each host came with last.
+    /// The stream with which each host introduced itself last.
     last: HashMap<HostId, StreamId>,
 }
 
-/// The streams that a transaction moves.
+/// The streams that a transaction advances.
 #[derive(Debug)]
-pub(super) struct Moved {
-    /// By stream: the host's row and the last batch.
+pub(super) struct AdvancedStreams {
+    /// By stream: the host's row and the head of the last batch.
     marks: HashMap<StreamId, (i64, BatchHead)>,
     upsert: Insert,
 }
 
-impl Default for Moved {
+impl Default for AdvancedStreams {
     fn default() -> Self {
         Self {
             marks: HashMap::new(),
@@ -46,7 +46,7 @@ impl Default for Moved {
     }
 }
 
-/// A row of the table.
+/// A row of the table `stream` with its host.
 #[derive(FromRow)]
 struct Row {
     uuid: String,
@@ -58,10 +58,10 @@ struct Row {
 }
 
 impl Streams {
-    /// What is known when a host says hello that has been stored for so long.
-    pub fn known(&self, hello: &Hello, seniority: Option<u64>) -> Known {
+    /// Returns the knowledge that the answer to a hello needs; `seniority` is the rank of the host among the stored ones.
+    pub fn known(&self, hello: &Hello, seniority: Option<u64>) -> StreamRecord {
         let mark_of = |stream| self.marks.get(&stream).copied();
-        Known {
+        StreamRecord {
             mark: mark_of(hello.stream),
             came: self.came.contains(&hello.stream),
             last: self.last.get(&hello.host.id).copied(),
@@ -70,7 +70,7 @@ impl Streams {
         }
     }
 
-    /// A host came with a stream.
+    /// Records that a host introduced itself with a stream.
     pub fn came(&mut self, host: HostId, stream: StreamId) {
         self.came.insert(stream);
         self.last.insert(host, stream);
@@ -88,7 +88,7 @@ impl Streams {
         for Row { uuid, host, stored, chain, process, events } in rows {
             let (stream, host) = (id(&uuid)?, id(&host)?);
             streams.came(host, stream);
-            // Without a chain: nothing of it is stored, or it is of a version whose streams ended with their agents.
+            // A row without a chain has nothing stored, or is of a version whose streams ended with their agents.
             let Some(chain) = chain else { continue };
             let chain =
                 <[u8; 16]>::try_from(chain).map_err(|_| wrong("a chain that is not 16 bytes long"))?;
@@ -101,9 +101,11 @@ impl Streams {
     }
 }
 
-impl Moved {
-    /// A host came with a stream. The first time, a stream leaves gaps that does not go on from the one before, or
-    /// goes on from where nothing is stored: returns how they count.
+impl AdvancedStreams {
+    /// Stores that a host introduced itself with a stream.
+    ///
+    /// A new stream leaves gaps if it does not continue the one before, or continues from a position that this database lacks.
+    /// Returns their additions to the counters.
     pub(super) async fn introduce(
         &mut self,
         connection: &mut SqliteConnection,
@@ -136,7 +138,7 @@ impl Moved {
             );
             (reason, None)
         });
-        let lacking = came.lacking.map(|Lacking { stream, from, through, events }| {
+        let lacking = came.lacking.map(|LackingBatches { stream, from, through, events }| {
             let reason = format!(
                 "batches {from} to {through} of stream {stream} are not here: they were stored in a newer database \
                  than this one, which is an older copy"
@@ -150,17 +152,17 @@ impl Moved {
         Ok(added)
     }
 
-    /// All batches of a stream up to this one are stored with this transaction.
+    /// Records that this transaction stores all batches of a stream up to this one.
     pub(super) fn mark(&mut self, host: i64, head: BatchHead) {
         self.marks.insert(head.stream, (host, head));
     }
 
-    /// Up to where this transaction stores a stream, if it moves it.
+    /// Returns the mark that this transaction gives to a stream, if it advances it.
     pub(super) fn stored(&self, stream: StreamId) -> Option<Mark> {
         self.marks.get(&stream).map(|(_, head)| Mark::from(*head))
     }
 
-    /// Writes the marks, and returns them.
+    /// Writes the marks and returns them.
     pub(super) async fn write(
         &mut self,
         connection: &mut SqliteConnection,

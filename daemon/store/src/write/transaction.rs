@@ -3,25 +3,25 @@
 use std::collections::HashMap;
 
 use peernet_clock::{Stamp, WallTime};
-use peernet_stream::{BatchHead, Event, Mark, Missing, StreamId};
+use peernet_stream::{BatchHead, Event, Mark, MissingBatches, StreamId};
 use sqlx::SqliteConnection;
 
-use super::aside::Rejected;
 use super::clock::Links;
 use super::counters::Counters;
 use super::ends::Ends;
 use super::entities::{Entities, Reporter};
+use super::foreign_reports::ForeignReports;
 use super::names::Names;
 use super::prepared::{Prepared, Step};
+use super::quarantine::RejectedBatch;
 use super::rows::{Inserts, Resolved};
-use super::streams::Moved;
-use super::trespasses::Trespasses;
+use super::streams::AdvancedStreams;
 use super::{Committed, Introduction, Refusal, Work, records, secrets};
 use crate::raw_transaction;
 use crate::rollups::Rollups;
 use crate::storage_clock::StorageClock;
 
-/// What transactions are made with: what is known of the small tables, and what waits to be written at the end.
+/// State that transactions share: memory of the small tables, and additions that are written at the end.
 #[derive(Debug, Default)]
 pub(super) struct Staging {
     pub(super) names: Names,
@@ -29,10 +29,10 @@ pub(super) struct Staging {
     inserts: Inserts,
     rollups: Rollups,
     counters: Counters,
-    moved: Moved,
+    advanced_streams: AdvancedStreams,
     ends: Ends,
     links: Links,
-    trespasses: Trespasses,
+    foreign_reports: ForeignReports,
 }
 
 impl Staging {
@@ -40,14 +40,15 @@ impl Staging {
         Self { names, ..Self::default() }
     }
 
-    /// Stores all of `work`, and advances the storage clock. With `aside` its batches go to the quarantine for that reason. `marks` are as committed.
+    /// Stores all of `work`, and advances the storage clock. With `quarantine_reason` its batches are quarantined for that reason.
+    /// `marks` are the committed marks.
     pub(super) async fn run(
         &mut self,
         connection: &mut SqliteConnection,
         work: &[Work],
         marks: &HashMap<StreamId, Mark>,
         (storage_clock, stamp): (&StorageClock, Stamp),
-        aside: Option<&str>,
+        quarantine_reason: Option<&str>,
     ) -> Result<Committed, Refusal> {
         raw_transaction::begin(connection).await?;
         let elapsed = storage_clock.advance(connection, stamp).await?;
@@ -56,29 +57,32 @@ impl Staging {
         let mut committed = Committed::default();
         let mut batches = Vec::new();
         for item in work {
-            let (head, rejected) = match (item, aside) {
+            let (head, rejected) = match (item, quarantine_reason) {
                 (Work::Batch(batch), None) => (batch.head, None),
-                (Work::Batch(batch), Some(reason)) => (batch.head, Some(Rejected::refused(batch, reason))),
-                (Work::Aside(aside), _) => (aside.head, Some(Rejected::aside(aside))),
-                (Work::Missing(missing), _) => {
-                    let Missing { host, stream, through: number, chain, process, events_through, .. } =
-                        *missing;
-                    // Only who it is, and what it is marked with.
+                (Work::Batch(batch), Some(reason)) => {
+                    (batch.head, Some(RejectedBatch::refused(batch, reason)))
+                }
+                (Work::Aside(batch), _) => (batch.head, Some(RejectedBatch::unstorable(batch))),
+                (Work::MissingBatches(missing), _) => {
+                    let MissingBatches {
+                        host, stream, through: number, chain, process, events_through, ..
+                    } = *missing;
+                    // Only the fields that identify it and its mark are used.
                     let (before, events, events_before) = (chain, 0, events_through);
                     let head =
                         BatchHead { host, stream, process, number, before, chain, events, events_before };
                     (head, None)
                 }
-                // Nothing of a greeting can be put aside: the batches that follow bring the host's row.
+                // Greetings cannot be quarantined: the batches that follow create the host's row.
                 (Work::Hello(_) | Work::Goodbye(_) | Work::Name(_), Some(_)) => continue,
                 (Work::Hello(came), None) => {
                     self.introduce(connection, came, now).await?;
                     continue;
                 }
                 (Work::Goodbye(host), None) => {
-                    // Unknown to a database that has taken the place of another.
+                    // The host is unknown to a database that has taken the place of another.
                     if let Some(id) = self.entities.known_host(connection, *host).await? {
-                        self.ends.left(connection, id).await?;
+                        self.ends.end_process(connection, id).await?;
                     }
                     continue;
                 }
@@ -91,9 +95,9 @@ impl Staging {
                     continue;
                 }
             };
-            let mark = self.moved.stored(head.stream).or_else(|| marks.get(&head.stream).copied());
+            let mark = self.advanced_streams.stored(head.stream).or_else(|| marks.get(&head.stream).copied());
             if let Some(mark) = mark.filter(|mark| head.number <= mark.stored) {
-                // Came again before its acknowledgement: stored once.
+                // It was sent again before its acknowledgement: it is already stored.
                 committed.marks.insert(head.stream, mark);
                 continue;
             }
@@ -112,22 +116,24 @@ impl Staging {
                     counts.newest = counts.newest.max(batch.newest);
                     batch.added
                 }
-                (Work::Missing(missing), None) => records::missing(connection, host, missing, now).await?,
+                (Work::MissingBatches(missing), None) => {
+                    records::missing(connection, host, missing, now).await?
+                }
                 _ => continue,
             };
             self.counters.host(head.host, host).add(&added);
-            self.moved.mark(host, head);
+            self.advanced_streams.mark(host, head);
         }
         committed.nodes = batches.iter().map(|batch| batch.batch.nodes.len() as u64).sum();
-        // Rows of one run stand beside each other in the tables.
+        // Rows of one run are adjacent in the tables.
         batches.sort_by_key(|batch| batch.runs.first().copied());
         self.inserts.run(connection, &batches, &mut self.rollups).await?;
         self.rollups.write(connection).await?;
         committed.hosts = self.counters.write(connection, now, storage_s).await?;
         self.links.write(connection, storage_s).await?;
         self.ends.write(connection).await?;
-        self.trespasses.write(connection, now).await?;
-        committed.marks.extend(self.moved.write(connection, now).await?);
+        self.foreign_reports.write(connection, now).await?;
+        committed.marks.extend(self.advanced_streams.write(connection, now).await?);
         raw_transaction::commit(connection).await?;
         committed.runs = self.entities.take_met();
         committed.unknown = self.entities.take_unknown();
@@ -145,12 +151,12 @@ impl Staging {
         if let Some(secret) = &came.secret {
             secrets::enrol(connection, id, secret, now).await?;
         }
-        let added = self.moved.introduce(connection, id, came, now).await?;
+        let added = self.advanced_streams.introduce(connection, id, came, now).await?;
         self.counters.host(came.host.id, id).add(&added);
         Ok(())
     }
 
-    /// Does what a batch wants to have done one by one, and finds the numbers of what its rows refer to.
+    /// Stores the events of a batch that are no iterations, and looks up the numbers to which its rows refer.
     async fn resolve<'a>(
         &mut self,
         connection: &mut SqliteConnection,
@@ -158,8 +164,8 @@ impl Staging {
         reporter: Reporter,
         now: WallTime,
     ) -> Result<Resolved<'a>, Refusal> {
-        // Before anything of it is done.
-        self.trespasses.check(connection, &mut self.entities, reporter, &batch.claimed).await?;
+        // Checked before anything of the batch is stored.
+        self.foreign_reports.check(connection, &mut self.entities, reporter, &batch.claimed).await?;
         let mut runs = vec![0; batch.runs.len()];
         for step in &batch.steps {
             match step {
@@ -205,19 +211,19 @@ impl Staging {
             Event::Clock(sample) => {
                 self.links.store(connection, &mut self.entities, reporter.row, sample, now).await
             }
-            // Has become rows.
+            // Iterations were made into rows before.
             Event::Iteration(_) => Ok(()),
         }
     }
 
-    /// Forgets what is only in memory: the transaction did not end well. The names are to be read again.
+    /// Forgets what is only in memory: the transaction did not end well. The names have to be read again.
     pub(super) fn forget(&mut self) {
         self.entities.forget();
         self.rollups.forget();
         self.counters.forget();
-        self.moved.forget();
+        self.advanced_streams.forget();
         self.ends.forget();
         self.links.forget();
-        self.trespasses.forget();
+        self.foreign_reports.forget();
     }
 }

@@ -1,79 +1,81 @@
-//! What the writer is given, and why something of it is not stored.
+//! Input of the writer, and reasons why a part of it is not stored.
 
 use bytes::Bytes;
 use peernet_logger::{HostId, RunId, Slug};
-use peernet_stream::{BatchHead, HostDescription, HostSecret, Lacking, Missing, Placement, StreamId, codec};
+use peernet_stream::{
+    BatchHead, HostDescription, HostSecret, LackingBatches, MissingBatches, Placement, StreamId, codec,
+};
 
 use super::prepared::Prepared;
 
-/// What is to be stored, in the order in which it arrived.
+/// Something to be stored, in the order of arrival.
 #[derive(Debug)]
 pub enum Work {
     /// A host introduced itself.
     Hello(Box<Introduction>),
-    /// A host took its leave: nothing more comes of its runs, unless it kept something for later.
+    /// A host said goodbye: no more events of its runs follow, unless it kept some for later.
     Goodbye(HostId),
-    /// The live lane names a run that the store knows by its iterations only.
+    /// The live lane names a run of which the store has only iterations.
     Name(Box<RunName>),
-    /// Events.
+    /// A batch of events.
     Batch(Box<Prepared>),
-    /// A batch that cannot be stored whatever the database holds: put aside as it came.
+    /// A batch that can never be stored: quarantined as it arrived.
     Aside(Box<Aside>),
-    /// Batches that nobody has any more.
-    Missing(Missing),
-    /// Read the secret of a host again: an operator may have cleared it.
+    /// Batches that no longer exist anywhere.
+    MissingBatches(MissingBatches),
+    /// Request to read the secret of a host again: an operator may have cleared it.
     Secret(HostId),
 }
 
-/// A host that was let in.
+/// A host that was admitted.
 #[derive(Clone, Debug)]
 pub struct Introduction {
     /// The host.
     pub host: HostDescription,
-    /// The number that its process made at its start.
+    /// Random number of its process, made at the start.
     pub process: u64,
     /// The stream that its batches belong to.
     pub stream: StreamId,
-    /// The stream that this one goes on from.
+    /// The stream that this one continues.
     pub previous: Option<StreamId>,
     /// Number of the stream's first batch.
     pub first: u64,
-    /// The host's stream before, which this one does not go on from: its spool was deleted or replaced.
+    /// The host's stream before, if this one does not continue it: its spool was deleted or replaced.
     pub replaced: Option<StreamId>,
-    /// What this database lacks of the stream that this one goes on from.
-    pub lacking: Option<Lacking>,
-    /// The secret that it has proven to have; kept unless there is one.
+    /// Batches that this database lacks of the continued stream.
+    pub lacking: Option<LackingBatches>,
+    /// The secret that it proved to have; stored unless there is one.
     pub secret: Option<HostSecret>,
 }
 
 /// A batch that cannot be stored.
 #[derive(Clone, Debug)]
 pub struct Aside {
-    /// Which.
+    /// Head of the batch.
     pub head: BatchHead,
-    /// As it came.
+    /// The frame as it arrived.
     pub frame: Bytes,
-    /// Its events in wire form, where they match their hash.
+    /// Its events in wire form, if they match their hash.
     pub body: Option<Bytes>,
-    /// What is wrong with it.
+    /// The reason why it cannot be stored.
     pub reason: String,
 }
 
-/// What the live lane tells of a run.
+/// Name and placement of a run from the live lane.
 #[derive(Clone, Debug)]
 pub struct RunName {
-    /// Whose.
+    /// The host of the run.
     pub host: HostId,
     /// The run.
     pub run: RunId,
     /// Its pipeline.
     pub pipeline: Slug,
-    /// Where it computes.
+    /// Place where it computes.
     pub placement: Placement,
 }
 
 impl Work {
-    /// Events that match their hash, made ready to be stored or to be put aside.
+    /// Prepares events that match their hash to be stored or quarantined.
     pub fn of_batch(head: BatchHead, body: Bytes) -> Self {
         match Prepared::new(head, body.clone()) {
             Ok(batch) => Self::Batch(Box::new(batch)),
@@ -84,23 +86,23 @@ impl Work {
         }
     }
 
-    /// What it counts when commits are cut by nodes.
+    /// Returns its weight in nodes, by which commits are divided.
     pub fn weight(&self) -> usize {
         if let Self::Batch(batch) = self { batch.weight() } else { 1 }
     }
 }
 
-/// Why something was not stored.
+/// The reason why something was not stored.
 #[derive(Debug)]
 pub(crate) enum Refusal {
-    /// The batch itself cannot be stored: put aside, the stream goes on.
+    /// The batch itself cannot be stored. It is quarantined, and the stream continues.
     Batch(String),
-    /// The database cannot store anything now: try again.
+    /// The database cannot store anything now. The same work has to be tried again.
     Database(sqlx::Error),
 }
 
 impl From<sqlx::Error> for Refusal {
-    /// What SQLite says of the data is the batch's fault; all else (full, locked, read-only …) is the database's.
+    /// Attributes SQLite's errors about data to the batch, all others (full, locked, read-only …) to the database.
     fn from(error: sqlx::Error) -> Self {
         /// Primary result codes: TOOBIG, CONSTRAINT, MISMATCH, RANGE.
         const OF_THE_DATA: [u32; 4] = [18, 19, 20, 25];

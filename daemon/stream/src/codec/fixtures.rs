@@ -1,12 +1,14 @@
-//! The files in `tests/fixtures/wire/event-stream`: the bytes of every message of the event stream and of every event.
+//! Fixtures in `tests/fixtures/wire/event-stream`: the bytes of every message of the event stream and of every event.
 //!
-//! Names of variants are on the wire, and the order of fields decides what a value means. These files notice when a renamed
-//! variant or a moved field changes the bytes, which neither the compiler nor a test that encodes and decodes notices.
+//! The wire form contains the names of variants, and the order of fields determines the meaning of a value. These files
+//! detect when a renamed variant or a moved field changes the bytes, which neither the compiler nor a test that encodes
+//! and decodes detects.
 //!
-//! A file is `MESSAGE.bin` or `MESSAGE.DETAIL.bin`. A new message or variant gets a value in [`messages`] or [`events`] with
-//! a `DETAIL` of its own; `write_missing_fixtures` writes its file and never changes one that is there. A file is deleted
-//! only together with a new oldest version in [`STREAM_VERSIONS`](super::super::STREAM_VERSIONS), because agents of the old
-//! version still send those bytes; those of hellos and refusals never, because these are the same in all versions.
+//! A file is `MESSAGE.bin` or `MESSAGE.DETAIL.bin`. A new message or variant gets a value in [`messages`] or [`events`]
+//! with its own `DETAIL`; `write_missing_fixtures` writes its file and never changes an existing one. A file is deleted
+//! only together with a new oldest version in [`STREAM_VERSIONS`](super::super::STREAM_VERSIONS), because agents of the
+//! old version still send those bytes. Files of hellos and refusals are never deleted, because these messages are the
+//! same in all versions.
 
 mod events;
 mod messages;
@@ -19,7 +21,7 @@ use std::path::{Path, PathBuf};
 
 use super::*;
 
-/// Files by name.
+/// Frames by file name.
 type Files = BTreeMap<String, Bytes>;
 
 fn folder() -> PathBuf {
@@ -38,7 +40,7 @@ fn files() -> Files {
         .collect()
 }
 
-/// What a file holds.
+/// Decoded content of a file.
 enum Content {
     ToAggregator(Box<ToAggregator>),
     ToAgent(ToAgent),
@@ -47,8 +49,8 @@ enum Content {
 }
 
 impl Content {
-    /// Decodes a frame. Batches and parts are recognised as the receiver recognises them; which end a message is for is
-    /// known from the connection, and here from the file's name.
+    /// Decodes a frame. Batches and parts are recognised as the receiver recognises them. The direction of other
+    /// messages is known from the connection, and here from the file's name.
     fn decode(file: &str, frame: &Bytes) -> Self {
         if let Some(head) = batch_head(frame) {
             let body = readable(file, batch_body(frame.clone()));
@@ -63,7 +65,7 @@ impl Content {
         Self::ToAggregator(Box::new(readable(file, decode(frame))))
     }
 
-    /// Returns its frame, not compressed.
+    /// Returns the frame without compression.
     fn encode(&self) -> Vec<u8> {
         match self {
             Self::ToAggregator(message) => encode(&**message),
@@ -73,7 +75,7 @@ impl Content {
         }
     }
 
-    /// Returns the part of the file's name that stands before the first dot.
+    /// Returns the part of the file's name before the first dot.
     fn name(&self) -> &'static str {
         match self {
             Self::ToAggregator(message) => variants::to_aggregator_name(message),
@@ -94,9 +96,10 @@ fn body_of(events: &[Event]) -> Vec<u8> {
     body
 }
 
-/// Returns a frame as it is when it is not compressed.
+/// Returns the uncompressed form of a frame.
 ///
-/// Frames are compared in this form: another version of zstd may compress to other bytes, which every version reads.
+/// Frames are compared in this form, because another version of Zstandard may compress to other bytes, which every
+/// version can read.
 fn uncompressed(file: &str, frame: &Bytes) -> Vec<u8> {
     if let Some(packed) = frame.strip_prefix(&[BATCH, PACKED]) {
         return readable(file, unpack(packed));
@@ -132,7 +135,7 @@ fn decoded_fixture_is_encoded_to_same_bytes() {
     }
 }
 
-/// Notices two fields of one type that changed places: those are encoded to the bytes that were decoded all the same.
+/// Detects two fields of one type that changed places: decoding and encoding still yields the same bytes then.
 #[test]
 fn value_is_encoded_as_in_its_fixture() {
     let files = files();

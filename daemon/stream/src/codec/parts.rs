@@ -1,4 +1,4 @@
-//! A batch's frame in parts, for ways on which it would take long.
+//! Parts of a batch's frame, for links on which the whole frame would take long.
 //!
 //! | bytes | what |
 //! | --- | --- |
@@ -12,23 +12,23 @@ use bytes::{Buf, Bytes};
 use super::{BATCH, MAX_MESSAGE_BYTES, PART};
 use peernet_logger::HostId;
 
-/// Bytes of a part before what it carries.
+/// Number of bytes of a part before its content.
 pub(in super::super) const PART_HEAD_BYTES: usize = 2 + 16 + 4 + 4;
 
-/// A piece of a batch's frame.
+/// A part of a batch's frame.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Part {
-    /// Whose.
+    /// Host that sends the batch.
     pub host: HostId,
-    /// Bytes of the frame before it.
+    /// Number of bytes of the frame before this part.
     pub offset: u32,
-    /// Bytes of the whole frame; at most [`MAX_MESSAGE_BYTES`], and no less than end with this part.
+    /// Number of bytes of the whole frame: at most [`MAX_MESSAGE_BYTES`], and at least the end of this part.
     pub total: u32,
-    /// What it carries; not empty.
+    /// Content of the part; not empty.
     pub bytes: Bytes,
 }
 
-/// The frame of a part.
+/// Returns the frame of a part.
 pub fn part_frame(part: &Part) -> Vec<u8> {
     let mut frame = Vec::with_capacity(PART_HEAD_BYTES + part.bytes.len());
     frame.extend([BATCH, PART]);
@@ -39,7 +39,7 @@ pub fn part_frame(part: &Part) -> Vec<u8> {
     frame
 }
 
-/// The part in a frame; `None` for any other message, and for a part of what nothing can be a part of.
+/// Returns the part in a frame; `None` for any other message, and for a part whose fields contradict each other.
 pub fn part(frame: &Bytes) -> Option<Part> {
     let rest = frame.strip_prefix(&[BATCH, PART])?;
     let (&host, rest) = rest.split_first_chunk()?;
@@ -48,6 +48,7 @@ pub fn part(frame: &Bytes) -> Option<Part> {
     let (offset, total) = (u32::from_be_bytes(offset), u32::from_be_bytes(total));
     let mut bytes = frame.clone();
     bytes.advance(PART_HEAD_BYTES);
+    // The fields come from an untrusted peer.
     let end = (offset as usize).checked_add(bytes.len())?;
     let sound = !bytes.is_empty() && end <= total as usize && total as usize <= MAX_MESSAGE_BYTES;
     sound.then_some(Part { host: HostId::from_bytes(host), offset, total, bytes })
@@ -59,7 +60,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_part_is_read_as_it_was_written_and_taken_for_nothing_else() {
+    fn part_is_decoded_as_encoded_and_as_nothing_else() {
         let host = HostId::from_bytes([7; 16]);
         let written = Part { host, offset: 300, total: 303, bytes: Bytes::from_static(b"end") };
         let frame = Bytes::from(part_frame(&written));

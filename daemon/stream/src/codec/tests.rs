@@ -1,6 +1,6 @@
 use peernet_clock::{
-    DelaySource, Discipline, Exchange, ExchangeCounts, Interval, Offset, RawTime, RehearsalDescription,
-    RehearsedStep, Span, Verdict, WallTime,
+    ClockFaultStep, ClockFaults, DelaySource, Discipline, Exchange, ExchangeCounts, Interval, Offset,
+    RawTime, Span, Verdict, WallTime,
 };
 use proptest::prelude::*;
 
@@ -14,7 +14,7 @@ fn interval(lo: i64, hi: i64) -> Interval {
     Interval { lo: Span::from_nanos(lo), hi: Span::from_nanos(hi) }
 }
 
-/// A sample with everything that one can hold.
+/// Returns a sample with all optional fields.
 fn clock() -> ClockSample {
     let at = WallTime::from_unix_nanos;
     let exchange = Exchange {
@@ -70,10 +70,10 @@ fn host_clock() -> HostClock {
         discipline: Some(Discipline { source: DelaySource::Chrony, error: interval(-7, 7) }),
         text: "chrony, stratum 2, to 10.0.0.1".into(),
         epoch: 3,
-        rehearsal: Some(RehearsalDescription {
+        rehearsal: Some(ClockFaults {
             offset: Span::from_seconds(1),
             drift_ppm: -50.0,
-            steps: vec![RehearsedStep::of_wall(Span::from_seconds(9), Span::from_seconds(-3))],
+            steps: vec![ClockFaultStep::of_wall(Span::from_seconds(9), Span::from_seconds(-3))],
             since: WallTime::from_unix_nanos(5),
         }),
         clocksource: None,
@@ -105,7 +105,7 @@ fn head_of(number: u64, events: u32, body: &[u8]) -> BatchHead {
     BatchHead { host, stream, process: 7, number, before, chain, events, events_before }
 }
 
-/// A frame of so many events, and what it was made from.
+/// Returns a frame of `count` events, its head, and the events.
 fn frame_of(count: usize, compress: bool) -> (Bytes, BatchHead, Vec<Event>) {
     let events = some(count);
     let body = body_of(&events);
@@ -133,7 +133,7 @@ fn a_batch_arrives_as_it_was_sent() {
 }
 
 #[test]
-fn what_compression_makes_longer_is_sent_as_it_is() {
+fn incompressible_body_is_sent_uncompressed() {
     let body: Vec<u8> = (0..=255_u8).collect();
     let head = head_of(1, 1, &body);
     let frame = batch_frame(&head, &body, true);
@@ -153,7 +153,7 @@ fn a_batch_is_no_message_and_a_message_is_no_batch() {
 }
 
 #[test]
-fn a_compressed_message_is_read_like_any_other_and_never_unpacked_without_end() {
+fn compressed_message_is_read_within_size_limit() {
     let refused = ToAgent::Refused { reason: "no ".repeat(1_000) };
     let frame = encode_packed(&refused);
     assert!(frame.len() < 200 && batch_head(&[&frame[..], &[0; 200]].concat()).is_none());
@@ -191,7 +191,7 @@ fn events_must_be_as_many_as_the_head_says() {
 
 #[test]
 fn a_body_that_grows_without_end_is_not_unpacked() {
-    // Compresses to almost nothing: the head would have to lie to let it in.
+    // The body compresses to almost nothing, so that only a wrong length in the head could pass the limit.
     let body = vec![0; 8 * MAX_MESSAGE_BYTES];
     let mut frame = batch_frame(&head_of(5, 1, &body), &body, true);
     assert!(frame.len() < MAX_MESSAGE_BYTES);
@@ -201,7 +201,7 @@ fn a_body_that_grows_without_end_is_not_unpacked() {
 }
 
 #[test]
-fn what_is_told_of_clocks_arrives_as_it_was_sent() {
+fn clock_samples_arrive_unchanged() {
     let probing = [
         Probing::On { address: "udp://h:8620".into(), rate_hz: 10.0, stamps: "program".into() },
         Probing::Unanswered { address: "udp://h:8620".into(), reason: Some("another key".into()) },
@@ -264,7 +264,7 @@ proptest! {
         let _ = (events(&body, 2), events(&body[..cut.index(at_body + 1)], 2));
     }
 
-    /// Whatever bit of a frame changes: it is another batch's by its head, or its events are not read.
+    /// Checks that every changed bit is detected: the head is that of another batch, or the events are not read.
     #[test]
     fn no_bit_changes_unnoticed(bit: prop::sample::Index, compress: bool) {
         let (frame, head, _) = frame_of(2, compress);

@@ -1,4 +1,4 @@
-//! Both state machines with anything said to them, in any order.
+//! Random conversations with each of the two state machines.
 
 use std::collections::{BTreeMap, VecDeque};
 
@@ -8,20 +8,21 @@ use peernet_clock::{MonoTime, Span, Stamp};
 use super::script::{Script, beginning, host};
 use crate::codec;
 use crate::{
-    Accounting, Action, Arrival, Chain, Event, Greeting, HostSecret, Incident, IncidentKind, Known, Nonce,
-    Receiving, ReceivingConfig, Sending, SendingConfig, SpoolState, SpooledBatch, StreamId, ToAgent,
-    ToAggregator, Usage,
+    Accounting, Action, Arrival, Chain, Event, Greeting, HostSecret, Incident, IncidentKind, Nonce,
+    Receiving, ReceivingConfig, Sending, SendingConfig, SpoolState, SpooledBatch, StreamId, StreamRecord,
+    ToAgent, ToAggregator, Usage,
 };
 use peernet_logger::HostId;
 
-/// Steps of one script, at most.
+/// Largest number of steps of one script.
 const MOST_STEPS: usize = 2_000;
 
-/// The first byte chooses the end, the others are what happens to it: frames, decisions of its owner, and time.
+/// Runs a script. Its first byte selects the end, and the others are what happens to it: frames, decisions of its
+/// owner, and time.
 ///
 /// # Panics
-/// When a promise is broken: batches of a stream that are accepted out of order, a window of nothing, events that are
-/// not accounted for.
+/// If a guarantee is violated: batches of a stream are accepted out of order, a window is zero, or events are not
+/// accounted for.
 pub fn any_conversation(data: &[u8]) {
     let Some((&end, script)) = data.split_first() else { return };
     let mut script = Script(script);
@@ -30,7 +31,7 @@ pub fn any_conversation(data: &[u8]) {
 
 fn at_an_aggregator(script: &mut Script<'_>) {
     let mut end = Receiving::new(ReceivingConfig::new("base".parse().expect("a name")));
-    // Where the stream is that a host says it sends, as far as that was said.
+    // Last accepted number of each stream, as far as it was reported.
     let mut accepted: BTreeMap<StreamId, u64> = BTreeMap::new();
     let mut now = MonoTime::from_nanos(0);
     for _ in 0..MOST_STEPS {
@@ -43,10 +44,11 @@ fn at_an_aggregator(script: &mut Script<'_>) {
                 let mark = (script.byte() & 1 == 0).then(|| script.host()).map(|owner| script.mark(owner));
                 let last = (script.byte() & 1 == 0).then(|| script.stream());
                 let (came, previous) = (last == Some(hello.stream), mark.filter(|mark| mark.stored & 1 == 0));
-                let known = Known { mark, came, last, previous, seniority: mark.map(|mark| mark.stored) };
+                let known =
+                    StreamRecord { mark, came, last, previous, seniority: mark.map(|mark| mark.stored) };
                 if let Greeting::Welcome { reply, missing, .. } = end.hello(&hello, known, now) {
                     assert!(matches!(reply, ToAgent::Welcome { window: 1.., .. }));
-                    // The mark may be ahead of what came: from here on it is followed again.
+                    // The mark may be ahead of the accepted batches. The stream is followed from here on.
                     accepted.remove(&hello.stream);
                     if let Some(missing) = missing {
                         assert!(missing.from <= missing.through && missing.through < hello.oldest);
@@ -98,13 +100,13 @@ fn at_an_aggregator(script: &mut Script<'_>) {
     }
 }
 
-/// An agent and a spool that does what it is asked, or fails.
+/// An agent with a spool that performs the requested actions or fails.
 struct Agent {
     sending: Sending,
     jobs: VecDeque<Action>,
     spool: Vec<SpooledBatch>,
     now: Stamp,
-    /// The echo that was last asked for.
+    /// Position of the last request for an echo.
     echo: u64,
 }
 
@@ -151,7 +153,7 @@ fn at_an_agent(script: &mut Script<'_>) {
 }
 
 impl Agent {
-    /// `sent` is what was sent last: its stream, chain and number.
+    /// Performs one step. `sent` is the stream, chain and number of the last sent batch.
     fn step(&mut self, script: &mut Script<'_>, sent: (StreamId, Chain, u64)) {
         let now = self.now;
         match script.byte() % 10 {
@@ -211,7 +213,7 @@ impl Agent {
 fn message(script: &mut Script<'_>, (mut stream, chain, number): (StreamId, Chain, u64)) -> ToAgent {
     let choice = script.byte();
     let (mut number, mut chain, window) = (number, Some(chain), u32::from(script.byte()));
-    // As a rule what an aggregator says that stored all that was sent.
+    // Usually the answer of an aggregator that stored everything that was sent.
     if choice & 0x40 != 0 {
         number = script.number();
         chain = (choice & 0x20 != 0).then(|| script.chain(number));

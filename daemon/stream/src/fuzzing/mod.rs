@@ -1,4 +1,4 @@
-//! Any bytes as what an agent and an aggregator send each other: what the fuzz targets in `fuzz/` and the tests run.
+//! Conversations made of arbitrary bytes, for the fuzz targets in `fuzz/` and for tests.
 
 mod conversation;
 mod script;
@@ -11,15 +11,17 @@ use crate::codec::{self, CodecError, MAX_MESSAGE_BYTES, Message};
 use crate::{BatchHead, Chain, StreamId, ToAgent, ToAggregator};
 use peernet_logger::HostId;
 
-/// Bits of the first byte of [`any_batch`]: what is done to the rest so that chance gets past the hash.
+/// Bits of the first byte of [`any_batch`], which tell how to treat the others so that random bytes pass the check of
+/// the hash.
 const AS_BODY: u8 = 1;
 const COMPRESSED: u8 = 2;
 
-/// The first byte chooses whether the others are a batch's frame, or the body of one that is intact.
+/// Reads arbitrary bytes as a batch. The first byte selects whether the others are a batch's frame or the body of an
+/// intact one.
 ///
 /// # Panics
-/// When a promise is broken: a body that its chain was not computed from or that is too long, a frame that says
-/// something else than it was made of.
+/// If a guarantee is violated: a body is accepted that does not match its chain or is too long, or a frame is read
+/// differently than it was written.
 pub fn any_batch(data: &[u8]) {
     let Some((&how, bytes)) = data.split_first() else { return };
     if how & AS_BODY == 0 {
@@ -41,7 +43,7 @@ pub fn any_batch(data: &[u8]) {
     assert_eq!(take(&frame), (bytes.len() <= MAX_MESSAGE_BYTES).then_some(head), "what was framed is taken");
 }
 
-/// What the aggregator does with a frame; returns the head of an intact batch.
+/// Handles a frame as the aggregator does. Returns the head of an intact batch.
 fn take(frame: &[u8]) -> Option<BatchHead> {
     let head = codec::batch_head(frame)?;
     assert!(codec::decode::<ToAggregator>(frame).is_err(), "a batch's frame is no message");
@@ -54,10 +56,10 @@ fn take(frame: &[u8]) -> Option<BatchHead> {
     Some(head)
 }
 
-/// Any bytes as a message of either end.
+/// Reads arbitrary bytes as a message of either end.
 ///
 /// # Panics
-/// When a message that was read is written in another form than it is read from.
+/// If a decoded message is encoded in another form than it was read from.
 pub fn any_message(data: &[u8]) {
     again(codec::decode::<ToAggregator>(data));
     again(codec::decode::<ToAgent>(data));
@@ -66,7 +68,7 @@ pub fn any_message(data: &[u8]) {
 fn again<M: Message>(message: Result<M, CodecError>) {
     let Ok(message) = message else { return };
     let frame = codec::encode(&message);
-    // By bytes: numbers that are none are not equal to themselves.
+    // Compared by bytes, because NaN does not equal itself.
     let read = codec::decode::<M>(&frame).map(|message| codec::encode(&message));
     assert!(read.is_ok_and(|again| again == frame), "a message is read as it was written");
 }

@@ -7,7 +7,7 @@ use crate::{
 };
 use peernet_logger::HostId;
 
-/// Reads decisions from bytes; zeros at their end.
+/// Reader of decisions from bytes. After the end it returns zeros.
 pub(super) struct Script<'a>(pub(super) &'a [u8]);
 
 impl Script<'_> {
@@ -28,7 +28,7 @@ impl Script<'_> {
         bytes.to_vec()
     }
 
-    /// Small as a rule, so that some follow one another; or near an end of what there is.
+    /// Returns a number that is usually small, so that some numbers follow one another, or is near the end of a range.
     pub(super) fn number(&mut self) -> u64 {
         match self.byte() {
             small @ 0..200 => u64::from(small % 16),
@@ -45,7 +45,7 @@ impl Script<'_> {
         StreamId::from_bytes([self.byte() % 4; 16])
     }
 
-    /// Of a batch with a number, so that some agree; or another.
+    /// Returns the chain of a batch with a number, so that some chains agree, or another one.
     pub(super) fn chain(&mut self, number: u64) -> Chain {
         let mut bytes = [0; 16];
         let (head, tail) = bytes.split_at_mut(8);
@@ -104,7 +104,7 @@ pub(super) fn host(id: HostId) -> HostDescription {
     }
 }
 
-/// When nothing has happened yet.
+/// Returns the time at which a script begins.
 pub(super) fn beginning() -> WallTime {
     WallTime::from_unix_nanos(1_800_000_000_000_000_000)
 }

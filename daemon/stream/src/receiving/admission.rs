@@ -1,11 +1,11 @@
-//! Who may speak.
+//! Decision which hosts get a session.
 
 use peernet_clock::MonoTime;
 
 use super::super::codec::MAX_MESSAGE_BYTES;
 use super::super::{STREAM_VERSIONS, batch_weight};
 use super::progress::LAST_BATCH;
-use super::{Hello, Known, Receiving, StreamId};
+use super::{Hello, Receiving, StreamId, StreamRecord};
 use peernet_logger::{HostId, Slug};
 
 /// Returns the reason to refuse an agent that has no version in common with this aggregator.
@@ -15,7 +15,7 @@ pub(super) fn wrong_version(hello: &Hello) -> Option<String> {
     Some(mismatch.describe("the event stream", "the aggregator", &agent))
 }
 
-/// Whether a host has been stored for longer than another; one that is not stored never has.
+/// Returns whether a host has been stored for longer than another. A host that is not stored has the lowest seniority.
 const fn is_senior(host: Option<u64>, other: Option<u64>) -> bool {
     match (host, other) {
         (Some(host), Some(other)) => host < other,
@@ -23,7 +23,7 @@ const fn is_senior(host: Option<u64>, other: Option<u64>) -> bool {
     }
 }
 
-/// A host that said hello.
+/// Session of a host whose hello was accepted.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) struct Session {
     name: Slug,
@@ -31,10 +31,9 @@ pub(super) struct Session {
     pub(super) process: u64,
     pub(super) stream: StreamId,
     pub(super) heard: MonoTime,
-    /// What a batch of the usual length counts in a window, by its word; what is longer than a message counts as a
-    /// message.
+    /// Weight of a batch of the usual length, as stated in the hello; at most the longest message.
     pub(super) batch_bytes: u64,
-    /// Another process that wants to be this host, and when it first said so.
+    /// Another process that claims to be this host, and the time of its first hello.
     challenger: Option<(u64, MonoTime)>,
 }
 
@@ -52,24 +51,24 @@ impl Session {
     }
 }
 
-/// Whether a host gets in.
+/// Decision about a hello.
 pub(super) enum Admission {
     Granted,
     Refused(String),
-    /// It shows by the next hello.
+    /// The next hello decides.
     Later,
 }
 
 impl Receiving {
-    pub(super) fn admission(&mut self, hello: &Hello, known: Known, now: MonoTime) -> Admission {
+    pub(super) fn admission(&mut self, hello: &Hello, known: StreamRecord, now: MonoTime) -> Admission {
         match self.objection(hello, known, now) {
             Some(reason) => Admission::Refused(reason),
             None => self.challenge(hello, now),
         }
     }
 
-    /// What speaks against a hello whoever is connected under its host id.
-    fn objection(&self, hello: &Hello, known: Known, now: MonoTime) -> Option<String> {
+    /// Returns the reason to refuse a hello that does not depend on who is connected under its host id.
+    fn objection(&self, hello: &Hello, known: StreamRecord, now: MonoTime) -> Option<String> {
         if let Some(reason) = wrong_version(hello) {
             return Some(reason);
         }
@@ -82,6 +81,8 @@ impl Receiving {
             ));
         }
         let named =
+            // The name belongs to the host that has been stored longer: a name taken by a newcomer must not lock out
+            // its owner.
             self.namesake(hello, now).filter(|(_, session)| !is_senior(known.seniority, session.seniority));
         if let Some((other, _)) = named {
             let name = &hello.host.name;
@@ -89,6 +90,7 @@ impl Receiving {
                 "the name {name} is taken by the host with the id {other}: give one of the two another name"
             ));
         }
+        // Batches that wait to be stored decide as well, because their mark is not in the database yet.
         let here = self.streams.get(&hello.stream).map(|progress| progress.host);
         let owner = here.or(known.mark.map(|mark| mark.host)).filter(|owner| *owner != hello.host.id)?;
         Some(format!(
@@ -98,7 +100,7 @@ impl Receiving {
         ))
     }
 
-    /// Another host with the name of this one that was heard a moment ago.
+    /// Returns another host with the same name that was active recently.
     fn namesake(&self, hello: &Hello, now: MonoTime) -> Option<(HostId, &Session)> {
         let host = &hello.host;
         let held =
@@ -107,14 +109,16 @@ impl Receiving {
         named.map(|(other, session)| (*other, session))
     }
 
-    /// A host that has been stored for longer takes its name back from one that used it meanwhile. Returns the other.
+    /// Ends the session of another host that uses the name of a host which has been stored for longer. Returns that
+    /// host.
     pub(super) fn take_back_name(&mut self, hello: &Hello, now: MonoTime) -> Option<HostId> {
         let (other, _) = self.namesake(hello, now)?;
         self.goodbye(other);
         Some(other)
     }
 
-    /// A process takes over from another that is silent. While the other is heard they are one copied host.
+    /// Decides between two processes with one host id. The new one takes over if the old one is silent; if both are
+    /// active, one uses a copied state directory.
     fn challenge(&mut self, hello: &Hello, now: MonoTime) -> Admission {
         let host: HostId = hello.host.id;
         let silence = self.config.silence;
@@ -123,6 +127,7 @@ impl Receiving {
             return Admission::Granted;
         };
         match session.challenger {
+            // The old process sent something after the new one's first hello: both are alive.
             Some((process, since)) if process == hello.process && session.heard > since => {
                 session.challenger = None;
                 return Admission::Refused(format!(

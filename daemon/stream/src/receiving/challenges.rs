@@ -1,4 +1,5 @@
-//! Challenges that wait for their proof: nothing of a host changes before it has shown that it has the host's secret.
+//! Challenges that wait for their proof. Nothing of a host changes before the agent has proven that it has the host's
+//! secret.
 
 use std::collections::HashMap;
 use std::hash::Hash;
@@ -9,10 +10,10 @@ use super::super::{HostSecret, Nonce, Proof, STREAM_VERSIONS};
 use super::{Hello, ToAgent};
 use peernet_logger::Slug;
 
-/// How long a challenge waits for its proof: longer than a round trip on any link.
+/// Time that a challenge waits for its proof: longer than a round trip on any link.
 const PROOF_WITHIN: Span = Span::from_seconds(15);
 
-/// Hellos whose proof is awaited, one of each connection at most. `C` identifies a connection.
+/// Hellos that wait for their proof, at most one per connection. `C` identifies a connection.
 #[derive(Clone, Debug)]
 pub struct Challenges<C> {
     aggregator: Slug,
@@ -23,41 +24,41 @@ pub struct Challenges<C> {
 struct Pending {
     hello: Box<Hello>,
     nonce: Nonce,
-    /// Whether the secret was asked for.
+    /// `true` if the secret was requested.
     enrol: bool,
     since: MonoTime,
 }
 
-/// What a proof shows.
+/// Result of a proof.
 #[derive(Clone, Debug, PartialEq)]
-pub enum Proven {
-    /// The hello is that of its host.
+pub enum ProofResult {
+    /// The proof is valid.
     Yes {
-        /// What was said at first.
+        /// Hello that the proof confirms.
         hello: Box<Hello>,
-        /// The host's secret, where the aggregator knew none until now.
+        /// Secret of the host, if the aggregator had none before.
         enrolled: Option<HostSecret>,
     },
-    /// It was made with another secret than the host's.
+    /// The proof was made with another secret than the host's.
     No(Box<Hello>),
-    /// It answers no challenge that waits on this connection: the agent is to say hello again.
+    /// The proof answers no challenge of this connection. The agent must send a hello.
     Unasked,
 }
 
 impl<C: Eq + Hash> Challenges<C> {
-    /// No challenge yet, by the aggregator of this name.
+    /// Creates an empty set of challenges for the aggregator of this name.
     pub fn new(aggregator: Slug) -> Self {
         Self { aggregator, pending: HashMap::new() }
     }
 
-    /// A hello came on a connection. Returns what is to be sent. `enrol` says that no secret of its host is known;
-    /// `nonce` is a fresh one.
+    /// Records the hello of a connection and returns the challenge to be sent. `enrol` requests the secret, because
+    /// none of the host is known; `nonce` is a new one.
     ///
-    /// The highest version that both ends speak is chosen. Hellos without one are refused before
-    /// ([`Receiving::refuses_version`](super::Receiving::refuses_version)).
+    /// The challenge contains the highest version that both ends support. Hellos without such a version are refused
+    /// before ([`Receiving::refuses_version`](super::Receiving::refuses_version)).
     ///
-    /// A hello that is repeated gets the same challenge again: on a slow link the proof may be on its way. Any other takes
-    /// the place of the one before on its connection.
+    /// A repeated hello gets the same challenge again, because on a slow link the proof may be in flight. Any other
+    /// hello replaces the previous one of its connection.
     pub fn challenge(
         &mut self,
         connection: C,
@@ -68,6 +69,7 @@ impl<C: Eq + Hash> Challenges<C> {
     ) -> ToAgent {
         let claim = |hello: &Hello| (hello.host.id, hello.process, hello.stream);
         let before = self.pending.get(&connection);
+        // A proof for the previous challenge may be in flight; a new nonce would make it invalid.
         let before = before.filter(|it| claim(&it.hello) == claim(&hello) && it.enrol == enrol);
         let nonce = before.map_or(nonce, |before| before.nonce);
         let (aggregator, stream) = (self.aggregator.clone(), hello.stream);
@@ -77,47 +79,49 @@ impl<C: Eq + Hash> Challenges<C> {
         ToAgent::Challenge { aggregator, stream, nonce, enrol, version }
     }
 
-    /// The host whose proof a connection is to give.
+    /// Returns the hello whose proof a connection has to send.
     pub fn awaited(&self, connection: &C) -> Option<&Hello> {
         self.pending.get(connection).map(|pending| &*pending.hello)
     }
 
-    /// A proof came on a connection; `known` is the secret of the host that [`awaited`](Self::awaited) names, if one is
-    /// known. A challenge is used up by the answer to it, whether that is right or wrong.
-    pub fn prove(&mut self, connection: &C, proof: Proof, known: Option<&HostSecret>) -> Proven {
+    /// Checks the proof that came on a connection. `known` is the secret of the host that [`awaited`](Self::awaited)
+    /// returns, if the aggregator has one. A challenge is removed by its answer, whether that is valid or not.
+    pub fn prove(&mut self, connection: &C, proof: Proof, known: Option<&HostSecret>) -> ProofResult {
         let answered =
             |pending: &Pending| (pending.hello.host.id, pending.nonce) == (proof.host, proof.nonce);
         if !self.pending.get(connection).is_some_and(answered) {
-            return Proven::Unasked;
+            return ProofResult::Unasked;
         }
+        // Removed before the check, so that each nonce is answered at most once.
         let Some(Pending { hello, nonce, enrol, .. }) = self.pending.remove(connection) else {
-            return Proven::Unasked;
+            return ProofResult::Unasked;
         };
+        // A secret that was not requested is ignored: it could replace the one that is known.
         let told = proof.secret.filter(|_| enrol);
-        let Some(secret) = known.or(told.as_ref()) else { return Proven::Unasked };
+        let Some(secret) = known.or(told.as_ref()) else { return ProofResult::Unasked };
         if secret.verify(&proof.code, &nonce, &hello, &self.aggregator) {
-            Proven::Yes { hello, enrolled: told.filter(|_| known.is_none()) }
+            ProofResult::Yes { hello, enrolled: told.filter(|_| known.is_none()) }
         } else {
-            Proven::No(hello)
+            ProofResult::No(hello)
         }
     }
 
-    /// A connection has ended.
+    /// Removes the challenge of a connection that ended.
     pub fn forget(&mut self, connection: &C) {
         self.pending.remove(connection);
     }
 
-    /// Forgets challenges that were not answered in time.
+    /// Removes challenges that were not answered in time.
     pub fn age(&mut self, now: MonoTime) {
         self.pending.retain(|_, pending| now - pending.since <= PROOF_WITHIN);
     }
 
-    /// How many proofs are awaited.
+    /// Returns the number of challenges without an answer.
     pub fn len(&self) -> usize {
         self.pending.len()
     }
 
-    /// Whether no proof is awaited.
+    /// Returns whether all challenges are answered.
     pub fn is_empty(&self) -> bool {
         self.pending.is_empty()
     }

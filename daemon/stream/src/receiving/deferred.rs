@@ -1,4 +1,4 @@
-//! Streams that found no room.
+//! Streams with a batch that found no room.
 
 use std::collections::{BTreeSet, VecDeque};
 
@@ -6,12 +6,12 @@ use super::StreamId;
 
 /// Streams in the order in which they first found no room, each once.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub(super) struct Deferred {
+pub(super) struct DeferredStreams {
     order: VecDeque<StreamId>,
     known: BTreeSet<StreamId>,
 }
 
-impl Deferred {
+impl DeferredStreams {
     pub(super) const fn new() -> Self {
         Self { order: VecDeque::new(), known: BTreeSet::new() }
     }
@@ -22,7 +22,7 @@ impl Deferred {
         }
     }
 
-    /// The one that waits longest.
+    /// Removes and returns the stream that waits longest.
     pub(super) fn pop(&mut self) -> Option<StreamId> {
         let stream = self.order.pop_front()?;
         self.known.remove(&stream);

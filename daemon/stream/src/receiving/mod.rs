@@ -1,4 +1,4 @@
-//! The aggregator's end of the event stream: who may speak, and which batch is next.
+//! The aggregator's end of the event stream: sessions of hosts, and the next batch of each stream.
 
 mod admission;
 mod challenges;
@@ -12,35 +12,36 @@ use bytes::Bytes;
 use peernet_clock::{MonoTime, Span};
 
 use self::admission::{Admission, Session};
-pub use self::challenges::{Challenges, Proven};
-use self::deferred::Deferred;
-use self::parts::Parts;
+pub use self::challenges::{Challenges, ProofResult};
+use self::deferred::DeferredStreams;
+use self::parts::PartAssembler;
 use self::progress::Progress;
 use super::codec::Part;
 use super::{BatchHead, Chain, Hello, StreamId, ToAgent};
 use peernet_logger::{HostId, Slug};
 
-/// Streams of one host that are not stored as far as they were accepted, at most: one, and those it left a moment ago.
+/// Largest number of streams of one host with batches that are accepted and not stored: the current one, and those that
+/// it left recently.
 const MOST_UNSETTLED: usize = 8;
 
-/// How agents are told apart.
+/// Configuration of the receiving end.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct ReceivingConfig {
     /// Name of the aggregator's own host.
     pub aggregator: Slug,
-    /// An agent that was silent for so long no longer defends its host id: three of its live updates.
+    /// Silence after which an agent no longer keeps its host id from another process: three of its live updates.
     pub silence: Span,
-    /// An agent that was silent for so long no longer holds its name.
+    /// Silence after which an agent no longer keeps its name.
     pub name_held: Span,
-    /// Bytes of batches that may be under way from all agents together, as long as each has one at least: what the
-    /// aggregator is ready to hold in memory.
+    /// Bytes of batches in flight from all agents together, which limit the aggregator's memory. Each agent is allowed
+    /// at least one batch.
     pub budget_bytes: u64,
-    /// What one agent may have under way, at most, in units of its batches' usual length.
+    /// Largest window of one agent, in units of its batches' usual length.
     pub most_window: u32,
 }
 
 impl ReceivingConfig {
-    /// The usual times.
+    /// Creates a configuration with the default times.
     pub const fn new(aggregator: Slug) -> Self {
         Self {
             aggregator,
@@ -52,24 +53,24 @@ impl ReceivingConfig {
     }
 }
 
-/// How far a stream is stored.
+/// Stored position of a stream. It is written in the transaction that stores the batch.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Mark {
-    /// Whose stream it is.
+    /// Host that the stream belongs to.
     pub host: HostId,
-    /// All batches up to and including this number.
+    /// Number up to which all batches are stored.
     pub stored: u64,
     /// Chain of that batch.
     pub chain: Chain,
-    /// The process that sent it; `None` when it is not known.
+    /// Process that sent that batch; `None` if it is unknown.
     pub process: Option<u64>,
-    /// Number of events in all batches of the spool up to it; `None` when it is not known, because an earlier version
-    /// stored it.
+    /// Number of events in all batches of the spool up to that batch; `None` if it is unknown, because an earlier
+    /// version stored it.
     pub events: Option<u64>,
 }
 
 impl From<BatchHead> for Mark {
-    /// With this batch the stream is stored up to it.
+    /// Returns the mark after this batch is stored.
     fn from(head: BatchHead) -> Self {
         Self {
             host: head.host,
@@ -81,160 +82,163 @@ impl From<BatchHead> for Mark {
     }
 }
 
-impl From<Missing> for Mark {
-    /// With this gap the stream is stored up to its end.
-    fn from(missing: Missing) -> Self {
-        let Missing { host, through, chain, process, events_through, .. } = missing;
+impl From<MissingBatches> for Mark {
+    /// Returns the mark after this gap is stored.
+    fn from(missing: MissingBatches) -> Self {
+        let MissingBatches { host, through, chain, process, events_through, .. } = missing;
         Self { host, stored: through, chain, process: Some(process), events: Some(events_through) }
     }
 }
 
-/// What the database knows when a host says hello, or is about to know.
+/// State of the database for a host that sends a hello, including batches that are about to be stored.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Known {
-    /// How far the stream of the hello is stored.
+pub struct StreamRecord {
+    /// Mark of the hello's stream.
     pub mark: Option<Mark>,
-    /// Whether the host came with that stream before.
+    /// `true` if the host used that stream before.
     pub came: bool,
-    /// The stream that the host used last.
+    /// Stream that the host used last.
     pub last: Option<StreamId>,
-    /// How far the stream is stored from which that of the hello goes on.
+    /// Mark of the stream that the hello's stream continues.
     pub previous: Option<Mark>,
-    /// Smaller for hosts that have been stored for longer; `None` for one of which nothing is stored.
+    /// Order in which hosts were stored first: smaller for older ones; `None` for a host of which nothing is stored.
     pub seniority: Option<u64>,
 }
 
-/// What becomes of a hello.
+/// Result of a hello.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Greeting {
-    /// The agent is in.
+    /// The host has a session now.
     Welcome {
-        /// To be sent.
+        /// Message to be sent.
         reply: ToAgent,
-        /// Batches that nobody has any more: to be stored as a gap together with the mark `through`.
-        missing: Option<Missing>,
-        /// The stream that this host sent before and that this one does not go on from: its spool was deleted or
-        /// replaced, and what it still held will not come. To be stored as a gap of unknown count.
+        /// Batches that neither end has any more. They are to be stored as a gap together with the mark `through`.
+        missing: Option<MissingBatches>,
+        /// Stream that this host used before and that the new one does not continue: its spool was deleted or replaced,
+        /// and the events that it still held will never come. To be stored as a gap of unknown count.
         replaced: Option<StreamId>,
-        /// Batches that were stored once in the stream from which this one goes on, and are not here: the database is
-        /// older than they are. To be stored as a gap; the mark of that stream stays, because another copy of the
-        /// spool may still hold them.
-        lacking: Option<Lacking>,
-        /// Another host that used the name of this one, which has been stored for longer: it is not in any more.
+        /// Batches that were once stored in the stream that this one continues, but are not in this database, which is
+        /// older than they are. To be stored as a gap. The mark of that stream stays, because another copy of the spool
+        /// may still hold them.
+        lacking: Option<LackingBatches>,
+        /// Another host with the name of this one, which has been stored for longer. The other host's session ended.
         displaced: Option<HostId>,
     },
-    /// It is not.
+    /// The hello was refused.
     Refused {
-        /// To be sent.
+        /// Message to be sent.
         reply: ToAgent,
-        /// What the reply says.
+        /// Reason in the message.
         reason: String,
     },
-    /// Another process of the same host was heard a moment ago. If it is dead, the next hello of this one gets in;
-    /// if it lives, it shows by then. Or too much of what the host sent waits to be stored. Nothing to be sent.
+    /// No decision yet; nothing is to be sent. Either another process of the same host was active recently: if it is
+    /// dead, the next hello of this one is accepted; if it lives, it will send something before. Or too many batches of
+    /// the host wait to be stored.
     Wait,
 }
 
 /// Batches of a stream that the agent no longer holds and that were never stored here.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Missing {
-    /// Whose.
+pub struct MissingBatches {
+    /// Host that the stream belongs to.
     pub host: HostId,
-    /// Which stream.
+    /// Stream of the batches.
     pub stream: StreamId,
-    /// The first.
+    /// Number of the first batch.
     pub from: u64,
-    /// The last.
+    /// Number of the last batch.
     pub through: u64,
-    /// Chain of the last, by the agent's word.
+    /// Chain of the last batch, as stated by the agent.
     pub chain: Chain,
-    /// The process that says so.
+    /// Process that states so.
     pub process: u64,
-    /// How many events they held; `None` when it is not known.
+    /// Number of events in the batches; `None` if it is unknown.
     pub events: Option<u64>,
     /// Number of events in all batches of the spool up to the last of them.
     pub events_through: u64,
 }
 
-/// Batches of a stream that was left, of which this database knows nothing.
+/// Batches of an earlier stream that this database lacks.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Lacking {
-    /// Which stream.
+pub struct LackingBatches {
+    /// Stream of the batches.
     pub stream: StreamId,
-    /// The first; 1 where nothing is known of the stream, wherever it began.
+    /// Number of the first batch; 1 if nothing of the stream is known.
     pub from: u64,
-    /// The last that is known of.
+    /// Number of the last known batch.
     pub through: u64,
-    /// How many events they held, with those behind the last that is known of; `None` when it is not known.
+    /// Number of events in the batches, and in those after the last known one; `None` if it is unknown.
     pub events: Option<u64>,
 }
 
-/// What becomes of a batch.
+/// Result of the arrival of a batch.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Arrival {
-    /// It is the next: store it, then call [`Receiving::stored`].
+    /// It is the next batch. Store it, and then call [`Receiving::stored`].
     Accept,
-    /// It is the next, and its bytes do not match its hash however often it is sent: to be put aside as it came, like
-    /// a batch that cannot be read, and to be marked as stored.
+    /// It is the next batch, but its bytes did not match its hash in several attempts. It is to be quarantined
+    /// unchanged, like a batch that cannot be decoded, and to be marked as stored.
     AcceptDamaged,
-    /// It is stored already; the acknowledgement was lost and is to be sent again.
+    /// It is already stored. The acknowledgement was lost and is to be sent again.
     Duplicate(ToAgent),
-    /// It was accepted and is about to be stored.
+    /// It is already accepted, and about to be stored.
     Pending,
-    /// Batches before it are missing, or it was damaged on its way; to be asked for, unless that was done.
+    /// Batches before it are missing, or it was damaged in transit. The message, if any, requests them again.
     Hole(Option<ToAgent>),
-    /// No such process has said hello here with that stream, or the batch contradicts what was accepted; to be told to
-    /// say hello.
+    /// The process has no session with that stream, or the batch contradicts accepted batches. The message requests a
+    /// hello.
     Unknown(ToAgent),
 }
 
-/// The aggregator's end of the event stream, without I/O: told what came, it says what becomes of it.
+/// State machine of the aggregator's end of the event stream, without I/O.
 ///
-/// A batch is *accepted* when it is handed to the writer and *stored* when the transaction that holds it and the
-/// stream's mark is on disk. Acceptance is in memory and ends with the process; marks are what the database says.
+/// A batch is *accepted* when it is handed to the writer, and *stored* when the transaction with the batch and the
+/// stream's mark is on disk. Accepted batches are known in memory only, until the process ends; marks come from the
+/// database.
 ///
-/// What it keeps is bounded: a session for each host that was heard of late, and for each stream the chains of what is
-/// accepted and not stored, of which there are little more than twice [`MOST_UNDER_WAY`](super::MOST_UNDER_WAY).
+/// Its memory is bounded: a session for each recently active host, and for each stream the chains of batches that are
+/// accepted and not stored. These are little more than twice [`MOST_UNDER_WAY`](super::MOST_UNDER_WAY).
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Receiving {
     config: ReceivingConfig,
     hosts: BTreeMap<HostId, Session>,
     streams: BTreeMap<StreamId, Progress>,
-    deferred: Deferred,
-    parts: Parts,
+    deferred: DeferredStreams,
+    parts: PartAssembler,
 }
 
 impl Receiving {
-    /// The receiving end, knowing nobody.
+    /// Creates a receiving end without sessions.
     pub const fn new(config: ReceivingConfig) -> Self {
         Self {
             hosts: BTreeMap::new(),
             streams: BTreeMap::new(),
-            deferred: Deferred::new(),
-            parts: Parts::new(config.budget_bytes),
+            deferred: DeferredStreams::new(),
+            parts: PartAssembler::new(config.budget_bytes),
             config,
         }
     }
 
-    /// Forgets every session and all that was accepted: the marks have changed, every agent is to say hello again.
+    /// Removes all sessions and accepted batches after the marks have changed. Every agent must send a hello again.
     pub fn forget_sessions(&mut self) {
+        // Sessions rest on the marks of the previous database, and its writer drops the accepted batches.
         *self = Self::new(self.config.clone());
     }
 
-    /// What speaks against a hello before anything is proven: `None` for an agent that may be challenged
+    /// Returns the reason to refuse a hello before anything is proven; `None` for an agent that may be challenged
     /// ([`Challenges`]).
     pub fn refuses_version(hello: &Hello) -> Option<String> {
         admission::wrong_version(hello)
     }
 
-    /// A hello came whose host has proven that it is who it says. What is found lacking or replaced is said when the host
-    /// first comes with a stream.
+    /// Decides about a hello whose host has been proven. Missing batches are reported only for a host's first hello
+    /// with a stream.
     ///
-    /// The mark counts, not the agent's word: batches after it that the agent does not hold are [`Missing`], also
-    /// where the agent says that its stream began later than the mark. A stream whose oldest batch lies before its
-    /// first is refused.
-    pub fn hello(&mut self, hello: &Hello, known: Known, now: MonoTime) -> Greeting {
-        let Known { mark, last, seniority, .. } = known;
+    /// The mark decides, not the agent's statement: batches after it that the agent does not hold are [`MissingBatches`], even
+    /// if the agent states that its stream began later than the mark. A stream whose oldest batch is before its first
+    /// is refused.
+    pub fn hello(&mut self, hello: &Hello, known: StreamRecord, now: MonoTime) -> Greeting {
+        let StreamRecord { mark, last, seniority, .. } = known;
         let (host, stream) = (hello.host.id, hello.stream);
         match self.admission(hello, known, now) {
             Admission::Granted => {}
@@ -243,11 +247,13 @@ impl Receiving {
             }
             Admission::Later => return Greeting::Wait,
         }
-        // What an earlier process of the host sent is stored first, so that what the answer says of it remains true.
+        // Batches from an earlier process of the host are stored first, so that the welcome's statement about them
+        // stays true.
         let unsettled = |progress: &Progress| progress.awaits_other_than(hello.process);
         if self.has_too_much_unsettled(host, stream) || self.streams.get(&stream).is_some_and(unsettled) {
             return Greeting::Wait;
         }
+        // A stream is new only once, so that its gap is recorded once however often the agent reconnects.
         let is_new = !known.came && mark.is_none() && !self.streams.contains_key(&stream);
         let replaced = last.filter(|last| is_new && *last != stream && Some(*last) != hello.previous);
         let lacking = hello.previous.filter(|_| is_new).and_then(|previous| {
@@ -256,12 +262,14 @@ impl Receiving {
             let stored = known.previous.map_or(Some(0), |mark| mark.events);
             let events =
                 hello.events_before_first.zip(stored).map(|(all, stored)| all.saturating_sub(stored));
-            // Batches behind the last that the spool held may have been stored from the memory of a dead process.
+            // Batches after the last one in the spool may have been stored from the memory of a dead process.
             let lacks = from <= through || events.is_some_and(|events| events > 0);
-            lacks.then_some(Lacking { stream: previous, from, through: through.max(from), events })
+            lacks.then_some(LackingBatches { stream: previous, from, through: through.max(from), events })
         });
         let displaced = self.take_back_name(hello, now);
         let left = self.hosts.insert(host, Session::of(hello, seniority, now));
+        // Another process may hold other batches with the same numbers, so what its predecessor sent is not confirmed
+        // for it.
         let same = left.as_ref().is_some_and(|left| left.process == hello.process && left.stream == stream);
         let progress = self.streams.entry(stream).or_insert_with(|| Progress::new(hello, mark));
         let missing = progress.greet(hello, mark, same);
@@ -278,19 +286,21 @@ impl Receiving {
         Greeting::Welcome { reply, missing, replaced, lacking, displaced }
     }
 
-    /// Whether a host that changes its streams waits for the writer, or its stream does.
+    /// Returns whether the host must wait for the writer, because its stream or its earlier streams have too many
+    /// batches that are not stored.
     fn has_too_much_unsettled(&self, host: HostId, stream: StreamId) -> bool {
         let full = self.streams.get(&stream).is_some_and(Progress::is_full);
         let others = self.streams.iter().filter(|(id, progress)| progress.host == host && **id != stream);
         full || others.count() >= MOST_UNSETTLED
     }
 
-    /// A batch came; `intact` says whether its bytes match its hash ([`super::codec::batch_body`]). One that cannot be
-    /// read although it is intact is accepted as well, to be put aside by whoever reads it.
+    /// Decides about a batch. `intact` tells whether its bytes match its hash ([`super::codec::batch_body`]). An intact
+    /// batch is accepted even if it cannot be decoded; it is quarantined later.
     pub fn batch(&mut self, head: &BatchHead, intact: bool, now: MonoTime) -> Arrival {
         let window = self.window(head.host);
         let session = self.hosts.get_mut(&head.host);
         let session =
+            // A host that moved to another stream or process must not add batches to the old one.
             session.filter(|session| session.stream == head.stream && session.process == head.process);
         let (Some(session), Some(progress)) = (session, self.streams.get_mut(&head.stream)) else {
             return Arrival::Unknown(ToAgent::Unknown);
@@ -299,44 +309,45 @@ impl Receiving {
         progress.arrive(head, intact, window)
     }
 
-    /// A part of a batch came from a host that said hello. Returns the frame of the batch once it is whole.
+    /// Adds a part of a batch from a host with a session. Returns the frame of the batch when it is complete.
     pub fn part(&mut self, part: &Part, now: MonoTime) -> Option<Bytes> {
         self.hosts.get_mut(&part.host)?.heard = now;
-        self.parts.take(part)
+        self.parts.add(part)
     }
 
-    /// A host asks for an echo. Returns what is to be sent at once.
+    /// Returns the answer to a request for an echo, which is to be sent at once.
     pub fn echo(&mut self, host: HostId, bytes: u64, now: MonoTime) -> ToAgent {
         self.live(host, now).unwrap_or(ToAgent::Echo { bytes })
     }
 
-    /// A batch of the stream came and there was no room for it: it counts as never come, and is asked for by
-    /// [`room`](Self::room).
+    /// Records that a batch of the stream found no room. It counts as not received, and [`room`](Self::room) requests
+    /// it again.
     pub fn deferred(&mut self, stream: StreamId) {
         if self.listener(stream).is_none() {
             return;
         }
         if let Some(progress) = self.streams.get_mut(&stream) {
-            progress.forget_asking();
+            // The batch may have been the answer to a request; without this it would never be requested again.
+            progress.forget_request();
             self.deferred.push(stream);
         }
     }
 
-    /// There is room for so many batches: whom to ask for what was deferred, those that wait longest first, one
-    /// stream for each batch.
+    /// Returns the requests for deferred batches when there is room for `batches` of them: one per stream, the longest
+    /// waiting first.
     pub fn room(&mut self, batches: usize) -> Vec<(HostId, ToAgent)> {
-        let mut asked = Vec::new();
-        while asked.len() < batches
+        let mut requested = Vec::new();
+        while requested.len() < batches
             && let Some(stream) = self.deferred.pop()
         {
             let Some(host) = self.listener(stream) else { continue };
-            let request = self.streams.get_mut(&stream).and_then(|progress| progress.ask(stream));
-            asked.extend(request.map(|request| (host, request)));
+            let request = self.streams.get_mut(&stream).and_then(|progress| progress.request_next(stream));
+            requested.extend(request.map(|request| (host, request)));
         }
-        asked
+        requested
     }
 
-    /// A live update came. Returns what is to be sent when its host is not known here.
+    /// Records the arrival of a live update. Returns the message to a host without a session.
     pub fn live(&mut self, host: HostId, now: MonoTime) -> Option<ToAgent> {
         match self.hosts.get_mut(&host) {
             Some(session) => {
@@ -347,7 +358,7 @@ impl Receiving {
         }
     }
 
-    /// An agent stops: its name and its host id are free at once.
+    /// Ends the session of an agent that stops. Its name and its host id are free at once.
     pub fn goodbye(&mut self, host: HostId) {
         self.parts.forget(host);
         if let Some(session) = self.hosts.remove(&host) {
@@ -356,11 +367,11 @@ impl Receiving {
         }
     }
 
-    /// The mark of a stream is on disk. Returns the acknowledgement and whom to send it to; or that the agent shall say
-    /// hello, because it holds other batches under these numbers.
+    /// Records that the mark of a stream is on disk. Returns the message and its receiver: an acknowledgement, or a
+    /// request for a hello if the agent holds other batches with these numbers.
     ///
-    /// Only what the connected agent is known to hold is acknowledged to it: what an earlier process sent may not be
-    /// what this one has under the same number, and an acknowledgement makes it delete that.
+    /// Only batches that the connected agent is known to hold are acknowledged. Those that an earlier process sent may
+    /// differ from this one's batches with the same numbers, and an acknowledgement makes the agent delete these.
     pub fn stored(&mut self, stream: StreamId, mark: Mark) -> Option<(HostId, ToAgent)> {
         let window = self.window(mark.host);
         let reply = self.streams.get_mut(&stream)?.settle(stream, mark, window);
@@ -369,9 +380,9 @@ impl Receiving {
         listener.zip(reply)
     }
 
-    /// Storing failed: everything accepted and not stored counts as never come. The writer must drop what it still
-    /// holds of the stream, or a later batch would be stored before the one that failed. Returns the request to send
-    /// it again and whom to send it to.
+    /// Records that storing failed: batches that are accepted and not stored count as not received. The writer must
+    /// drop its batches of the stream, or a later batch would be stored before the failed one. Returns the request to
+    /// send them again and its receiver.
     pub fn failed(&mut self, stream: StreamId) -> Option<(HostId, ToAgent)> {
         let request = self.streams.get_mut(&stream)?.fail(stream);
         let listener = self.listener(stream);
@@ -379,33 +390,34 @@ impl Receiving {
         listener.map(|host| (host, request))
     }
 
-    /// Whether the host said hello and was heard within the last `within`.
+    /// Returns whether the host has a session and was active within the last `within`.
     pub fn is_alive(&self, host: HostId, within: Span, now: MonoTime) -> bool {
         self.hosts.get(&host).is_some_and(|session| now - session.heard <= within)
     }
 
-    /// Forgets hosts that were silent for longer than `silence`; they are told to say hello when they come back.
+    /// Ends sessions of hosts that were silent for longer than `silence`. They are asked for a hello when they return.
     pub fn forget_silent(&mut self, silence: Span, now: MonoTime) {
         let silent = self.hosts.iter().filter(|(_, session)| now - session.heard > silence);
         let gone: Vec<HostId> = silent.map(|(host, _)| *host).collect();
         gone.into_iter().for_each(|host| self.goodbye(host));
     }
 
-    /// What the host may have under way, in units of its batches: its share of the budget. Each host's own batches
-    /// count, so that one with large ones, or that says so, does not slow down the others.
+    /// Returns the window of a host in units of its batches: its share of the budget. The share depends on the host's
+    /// own batch length, so that a host with large batches, or one that claims so, does not slow down the others.
     fn window(&self, host: HostId) -> u32 {
         let batch = self.hosts.get(&host).map_or(1, |session| session.batch_bytes);
+        // An equal share of the memory for each connected host, so that all of them together stay within the budget.
         let share = self.config.budget_bytes / (self.hosts.len() as u64).max(1) / batch;
         u32::try_from(share).unwrap_or(u32::MAX).clamp(1, self.config.most_window.max(1))
     }
 
-    /// The host that sends a stream now.
+    /// Returns the host that currently sends a stream.
     fn listener(&self, stream: StreamId) -> Option<HostId> {
         let host = self.streams.get(&stream)?.host;
         self.hosts.get(&host).is_some_and(|session| session.stream == stream).then_some(host)
     }
 
-    /// A stream that nobody sends and nothing waits of needs no place in memory: its mark is on disk.
+    /// Removes a stream from memory if no host sends it and no batch of it waits. Its mark is on disk.
     fn forget_if_settled(&mut self, stream: StreamId) {
         if self.listener(stream).is_none() {
             self.deferred.remove(stream);

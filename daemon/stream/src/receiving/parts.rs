@@ -1,4 +1,4 @@
-//! Batches that come in parts, put together again.
+//! Reassembly of batches that arrive in parts.
 
 use std::collections::BTreeMap;
 
@@ -7,51 +7,51 @@ use bytes::Bytes;
 use super::super::codec::Part;
 use peernet_logger::HostId;
 
-/// What came of batches that are not whole yet: one of each host at most, bounded in bytes for all together.
+/// Batches with missing parts: at most one per host, with a limit on the bytes of all together.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub(super) struct Parts {
-    begun: BTreeMap<HostId, Begun>,
+pub(super) struct PartAssembler {
+    incomplete: BTreeMap<HostId, IncompleteBatch>,
     bytes: u64,
     most: u64,
 }
 
 #[derive(Clone, Debug, PartialEq, Eq)]
-struct Begun {
+struct IncompleteBatch {
     total: u32,
     bytes: Vec<u8>,
 }
 
-impl Parts {
+impl PartAssembler {
     pub(super) const fn new(most: u64) -> Self {
-        Self { begun: BTreeMap::new(), bytes: 0, most }
+        Self { incomplete: BTreeMap::new(), bytes: 0, most }
     }
 
-    /// A part came; returns the frame of the batch that it completes. A part that does not follow what came before
-    /// ends that: the batch counts as never come.
-    pub(super) fn take(&mut self, part: &Part) -> Option<Bytes> {
+    /// Adds a part. Returns the frame of the batch that it completes. A part that does not follow the previous one
+    /// discards the batch.
+    pub(super) fn add(&mut self, part: &Part) -> Option<Bytes> {
         if part.offset == 0 {
             self.forget(part.host);
-            self.begun.insert(part.host, Begun { total: part.total, bytes: Vec::new() });
+            self.incomplete.insert(part.host, IncompleteBatch { total: part.total, bytes: Vec::new() });
         }
-        let begun = self.begun.get_mut(&part.host)?;
-        let follows = begun.total == part.total && begun.bytes.len() == part.offset as usize;
+        let incomplete = self.incomplete.get_mut(&part.host)?;
+        let follows = incomplete.total == part.total && incomplete.bytes.len() == part.offset as usize;
         if !follows || self.bytes + part.bytes.len() as u64 > self.most {
             self.forget(part.host);
             return None;
         }
-        begun.bytes.extend_from_slice(&part.bytes);
+        incomplete.bytes.extend_from_slice(&part.bytes);
         self.bytes += part.bytes.len() as u64;
-        if begun.bytes.len() < begun.total as usize {
+        if incomplete.bytes.len() < incomplete.total as usize {
             return None;
         }
         self.forget(part.host)
     }
 
-    /// What came of a host's batch counts as never come; returns it.
+    /// Removes the incomplete batch of a host, and returns its bytes.
     pub(super) fn forget(&mut self, host: HostId) -> Option<Bytes> {
-        let begun = self.begun.remove(&host)?;
-        self.bytes -= begun.bytes.len() as u64;
-        Some(begun.bytes.into())
+        let incomplete = self.incomplete.remove(&host)?;
+        self.bytes -= incomplete.bytes.len() as u64;
+        Some(incomplete.bytes.into())
     }
 }
 
@@ -64,38 +64,38 @@ mod tests {
     }
 
     #[test]
-    fn parts_make_a_whole_whoever_else_sends_some() {
+    fn parts_are_assembled_per_host() {
         let [one, other] = [HostId::from_bytes([1; 16]), HostId::from_bytes([2; 16])];
-        let mut parts = Parts::new(100);
-        assert_eq!(parts.take(&part(one, 0, 6, b"abc")), None);
-        assert_eq!(parts.take(&part(other, 0, 4, b"12")), None);
-        assert_eq!(parts.take(&part(one, 3, 6, b"def")).as_deref(), Some(&b"abcdef"[..]));
-        assert_eq!(parts.take(&part(other, 2, 4, b"34")).as_deref(), Some(&b"1234"[..]));
-        assert_eq!(parts, Parts::new(100), "nothing is kept");
+        let mut parts = PartAssembler::new(100);
+        assert_eq!(parts.add(&part(one, 0, 6, b"abc")), None);
+        assert_eq!(parts.add(&part(other, 0, 4, b"12")), None);
+        assert_eq!(parts.add(&part(one, 3, 6, b"def")).as_deref(), Some(&b"abcdef"[..]));
+        assert_eq!(parts.add(&part(other, 2, 4, b"34")).as_deref(), Some(&b"1234"[..]));
+        assert_eq!(parts, PartAssembler::new(100), "nothing is kept");
     }
 
     #[test]
-    fn what_does_not_follow_is_never_taken_for_a_whole() {
+    fn part_that_does_not_follow_discards_batch() {
         let host = HostId::from_bytes([1; 16]);
-        let mut parts = Parts::new(100);
-        assert_eq!(parts.take(&part(host, 3, 6, b"def")), None, "without a beginning");
+        let mut parts = PartAssembler::new(100);
+        assert_eq!(parts.add(&part(host, 3, 6, b"def")), None, "without a beginning");
         for wrong in [part(host, 4, 6, b"ef"), part(host, 3, 7, b"def"), part(host, 2, 6, b"cdef")] {
-            assert_eq!(parts.take(&part(host, 0, 6, b"abc")), None);
-            assert_eq!(parts.take(&wrong), None);
-            assert_eq!(parts.take(&part(host, 3, 6, b"def")), None, "it has ended");
+            assert_eq!(parts.add(&part(host, 0, 6, b"abc")), None);
+            assert_eq!(parts.add(&wrong), None);
+            assert_eq!(parts.add(&part(host, 3, 6, b"def")), None, "it has ended");
         }
-        // A batch that is sent again begins anew.
-        parts.take(&part(host, 0, 6, b"abc"));
-        parts.take(&part(host, 0, 4, b"12"));
-        assert_eq!(parts.take(&part(host, 2, 4, b"34")).as_deref(), Some(&b"1234"[..]));
+        // A batch that is sent again starts with its first part.
+        parts.add(&part(host, 0, 6, b"abc"));
+        parts.add(&part(host, 0, 4, b"12"));
+        assert_eq!(parts.add(&part(host, 2, 4, b"34")).as_deref(), Some(&b"1234"[..]));
     }
 
     #[test]
-    fn memory_is_bounded_whatever_is_begun() {
-        let mut parts = Parts::new(100);
+    fn memory_of_incomplete_batches_is_bounded() {
+        let mut parts = PartAssembler::new(100);
         for host in 0..200 {
-            parts.take(&part(HostId::from_bytes([host; 16]), 0, 4_000_000, b"0123456789"));
-            assert!(parts.bytes <= 100 && parts.begun.len() <= 10, "{parts:?}");
+            parts.add(&part(HostId::from_bytes([host; 16]), 0, 4_000_000, b"0123456789"));
+            assert!(parts.bytes <= 100 && parts.incomplete.len() <= 10, "{parts:?}");
         }
     }
 }

@@ -1,21 +1,21 @@
-//! How far a stream has come, and which batch is next.
+//! Progress of one stream: which batches are accepted and stored, and which batch is next.
 
 use std::collections::VecDeque;
 
 use super::super::MOST_UNDER_WAY;
-use super::{Arrival, BatchHead, Chain, Hello, Mark, Missing, StreamId, ToAgent};
+use super::{Arrival, BatchHead, Chain, Hello, Mark, MissingBatches, StreamId, ToAgent};
 use peernet_logger::HostId;
 
-/// Largest batch number that is believed: SQLite's integers end there.
+/// Largest accepted batch number: the largest integer of SQLite.
 pub(super) const LAST_BATCH: u64 = i64::MAX as u64;
 
-/// A batch whose bytes do not match its hash is given up when it came so often.
+/// Number of times that a batch may arrive damaged before it is accepted as damaged.
 const DAMAGED_TIMES: u32 = 3;
 
-/// Batches that may be accepted and not stored: an agent that keeps to its window needs half of it.
+/// Largest number of batches that are accepted and not stored. An agent that respects its window needs half of it.
 const MOST_PENDING: usize = 2 * (MOST_UNDER_WAY + 1);
 
-/// A batch by its number; its chain, and the number of events up to it, where they are known.
+/// A position in a stream: number and chain of a batch, and the number of events up to it, where they are known.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct Position {
     number: u64,
@@ -29,24 +29,24 @@ impl From<Mark> for Position {
     }
 }
 
-/// How far a stream is accepted and stored.
+/// Accepted and stored positions of a stream.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) struct Progress {
     pub(super) host: HostId,
-    /// The process that said hello last.
+    /// Process that sent the last hello.
     process: u64,
-    /// What the database has of the stream; without it, `stored` is where the stream begins.
+    /// Mark in the database. Without it, `stored` is the beginning of the stream.
     mark: Option<Mark>,
     stored: Position,
     accepted: Position,
-    /// The connected agent is known to hold the same batches as we do, up to here: it compared them when it was
-    /// welcomed, or sent them since.
+    /// Last batch that the connected agent is known to hold in the same form: the agent compared the chains when it was
+    /// welcomed, or sent the batch since.
     confirmed: u64,
-    /// What was accepted and is not both stored and confirmed, ascending; of a gap the last number only.
+    /// Batches that are accepted and not both stored and confirmed, in ascending order; of a gap only the last number.
     pending: VecDeque<(u64, Chain)>,
-    /// The number from which batches were asked for again, until the first of them comes.
-    asked: Option<u64>,
-    /// A batch that came damaged, and how often in a row.
+    /// Number from which batches were requested again, until the first of them arrives.
+    requested: Option<u64>,
+    /// A batch that arrived damaged, and how often in a row.
     damaged: Option<(BatchHead, u32)>,
 }
 
@@ -54,6 +54,7 @@ impl Progress {
     pub(super) fn new(hello: &Hello, mark: Option<Mark>) -> Self {
         let begin = Position {
             number: hello.first.saturating_sub(1),
+            // `hello.before` is the chain before the oldest batch, which is the first one only if none was deleted.
             chain: (hello.oldest == hello.first).then_some(hello.before),
             events: hello.events_before_first,
         };
@@ -66,51 +67,54 @@ impl Progress {
             accepted: stored,
             confirmed: stored.number,
             pending: VecDeque::new(),
-            asked: None,
+            requested: None,
             damaged: None,
         }
     }
 
-    /// An agent that holds the stream was let in; `same` when it is the process that was here before. Returns what
-    /// neither has.
-    pub(super) fn greet(&mut self, hello: &Hello, mark: Option<Mark>, same: bool) -> Option<Missing> {
+    /// Updates the progress for the hello of an agent. `same` tells whether it is the process that was connected
+    /// before. Returns the batches that neither end has.
+    pub(super) fn greet(&mut self, hello: &Hello, mark: Option<Mark>, same: bool) -> Option<MissingBatches> {
         if let Some(mark) = mark {
-            self.take(mark);
+            self.apply_mark(mark);
         }
+        // Nothing of the stream is stored or waits, so the agent's present statement replaces an earlier one.
         if self.mark.is_none() && self.is_settled() {
             *self = Self::new(hello, None);
         }
         if !same {
             self.confirmed = self.stored.number;
         }
-        (self.asked, self.process) = (None, hello.process);
+        (self.requested, self.process) = (None, hello.process);
         let through = hello.oldest.saturating_sub(1);
         (through > self.accepted.number).then(|| {
             let (host, stream, from) = (self.host, hello.stream, self.next());
             let (chain, process, events_through) = (hello.before, hello.process, hello.events_before_oldest);
             let events = self.accepted.events.map(|stored| events_through.saturating_sub(stored));
+            // The gap takes the place of the batches; the next batch follows it.
             self.accept(through, chain, events_through);
-            Missing { host, stream, from, through, chain, process, events, events_through }
+            MissingBatches { host, stream, from, through, chain, process, events, events_through }
         })
     }
 
-    /// The last batch that is stored, and the mark for the agent to compare; one before the first when none is.
+    /// Returns the number of the last stored batch, which is one before the first if none is, and the mark for the
+    /// agent to compare.
     pub(super) const fn stored(&self) -> (u64, Option<Mark>) {
         (self.stored.number, self.mark)
     }
 
-    /// A batch of the stream came from the connected agent.
+    /// Decides about a batch of the stream from the connected agent.
     pub(super) fn arrive(&mut self, head: &BatchHead, intact: bool, window: u32) -> Arrival {
         let number = head.number;
         if number <= self.settled() {
             Arrival::Duplicate(self.acknowledgement(head.stream, window))
         } else if number <= self.accepted.number {
-            self.again(head, window)
+            self.arrive_again(head, window)
         } else if number > LAST_BATCH || self.is_full() {
-            // Only an agent that ignores its window gets here.
+            // Only an agent that ignores its window sends such a batch.
             Arrival::Hole(None)
         } else if number > self.next() {
-            Arrival::Hole(self.ask(head.stream))
+            Arrival::Hole(self.request_next(head.stream))
         } else if !intact {
             self.arrive_damaged(head)
         } else if self.follows(head) {
@@ -121,17 +125,18 @@ impl Progress {
         }
     }
 
-    /// A number that was accepted before.
-    fn again(&mut self, head: &BatchHead, window: u32) -> Arrival {
+    /// Handles a batch whose number was accepted before.
+    fn arrive_again(&mut self, head: &BatchHead, window: u32) -> Arrival {
         let number = head.number;
         let known = self.pending.iter().find(|(pending, _)| *pending == number);
         let Some((_, chain)) = known else {
             return Arrival::Pending;
         };
+        // The same number with other content: the spool is a copy or was restored. The hello compares both ends.
         if *chain != head.chain {
             return Arrival::Unknown(ToAgent::Unknown);
         }
-        // The chain stands for every batch before it as well.
+        // The chain identifies every batch before it as well.
         self.confirmed = self.confirmed.max(number);
         self.drop_settled();
         match number <= self.stored.number {
@@ -140,22 +145,23 @@ impl Progress {
         }
     }
 
-    /// The next batch does not match its hash: damaged on its way, or in the spool.
+    /// Handles the next batch if it does not match its hash: it was damaged in transit or in the spool.
     fn arrive_damaged(&mut self, head: &BatchHead) -> Arrival {
+        // Counted for the same head only: a damaged head names another batch.
         let before = self.damaged.filter(|(damaged, _)| damaged == head);
         let times = before.map_or(0, |(_, times)| times) + 1;
         if times < DAMAGED_TIMES {
             self.damaged = Some((*head, times));
-            // It came in answer to the last request, so that there has to be another.
-            self.asked = None;
-            return Arrival::Hole(self.ask(head.stream));
+            // The batch answered the last request, so that a new request is needed.
+            self.requested = None;
+            return Arrival::Hole(self.request_next(head.stream));
         }
         self.damaged = None;
         if self.follows(head) {
             self.accept(head.number, head.chain, head.events_through());
             Arrival::AcceptDamaged
         } else {
-            // The chains in the spool are damaged: when the agent compares them it sees.
+            // The chains in the spool are damaged. The agent finds this when it compares them after its next hello.
             Arrival::Unknown(ToAgent::Unknown)
         }
     }
@@ -168,25 +174,26 @@ impl Progress {
         self.accepted = Position { number, chain: Some(chain), events: Some(events) };
         self.confirmed = number;
         self.pending.push_back((number, chain));
-        (self.asked, self.damaged) = (None, None);
+        (self.requested, self.damaged) = (None, None);
         self.drop_settled();
     }
 
-    /// The mark is on disk. Returns what the connected agent is to be told.
+    /// Records that the mark is on disk. Returns the acknowledgement for the connected agent, if it advances.
     pub(super) fn settle(&mut self, stream: StreamId, mark: Mark, window: u32) -> Option<ToAgent> {
         let before = self.settled();
-        self.take(mark);
+        self.apply_mark(mark);
         (self.settled() > before).then(|| self.acknowledgement(stream, window))
     }
 
-    /// What the database says.
-    fn take(&mut self, mark: Mark) {
+    /// Applies a mark of the database.
+    fn apply_mark(&mut self, mark: Mark) {
         if self.mark.is_some() && mark.stored <= self.stored.number {
             return;
         }
         self.mark = Some(mark);
         self.stored = mark.into();
         if mark.stored >= self.accepted.number {
+            // The database is ahead of this memory: the batch was stored before a restart of the aggregator.
             if mark.stored > self.accepted.number {
                 self.pending.push_back((mark.stored, mark.chain));
             }
@@ -195,40 +202,42 @@ impl Progress {
         self.drop_settled();
     }
 
-    /// Storing failed.
+    /// Records that storing failed. Returns the request to send the batches again.
     pub(super) fn fail(&mut self, stream: StreamId) -> ToAgent {
         self.accepted = self.stored;
+        // Batches after the stored one have to be sent again, which confirms them again.
         self.confirmed = self.confirmed.min(self.stored.number);
         self.pending.retain(|(number, _)| *number <= self.stored.number);
         self.damaged = None;
-        self.asked = Some(self.next());
+        self.requested = Some(self.next());
         ToAgent::Resend { stream, from: self.next() }
     }
 
-    /// Asks for the next batch, unless that was done.
-    pub(super) fn ask(&mut self, stream: StreamId) -> Option<ToAgent> {
+    /// Requests the next batch; `None` if that was done before.
+    pub(super) fn request_next(&mut self, stream: StreamId) -> Option<ToAgent> {
         let from = self.next();
-        let is_new = self.asked != Some(from);
-        self.asked = Some(from);
+        // One request per hole: each later batch in flight would otherwise cause another one.
+        let is_new = self.requested != Some(from);
+        self.requested = Some(from);
         is_new.then_some(ToAgent::Resend { stream, from })
     }
 
-    /// What came in answer to the last request could not be taken.
-    pub(super) const fn forget_asking(&mut self) {
-        self.asked = None;
+    /// Forgets the last request, because its answer could not be stored.
+    pub(super) const fn forget_request(&mut self) {
+        self.requested = None;
     }
 
-    /// Whether nothing waits to be stored.
+    /// Returns whether no batch waits to be stored.
     pub(super) const fn is_settled(&self) -> bool {
         self.accepted.number == self.stored.number
     }
 
-    /// Whether something waits that another process sent.
+    /// Returns whether a batch from another process waits to be stored.
     pub(super) const fn awaits_other_than(&self, process: u64) -> bool {
         !self.is_settled() && self.process != process
     }
 
-    /// Whether as much waits to be stored or confirmed as may.
+    /// Returns whether the largest number of batches waits to be stored or confirmed.
     pub(super) fn is_full(&self) -> bool {
         self.pending.len() >= MOST_PENDING
     }
@@ -237,7 +246,7 @@ impl Progress {
         self.accepted.number.saturating_add(1)
     }
 
-    /// What is stored and known to be what the agent holds.
+    /// Returns the last batch that is stored and that the agent is known to hold.
     fn settled(&self) -> u64 {
         self.stored.number.min(self.confirmed)
     }

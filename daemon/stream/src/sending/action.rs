@@ -1,4 +1,4 @@
-//! What the machine asks of its owner, and what it tells it.
+//! Actions of the sending state machine, and its notices to the agent.
 
 use super::super::{Chain, StreamId};
 #[cfg(doc)]
@@ -7,85 +7,85 @@ use crate::spool::SpooledBatch;
 use crate::totals::Totals;
 use peernet_logger::Slug;
 
-/// What the owner is to do, in this order. Every action but `Send` is answered by one of the calls named in it; until
-/// then no second one of its kind comes.
+/// Action that the owner of the state machine has to perform, in this order. Every action but `Send` is answered by one
+/// of the methods that its description names. Until then no second action of the same kind is returned.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Action {
-    /// Write these batches and totals to the spool in one transaction: [`Sending::appended`] or
+    /// Write these batches and totals to the spool in one transaction. Answer: [`Sending::appended`] or
     /// [`Sending::append_failed`].
     ///
-    /// Without batches it comes before anything is sent that was written out of contact, and says so
-    /// ([`Totals::reached`]): it should be on the medium, not only in the system's memory, before it is answered.
+    /// Before batches that were written while disconnected are sent, an action without batches records so
+    /// ([`Totals::reached`]). It should be on the medium, not only in the system's memory, before it is answered.
     Append {
-        /// The batches, contiguous and following the newest in the spool; none when only the totals changed.
+        /// Batches, contiguous and following the newest in the spool; empty if only the totals changed.
         batches: Vec<SpooledBatch>,
-        /// What is counted up to the last of them.
+        /// Totals up to the last of the batches.
         totals: Totals,
     },
-    /// Read batches from this number on, at least one, until they exceed so many bytes: [`Sending::loaded`] or
-    /// [`Sending::load_failed`].
+    /// Read batches from a number on: at least one, and then until a number of bytes is exceeded. Answer:
+    /// [`Sending::loaded`] or [`Sending::load_failed`].
     Load {
-        /// The first.
+        /// Number of the first batch.
         from: u64,
-        /// Bytes of bodies that are wanted.
+        /// Number of bytes of bodies to read.
         bytes: usize,
     },
-    /// Delete the batches up to and including this number and keep the chain of that batch: [`Sending::deleted`], or
-    /// [`Sending::delete_failed`] after which it is asked again later.
+    /// Delete the batches up to a number and keep the chain of that batch. Answer: [`Sending::deleted`], or
+    /// [`Sending::delete_failed`], after which it is requested again later.
     ///
-    /// The number may be beyond the newest in the spool: batches were stored from memory while it failed. It then is
-    /// the newest one there ever was, and the next one that is appended follows it.
+    /// The number may be beyond the newest in the spool if batches were stored from memory while the spool failed. It
+    /// is then the newest number used so far, and the next appended batch follows it.
     Delete {
-        /// The last.
+        /// Number of the last batch.
         through: u64,
-        /// Its chain.
+        /// Chain of that batch.
         chain: Chain,
     },
-    /// The stream is left for a new one, in which the batches that are held keep their numbers and chains:
+    /// Replace the stream by a new one, in which the batches in the spool keep their numbers and chains. Answer:
     /// [`Sending::renewed`] or [`Sending::renew_failed`].
     Renew {
-        /// The new one.
+        /// New stream.
         stream: StreamId,
-        /// The one that is left.
+        /// Previous stream.
         previous: StreamId,
-        /// The first number of the new one.
+        /// Number of the first batch of the new stream.
         first: u64,
-        /// Events in all batches of the spool before that.
+        /// Number of events in all batches of the spool before that.
         events_before_first: u64,
     },
     /// Send this frame.
     Send(Vec<u8>),
 }
 
-/// What the agent should know of, and log.
+/// Notice that the agent should log and show.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Notice {
-    /// The aggregator knows no secret of this host and is told it now.
+    /// The aggregator has no secret of this host; it is sent now.
     Enrolling {
-        /// Name of its host.
+        /// Name of the aggregator's host.
         aggregator: Slug,
     },
-    /// The aggregator took us in; batches flow.
+    /// The aggregator accepted the host, and batches are sent.
     Welcomed {
-        /// Name of its host.
+        /// Name of the aggregator's host.
         aggregator: Slug,
-        /// Number of the last batch it has.
+        /// Number of the last batch that it has stored.
         stored: u64,
-        /// Whether it lacks batches that it once acknowledged: its database is a new one or an old copy.
+        /// `true` if it lacks batches that it acknowledged earlier: its database is new or an old copy.
         lacks: bool,
     },
-    /// It did not; tried again later.
+    /// The aggregator refused the host; the agent tries again later.
     Refused(String),
-    /// It has batches of this stream that were never made here, or others than ours under the same numbers: the spool
-    /// is a copy, or older than it was. What it holds goes on in a new stream.
+    /// The aggregator has batches of this stream that were not made here, or others with the same numbers: the spool is
+    /// a copy, or an old state of itself. Its batches continue in a new stream.
     StreamRenewed {
-        /// Number of the last batch the aggregator has.
+        /// Number of the last batch that the aggregator has.
         stored: u64,
         /// Number of the last batch made here.
         newest: u64,
     },
-    /// The spool cannot be written or read; events wait in memory and go to the aggregator from there.
+    /// The spool cannot be written or read. Events wait in memory and are sent from there.
     SpoolFailed(String),
-    /// It can again.
+    /// The spool works again.
     SpoolRecovered,
 }

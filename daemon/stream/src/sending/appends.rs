@@ -7,44 +7,45 @@ use crate::Chain;
 use crate::spool::SpooledBatch;
 use crate::totals::Totals;
 
-/// How often it is written down how much was dropped, while nothing else is written.
+/// Longest time after which the number of dropped events is written while no batch is.
 const LOSSES_EVERY: Span = Span::from_seconds(1);
 
-/// What was last written to the spool, and the transaction under way.
+/// Last state written to the spool, and the transaction in progress.
 #[derive(Clone, Debug)]
 pub(super) struct Appends {
     job: Job<Appending>,
-    /// The totals that were last written.
+    /// Totals that were written last.
     written: Totals,
-    /// Whether the last attempt failed.
+    /// `true` if the last attempt failed.
     fails: bool,
-    /// Batches were refused: how much was dropped is written down by itself before they are tried again.
+    /// `true` after a failure to write batches: the number of dropped events is then written alone before they are
+    /// tried again.
     refused: bool,
-    /// When something was last to be written.
+    /// Start of the last transaction.
     begun: MonoTime,
 }
 
-/// A transaction under way.
+/// A transaction in progress.
 #[derive(Clone, Debug)]
 struct Appending {
     last: Option<(u64, Chain)>,
     bytes: u64,
-    /// Of those, bytes of batches that were stored over there meanwhile.
+    /// Number of those bytes whose batches the aggregator stored meanwhile.
     freed: u64,
-    /// What is counted up to the last of them, without what [`Totals::with`] adds.
+    /// Totals up to the last batch, without the additions of [`Totals::with`].
     totals: Totals,
     resolves: bool,
 }
 
-/// What a transaction brought into the spool.
+/// Result of a transaction.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Appended {
-    /// The last batch and its chain; `None` when only the totals were written.
+    /// Last batch and its chain; `None` if only the totals were written.
     pub(super) last: Option<(u64, Chain)>,
     pub(super) bytes: u64,
-    /// Of those, bytes of batches that were stored over there meanwhile.
+    /// Number of those bytes whose batches the aggregator stored meanwhile.
     pub(super) freed: u64,
-    /// Whether it told the spool what became of the end of an earlier process.
+    /// `true` if the transaction recorded the result for an earlier process.
     pub(super) resolves: bool,
 }
 
@@ -53,17 +54,17 @@ impl Appends {
         Self { job: Job::default(), written, fails: false, refused: false, begun: MonoTime::default() }
     }
 
-    /// The totals that were last written.
+    /// Returns the totals that were written last.
     pub(super) const fn written(&self) -> &Totals {
         &self.written
     }
 
-    /// Whether the last attempt failed.
+    /// Returns whether the last attempt failed.
     pub(super) const fn fails(&self) -> bool {
         self.fails
     }
 
-    /// Whether batches were refused and nothing was written since.
+    /// Returns whether batches could not be written and nothing was written since.
     pub(super) const fn were_refused(&self) -> bool {
         self.refused
     }
@@ -72,29 +73,29 @@ impl Appends {
         self.job.is_under_way()
     }
 
-    /// Whether a transaction may begin now.
+    /// Returns whether a transaction may begin now.
     pub(super) fn is_free(&mut self, now: MonoTime) -> bool {
         self.job.is_free(now)
     }
 
-    /// When it may be tried again after a failure.
+    /// Returns the time of the next attempt after a failure.
     pub(super) const fn again(&self) -> Option<MonoTime> {
         self.job.again()
     }
 
-    /// The newest batch that is being written; 0 when none is.
+    /// Returns the number of the newest batch that is being written; 0 if none is.
     pub(super) fn writing(&mut self) -> u64 {
         self.job.under_way().and_then(|appending| appending.last).map_or(0, |(number, _)| number)
     }
 
-    /// Batches of so many bytes that are being written were stored over there.
+    /// Records that the aggregator stored batches which are being written.
     pub(super) fn add_freed(&mut self, bytes: u64) {
         if let Some(appending) = self.job.under_way() {
             appending.freed += bytes;
         }
     }
 
-    /// These are to be written now.
+    /// Begins a transaction.
     pub(super) fn begin(&mut self, batches: &[SpooledBatch], totals: &Totals, resolves: bool, now: MonoTime) {
         let last = batches.last().map(|batch| (batch.number, batch.chain));
         let bytes = batches.iter().map(|batch| batch.body.len() as u64).sum();
@@ -102,33 +103,36 @@ impl Appends {
         self.job.begin(Appending { last, bytes, freed: 0, totals: totals.clone(), resolves });
     }
 
-    /// They were written; `None` when nothing was to be.
+    /// Ends the transaction successfully. Returns its result; `None` if no transaction is in progress.
     pub(super) fn end(&mut self) -> Option<Appended> {
         let Appending { last, bytes, freed, totals, resolves } = self.job.end()?;
+        // A transaction without this record keeps the one that the file has.
         let reached = totals.reached.or(self.written.reached);
         self.written = Totals { reached, ..totals };
         Some(Appended { last, bytes, freed, resolves })
     }
 
-    /// Appending works again.
+    /// Records that appending works again.
     pub(super) const fn recover(&mut self) {
         self.fails = false;
     }
 
-    /// Nothing was written; `None` when nothing was to be.
+    /// Ends the transaction as failed; `None` if no transaction is in progress.
     pub(super) fn fail(&mut self, now: MonoTime, pause: Span) -> Option<()> {
+        // Only a transaction with batches is followed by one with the counts alone, which needs less space.
         self.refused = self.job.end()?.last.is_some();
         self.job.fail(now, pause);
         self.fails = true;
         Some(())
     }
 
-    /// When to write down that `dropped` events were dropped: a full spool takes no batch that would say so.
+    /// Returns the time at which the number of dropped events is written alone. A full spool accepts no batch that
+    /// contains it.
     pub(super) fn losses_due(&self, dropped: u64) -> Option<MonoTime> {
         (dropped != self.written.dropped && !self.job.is_under_way()).then(|| self.begun + LOSSES_EVERY)
     }
 
-    /// Whether the file says of everything in it, up to `spooled`, that this process may send it.
+    /// Returns whether the file records for all its batches, up to `spooled`, that this process may send them.
     pub(super) fn is_marked(&self, spooled: u64) -> bool {
         self.written.reached.is_some_and(|reached| reached.number >= spooled)
     }

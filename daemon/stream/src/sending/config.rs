@@ -1,50 +1,50 @@
-//! How events are batched, kept and sent.
+//! Configuration of batching, spooling and sending.
 
 use peernet_clock::Span;
 
 use super::super::spool::Usage;
 
-/// Whether batches are compressed on their way.
+/// Compression of batches.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Compression {
-    /// While the link is what batches wait for.
+    /// Compress while batches wait for the link.
     #[default]
     Auto,
-    /// Every batch.
+    /// Compress every batch.
     Always,
-    /// None.
+    /// Compress no batch.
     Never,
 }
 
-/// How events are batched, kept and sent.
+/// Configuration of batching, spooling and sending.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct SendingConfig {
-    /// A batch is cut when it holds so many nodes.
+    /// Number of nodes at which a batch is cut.
     pub batch_nodes: usize,
-    /// A batch is cut before it takes more bytes than this (a single larger event is a batch of its own).
+    /// Largest body of a batch in bytes; a single larger event forms a batch alone.
     pub batch_bytes: usize,
-    /// A batch is cut when its first event is this old.
+    /// Age of the first event at which a batch is cut.
     pub batch_age: Span,
-    /// What may be under way and not acknowledged, in units of `batch_bytes`; the aggregator may allow less.
+    /// Largest window of batches in flight, in units of `batch_bytes`. The aggregator may allow less.
     pub window: u32,
-    /// Bytes of bodies that the spool may hold.
+    /// Largest number of bytes of bodies in the spool.
     pub spool_bytes: u64,
-    /// What may wait in memory because it is not in the spool yet.
+    /// Largest number of events and bytes that wait in memory because they are not in the spool yet.
     pub memory: Usage,
-    /// Places of the memory that iterations leave to the other events: an iteration is worth nothing without the
-    /// start of its run. Must be well below `memory`, or no iteration ever fits.
+    /// Number of events in memory that are reserved for others than iterations, because an iteration is useless without
+    /// the start of its run. Must be well below `memory`, or no iteration ever fits.
     pub reserve_events: u64,
-    /// Whether batches are compressed.
+    /// Compression of batches.
     pub compression: Compression,
-    /// The first pause before a hello is repeated; each is twice the one before.
+    /// First pause before a hello is repeated; each further pause is twice as long.
     pub first_pause: Span,
-    /// The longest such pause.
+    /// Longest pause before a hello is repeated.
     pub longest_pause: Span,
-    /// The first pause after a refusal; the others follow the same rule.
+    /// First pause after a refusal; further pauses follow the same rule.
     pub refused_pause: Span,
-    /// Without an acknowledgement for so long, the connection is opened anew.
+    /// Time without an acknowledgement after which the connection is opened again.
     pub patience: Span,
-    /// The pause before the spool is tried again after it failed.
+    /// Pause before the spool is tried again after a failure.
     pub spool_pause: Span,
 }
 

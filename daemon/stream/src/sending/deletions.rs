@@ -1,24 +1,25 @@
-//! Deleting from the spool what is stored over there.
+//! Deletion of batches from the spool that the aggregator stored.
 
 use peernet_clock::{MonoTime, Span};
 
 use super::job::Job;
 use crate::Chain;
 
-/// Batches that are stored over there are deleted together, when there are so many or after so long: a deletion is
-/// a write, and the medium is often a memory card.
+/// Number of stored batches that are deleted at once. Deletions are grouped, because each is a write and the medium is
+/// often a memory card.
 const MOST_WAITING: u64 = 64;
+/// Longest time that stored batches wait for their deletion.
 const DELETED_AFTER: Span = Span::from_seconds(1);
 
-/// How far the spool is deleted, and what waits for it.
+/// Position up to which the spool is deleted, and the batches that wait for deletion.
 #[derive(Clone, Debug)]
 pub(super) struct Deletions {
     job: Job<Deleting>,
-    /// Up to and including this number nothing is in the file.
+    /// Number up to which the file contains no batch.
     through: u64,
-    /// Bytes in the file of what is stored over there.
+    /// Bytes in the file of batches that the aggregator stored.
     waiting: u64,
-    /// Since when something waits.
+    /// Time since which a batch waits for deletion.
     since: Option<MonoTime>,
 }
 
@@ -33,65 +34,65 @@ impl Deletions {
         Self { job: Job::default(), through, waiting: 0, since: None }
     }
 
-    /// Up to and including this number nothing is in the file.
+    /// Returns the number up to which the file contains no batch.
     pub(super) const fn through(&self) -> u64 {
         self.through
     }
 
-    /// Bytes in the file are stored over there, or given up.
+    /// Adds bytes in the file whose batches are stored by the aggregator or given up.
     pub(super) fn add(&mut self, bytes: u64, now: MonoTime) {
         self.waiting += bytes;
         self.since.get_or_insert(now);
     }
 
-    /// Bytes came into the file that were stored over there while they were written.
+    /// Adds bytes that were written to the file and whose batches the aggregator stored meanwhile.
     pub(super) const fn add_written(&mut self, bytes: u64) {
         self.waiting += bytes;
     }
 
-    /// Whether a deletion may be asked for, now or when it is due.
+    /// Returns whether a deletion may be requested, now or when it is due.
     pub(super) const fn may_begin(&self) -> bool {
         !self.job.is_under_way() && self.job.again().is_none()
     }
 
-    /// Whether a deletion may be asked for now.
+    /// Returns whether a deletion may be requested now.
     pub(super) fn is_free(&mut self, now: MonoTime) -> bool {
         self.job.is_free(now)
     }
 
-    /// Whether everything up to `through` is to be deleted now, because it is much or waits for long; from `many_bytes` on it
-    /// is much.
+    /// Returns whether everything up to `through` is to be deleted now, because it has many batches or `many_bytes`, or
+    /// waits for long.
     pub(super) fn is_due(&self, through: u64, many_bytes: u64, now: MonoTime) -> bool {
         through - self.through >= MOST_WAITING
             || self.waiting >= many_bytes
             || self.since.is_none_or(|since| now - since >= DELETED_AFTER)
     }
 
-    /// When what waits has waited for long enough.
+    /// Returns the time at which the waiting batches are due.
     pub(super) fn due_at(&self) -> Option<MonoTime> {
         self.since.map(|since| since + DELETED_AFTER)
     }
 
-    /// When it may be tried again after a failure.
+    /// Returns the time of the next attempt after a failure.
     pub(super) const fn again(&self) -> Option<MonoTime> {
         self.job.again()
     }
 
-    /// Everything up to this batch is to be deleted now.
+    /// Begins the deletion of everything up to a batch.
     pub(super) fn begin(&mut self, through: (u64, Chain)) {
         let bytes = std::mem::take(&mut self.waiting);
         self.since = None;
         self.job.begin(Deleting { through, bytes });
     }
 
-    /// It is deleted: returns the last batch and how many bytes; `None` when nothing was to be.
+    /// Ends the deletion successfully. Returns the last batch and the number of bytes; `None` if there is no deletion.
     pub(super) fn end(&mut self) -> Option<((u64, Chain), u64)> {
         let Deleting { through, bytes } = self.job.end()?;
         self.through = through.0;
         Some((through, bytes))
     }
 
-    /// It is not; `None` when nothing was to be.
+    /// Ends the deletion as failed; `None` if no deletion is in progress.
     pub(super) fn fail(&mut self, now: MonoTime, pause: Span) -> Option<()> {
         let Deleting { bytes, .. } = self.job.end()?;
         self.add(bytes, now);

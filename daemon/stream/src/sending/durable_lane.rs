@@ -1,4 +1,4 @@
-//! What the durable lane hands over next, and what both lanes may have on their way.
+//! The durable lane: decides what is handed over next, and limits the bytes in flight of both lanes.
 
 use peernet_clock::{MonoTime, Span};
 use peernet_logger::HostId;
@@ -11,33 +11,33 @@ use super::partial_batch::PartialBatch;
 use super::spooler::EventSpooler;
 use crate::{ToAggregator, batch_weight, codec};
 
-/// What may be under way and not stored, in units of what may be on the way: enough for a store that takes its time and
-/// for what compression saves.
+/// Largest amount of sent and not stored data, in units of the allowance. It leaves room for the time that storing
+/// takes and for the effect of compression.
 const UNSTORED: u64 = 8;
 
-/// The batches on their way to the aggregator.
+/// The batches in flight to the aggregator.
 #[derive(Clone, Debug)]
 pub(super) struct DurableLane {
     config: SendingConfig,
-    /// What may be under way, in units of batches, by the aggregator's word.
+    /// Window in units of batches, as stated by the aggregator.
     window: u32,
     pace: Pace,
     flow: FlowControl,
     in_flight: InFlightBatches,
-    /// What is left of the batch that was sent last.
+    /// Remaining bytes of the batch that was sent last.
     partial: Option<PartialBatch>,
 }
 
-/// What the lane hands over.
+/// Output of the durable lane.
 #[derive(Clone, Debug, Default)]
 pub(super) struct LaneOutput {
     pub(super) frame: Option<Vec<u8>>,
-    /// Whether it begins a batch.
+    /// `true` if the frame begins a batch.
     pub(super) begins: bool,
 }
 
 impl DurableLane {
-    /// Nothing is on its way; no more than `most` bytes ever will be.
+    /// Creates a lane with nothing in flight. At most `most` bytes will be in flight.
     pub(super) fn new(config: SendingConfig, most: u64) -> Self {
         Self {
             config,
@@ -49,7 +49,8 @@ impl DurableLane {
         }
     }
 
-    /// The next of the durable lane: batch `next` or a part of the one before it, or a question how it goes.
+    /// Returns the next frame of the durable lane: batch `next`, a part of the batch before it, or a request for an
+    /// echo.
     pub(super) fn next(
         &mut self,
         next: u64,
@@ -61,28 +62,30 @@ impl DurableLane {
         let part = self.flow.part();
         let fits = |bytes: usize| bytes.min(part) + PartialBatch::OVERHEAD;
         if let Some(rest) = self.partial.as_ref().map(PartialBatch::len) {
-            let question = self.ask(host, !self.flow.has_room(fits(rest)), false, now);
-            return only(question.or_else(|| self.part(host, part)));
+            // A batch that was begun is finished first, because the receiver assembles one batch per host at a time.
+            let echo_request = self.request_echo(host, !self.flow.has_room(fits(rest)), false, now);
+            return only(echo_request.or_else(|| self.part(host, part)));
         }
         let (through, unspooled) = spooler.sendable();
         let batch = spooler.backlog.get(next, unspooled).filter(|_| next <= through);
         let Some(body) = batch.map(|batch| batch.body.len()) else {
             self.pace.is_idle(self.flow.is_slow(), now);
-            self.flow.is_spared();
-            return only(self.ask(host, false, false, now));
+            self.flow.yield_turn();
+            return only(self.request_echo(host, false, false, now));
         };
         if self.in_flight.is_full(body, self.allowance()) {
             self.pace.is_full(now);
-            self.flow.is_spared();
-            return only(self.ask(host, false, false, now));
+            self.flow.yield_turn();
+            return only(self.request_echo(host, false, false, now));
         }
         let waits = !self.flow.has_room(fits(body));
         if waits {
             self.pace.is_full(now);
         }
-        if let question @ Some(_) = self.ask(host, waits, !waits, now) {
-            return only(question);
+        if let echo_request @ Some(_) = self.request_echo(host, waits, !waits, now) {
+            return only(echo_request);
         }
+        // An echo request may go out although the batch has to wait: its answer frees the allowance.
         let sent = if waits { None } else { spooler.send(next, unspooled, host) };
         let Some((head, body)) = sent else { return only(None) };
         let frame = codec::batch_frame(&head, &body, self.pace.compresses());
@@ -91,7 +94,7 @@ impl DurableLane {
         LaneOutput { frame: self.part(host, part), begins: true }
     }
 
-    /// The next part of a batch, if there is room for it on the way.
+    /// Returns the next part of a batch if the allowance has room for it.
     fn part(&mut self, host: HostId, most: usize) -> Option<Vec<u8>> {
         let rest = self.partial.as_mut()?;
         if !self.flow.has_room(rest.len().min(most) + PartialBatch::OVERHEAD) {
@@ -105,37 +108,38 @@ impl DurableLane {
         Some(frame)
     }
 
-    /// Asks how long the way is, when that is due.
-    fn ask(&mut self, host: HostId, waits: bool, begins: bool, now: MonoTime) -> Option<Vec<u8>> {
-        let bytes = self.flow.ask(waits, begins, now)?;
+    /// Returns a request for an echo if one is due.
+    fn request_echo(&mut self, host: HostId, waits: bool, begins: bool, now: MonoTime) -> Option<Vec<u8>> {
+        let bytes = self.flow.request_echo(waits, begins, now)?;
         Some(codec::encode(&ToAggregator::Echo { host, bytes }))
     }
 
-    /// What may be under way and not stored, by weight: what is not stored in the end has to cross a slow link again.
+    /// Returns the largest weight of batches in flight that are not stored. On a slow link it is reduced, because
+    /// batches that are not stored in the end must cross the link again.
     fn allowance(&self) -> u64 {
         let window = u64::from(self.window) * batch_weight(self.config.batch_bytes);
         if self.flow.is_slow() { window.min(UNSTORED * self.flow.allowance()) } else { window }
     }
 
-    /// The connection is another.
+    /// Resets the flow control for a new connection.
     pub(super) fn restart(&mut self) {
         self.flow.restart();
     }
 
-    /// What is under way counts as not sent.
+    /// Marks everything in flight as not sent.
     pub(super) fn take_back(&mut self) {
         self.in_flight.lost(0);
         self.partial = None;
         self.pace.interrupted();
     }
 
-    /// Batches from this one on did not arrive.
+    /// Marks batches from a number on as not arrived.
     pub(super) fn lost(&mut self, from: u64) {
         self.in_flight.lost(from);
         self.partial.take_if(|rest| rest.number() >= from);
     }
 
-    /// Batches up to this one are stored.
+    /// Records that batches up to a number are stored.
     pub(super) fn acknowledged(&mut self, through: u64, now: MonoTime) {
         let (bytes, end) = self.in_flight.acknowledged(through);
         self.pace.acknowledged(bytes, now);
@@ -143,12 +147,13 @@ impl DurableLane {
         self.partial.take_if(|rest| rest.number() <= through);
     }
 
-    /// The aggregator allows so many batches under way.
+    /// Sets the window that the aggregator allows.
     pub(super) fn allowed(&mut self, window: u32) {
+        // At least one batch, or a window of 0 would end the stream for good.
         self.window = window.clamp(1, self.config.window.max(1));
     }
 
-    /// An echo came.
+    /// Records an echo.
     pub(super) fn echoed(&mut self, bytes: u64, now: MonoTime) {
         self.flow.echoed(bytes, now);
         if self.flow.is_slow() {
@@ -156,32 +161,32 @@ impl DurableLane {
         }
     }
 
-    /// A message was answered at once: there and back took so long.
+    /// Records the round trip of a message that was answered at once.
     pub(super) fn round_trip(&mut self, span: Span, now: MonoTime) {
         self.flow.round_trip(span, now);
     }
 
-    /// When an echo that did not come is to be asked for again.
+    /// Returns the time at which a missing echo is requested again.
     pub(super) fn remind_at(&self) -> Option<MonoTime> {
         self.flow.remind_at()
     }
 
-    /// When some of the lane's bytes last arrived.
+    /// Returns the time at which bytes of the lane last arrived.
     pub(super) const fn progress(&self) -> MonoTime {
         self.flow.progress()
     }
 
-    /// Whether the live lane may hand over an update.
+    /// Returns whether the live lane may hand over an update.
     pub(super) const fn may_show(&self) -> bool {
         self.flow.may_show()
     }
 
-    /// The live lane handed over so many bytes.
+    /// Records that the live lane handed over bytes.
     pub(super) const fn shown(&mut self, bytes: u64) {
         self.flow.shown(bytes);
     }
 
-    /// Whether what is sent is to be compressed.
+    /// Returns whether messages should be compressed.
     pub(super) const fn compresses(&self) -> bool {
         self.pace.compresses()
     }

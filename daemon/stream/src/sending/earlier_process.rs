@@ -1,35 +1,37 @@
-//! The end of an earlier process of which only the aggregator knows what is stored.
+//! The last batches of an earlier process, of which only the aggregator knows whether they are stored.
 
-use super::super::unresolved::Resolved;
-use super::super::{Gap, SentUnspooled, Totals, Unresolved};
+use super::super::unresolved::ResolvedBatches;
+use super::super::{Gap, SentUnspooled, Totals, UnresolvedBatches};
 
-/// From the start to the aggregator's first word it is unresolved; then the spool is told, and after that losses are reported.
+/// State of these batches. They are unresolved from the start until the aggregator's first welcome. The result is then
+/// written to the spool, and only after that losses are reported, so that each loss is reported once even if a process
+/// is killed in between.
 #[derive(Clone, Debug)]
 pub(super) struct EarlierProcess {
-    unresolved: Option<Unresolved>,
-    /// What the totals of the spool have more than those counted here.
-    resolved: Resolved,
-    /// What the spool is still to be told.
+    unresolved: Option<UnresolvedBatches>,
+    /// Counts that the spool's totals contain in addition to those counted here.
+    resolved: ResolvedBatches,
+    /// Gaps that must still be written to the spool.
     unwritten: Option<Vec<Gap>>,
 }
 
 impl EarlierProcess {
-    pub(super) fn new(unresolved: Option<Unresolved>) -> Self {
-        Self { unresolved, resolved: Resolved::default(), unwritten: None }
+    pub(super) fn new(unresolved: Option<UnresolvedBatches>) -> Self {
+        Self { unresolved, resolved: ResolvedBatches::default(), unwritten: None }
     }
 
-    pub(super) const fn resolved(&self) -> &Resolved {
+    pub(super) const fn resolved(&self) -> &ResolvedBatches {
         &self.resolved
     }
 
-    /// What the spool is still to be told.
+    /// Returns the gaps that must still be written to the spool.
     pub(super) const fn unwritten(&self) -> Option<&Vec<Gap>> {
         self.unwritten.as_ref()
     }
 
-    /// Events that were handed in and dropped, with those of the earlier process.
+    /// Returns the numbers of events that were handed in and dropped, including those of the earlier process.
     pub(super) const fn count(&self, totals: &Totals) -> (u64, u64) {
-        let Resolved { stored, lost, .. } = self.resolved;
+        let ResolvedBatches { stored, lost, .. } = self.resolved;
         (totals.produced + stored + lost, totals.dropped + lost)
     }
 
@@ -41,19 +43,24 @@ impl EarlierProcess {
         }
     }
 
-    /// The aggregator has all up to this batch, which that process sent: what was unresolved until now and what became of it.
-    pub(super) fn resolve(&mut self, number: u64, process: Option<u64>) -> Option<(Unresolved, Resolved)> {
+    /// Resolves the earlier process. The aggregator has stored everything up to `number`, which `process` sent. Returns
+    /// the unresolved batches and their result.
+    pub(super) fn resolve(
+        &mut self,
+        number: u64,
+        process: Option<u64>,
+    ) -> Option<(UnresolvedBatches, ResolvedBatches)> {
         let unresolved = self.unresolved.take()?;
         let resolved = unresolved.resolve(number, process);
         Some((unresolved, resolved))
     }
 
-    /// The spool is to be told what became of it, and of losses that no gap reports.
-    pub(super) fn write(&mut self, resolved: Resolved, unreported: Vec<Gap>) {
+    /// Sets the result that must be written to the spool, with the losses that no gap reports.
+    pub(super) fn write(&mut self, resolved: ResolvedBatches, unreported: Vec<Gap>) {
         (self.resolved, self.unwritten) = (resolved, Some(unreported));
     }
 
-    /// The spool was told.
+    /// Records that the result was written to the spool.
     pub(super) fn written(&mut self) {
         self.unwritten = None;
     }

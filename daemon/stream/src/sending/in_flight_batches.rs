@@ -1,21 +1,21 @@
-//! What was sent and is not acknowledged.
+//! Batches that were sent and are not acknowledged.
 
 use std::collections::VecDeque;
 
 use super::super::{MOST_UNDER_WAY, batch_weight};
 
-/// A batch under way.
+/// A batch in flight.
 #[derive(Clone, Copy, Debug)]
 struct InFlightBatch {
     number: u64,
     weight: u64,
-    /// Bytes of its frame.
+    /// Number of bytes of its frame.
     frame: u64,
-    /// Bytes of the connection up to its end; 0 while a part of it is still here.
+    /// Position in the connection after its last byte; 0 while a part of it has not been handed over.
     end: u64,
 }
 
-/// Batches under way, contiguous, and what they count together.
+/// Contiguous batches in flight, and the sum of their weights.
 #[derive(Clone, Debug, Default)]
 pub(super) struct InFlightBatches {
     sent: VecDeque<InFlightBatch>,
@@ -23,9 +23,10 @@ pub(super) struct InFlightBatches {
 }
 
 impl InFlightBatches {
-    /// Whether a batch with a body of so many bytes must wait while no more than `window` may be under way.
+    /// Returns whether a batch with a body of `body` bytes must wait, if at most `window` may be in flight.
     pub(super) fn is_full(&self, body: usize, window: u64) -> bool {
         let too_much = self.weight + batch_weight(body) > window || self.sent.len() >= MOST_UNDER_WAY;
+        // One batch may always be in flight, or a batch larger than the window would never be sent.
         too_much && !self.sent.is_empty()
     }
 
@@ -35,15 +36,15 @@ impl InFlightBatches {
         self.sent.push_back(InFlightBatch { number, weight, frame: frame as u64, end: 0 });
     }
 
-    /// The last batch is on its way, all of it.
+    /// Records that the last batch is completely handed over.
     pub(super) fn handed_over(&mut self, end: u64) {
         if let Some(sent) = self.sent.back_mut() {
             sent.end = end;
         }
     }
 
-    /// Batches up to this one are acknowledged: returns the bytes of their frames, and those of the connection up to
-    /// the end of the last.
+    /// Removes the batches up to `through`. Returns the bytes of their frames, and the position in the connection after
+    /// the last of them.
     pub(super) fn acknowledged(&mut self, through: u64) -> (u64, u64) {
         let (mut bytes, mut end) = (0, 0);
         while let Some(sent) = self.sent.pop_front_if(|sent| sent.number <= through) {
@@ -54,7 +55,7 @@ impl InFlightBatches {
         (bytes, end)
     }
 
-    /// Batches from this one on did not arrive.
+    /// Removes the batches from `from` on, because they did not arrive.
     pub(super) fn lost(&mut self, from: u64) {
         while let Some(sent) = self.sent.pop_back_if(|sent| sent.number >= from) {
             self.weight -= sent.weight;

@@ -1,4 +1,4 @@
-//! Work that was asked of the owner: one at a time of each kind, tried again after a pause.
+//! Work that was requested from the owner: one item of each kind at a time, tried again after a pause.
 
 use peernet_clock::{MonoTime, Span};
 
@@ -6,7 +6,7 @@ use peernet_clock::{MonoTime, Span};
 #[derive(Clone, Debug)]
 pub(super) struct Job<T> {
     under_way: Option<T>,
-    /// Not before, because it failed.
+    /// Earliest time of the next attempt after a failure.
     again: Option<MonoTime>,
 }
 
@@ -17,13 +17,13 @@ impl<T> Default for Job<T> {
 }
 
 impl<T> Job<T> {
-    /// Whether it may be asked for now.
+    /// Returns whether the work may be requested now.
     pub(super) fn is_free(&mut self, now: MonoTime) -> bool {
         self.again = self.again.filter(|again| now < *again);
         self.again.is_none() && self.under_way.is_none()
     }
 
-    /// When it may be asked for after a failure.
+    /// Returns the time of the next attempt after a failure.
     pub(super) const fn again(&self) -> Option<MonoTime> {
         self.again
     }
@@ -40,12 +40,12 @@ impl<T> Job<T> {
         self.under_way = Some(work);
     }
 
-    /// It is done; `None` when it was not asked for.
+    /// Ends the work successfully; `None` if none was requested.
     pub(super) const fn end(&mut self) -> Option<T> {
         self.under_way.take()
     }
 
-    /// It failed.
+    /// Ends the work as failed.
     pub(super) fn fail(&mut self, now: MonoTime, pause: Span) {
         self.under_way = None;
         self.again = Some(now + pause);

@@ -1,4 +1,4 @@
-//! The connection to the aggregator: the greeting, the comparison of what both ends know, and the frames.
+//! The connection to the aggregator: hello, comparison of both ends' batches, and frames.
 
 use peernet_clock::{MonoTime, Stamp};
 
@@ -10,10 +10,10 @@ use super::session::{Link, ScanPurpose, Welcome};
 use super::spool_reader::{LoadPurpose, ScanResult};
 use super::{Notice, Sending};
 use crate::spool::SpooledBatch;
-use crate::totals::Reached;
+use crate::totals::NewestSentBatch;
 use peernet_logger::Slug;
 
-/// Returns the reason not to answer an aggregator that chose a version which this agent does not speak.
+/// Returns the reason to refuse an aggregator that chose a version which this agent does not support.
 fn wrong_version(aggregator: &Slug, chosen: Option<u16>) -> Option<String> {
     let chosen = VersionRange::single(chosen.unwrap_or(AGENT_STREAM_VERSIONS.oldest()));
     let mismatch = AGENT_STREAM_VERSIONS.highest_common(&chosen).err()?;
@@ -21,24 +21,25 @@ fn wrong_version(aggregator: &Slug, chosen: Option<u16>) -> Option<String> {
 }
 
 impl Sending {
-    /// The transport has a connection.
+    /// Records that the transport has a connection.
     pub fn connected(&mut self, now: MonoTime) {
+        // The new connection may use another path.
         self.lane.restart();
         self.lane.take_back();
         self.session.connect(now);
     }
 
-    /// The transport has none. Batches under way count as not sent.
+    /// Records that the connection ended. Batches in flight count as not sent.
     pub fn disconnected(&mut self) {
         self.session.disconnect();
         self.lane.take_back();
     }
 
-    /// A message came.
+    /// Handles a message from the aggregator.
     pub fn received(&mut self, message: &ToAgent, now: Stamp) -> Option<Notice> {
         match message {
             _ if matches!(self.session.link, Link::Down) => {}
-            // Answers to what was sent in a stream that has been left since, or is being left.
+            // Answers to messages of a stream that has been left, or is being left.
             ToAgent::Challenge { stream, .. }
             | ToAgent::Welcome { stream, .. }
             | ToAgent::Ack { stream, .. }
@@ -60,18 +61,18 @@ impl Sending {
                 self.lane.allowed(*window);
                 self.acknowledged_through(*through, now);
             }
-            ToAgent::Resend { from, .. } => self.asked_again(*from, now.mono),
+            ToAgent::Resend { from, .. } => self.resend_from(*from, now.mono),
             ToAgent::Echo { bytes } => {
                 self.lane.echoed(*bytes, now.mono);
             }
             ToAgent::Refused { reason } => self.refused(reason, now.mono),
-            ToAgent::Unknown if self.is_up() => self.greet_again(now.mono),
+            ToAgent::Unknown if self.is_up() => self.schedule_hello(now.mono),
             ToAgent::Unknown => {}
         }
         self.notice()
     }
 
-    /// The frame to send now, if there is one.
+    /// Returns the frame to be sent now, if any.
     pub(super) fn frame(&mut self, now: MonoTime) -> Option<Vec<u8>> {
         if let Some(proof) = self.session.take_proof() {
             return Some(proof);
@@ -82,21 +83,21 @@ impl Sending {
         let Link::Up { next, heard } = self.session.link else { return None };
         let output = self.lane.next(next, &mut self.spooler, self.host.id, now);
         if output.begins {
-            // Patience begins when there is something to wait for.
+            // The timeout begins when there is something to wait for.
             let idle = next == self.spooler.backlog.oldest();
             self.session.link = Link::Up { next: next + 1, heard: if idle { now } else { heard } };
         }
         output.frame
     }
 
-    /// The aggregator answered a greeting.
+    /// Records an answer to a hello or a proof, and its round trip.
     fn answered(&mut self, now: MonoTime) {
         if let Some(took) = self.session.answered(now) {
             self.lane.round_trip(took, now);
         }
     }
 
-    /// When the link has something to do without anything else happening.
+    /// Returns the time at which the connection needs attention without an event.
     pub(super) fn link_deadline(&self) -> Option<MonoTime> {
         if let Some(again) = self.session.hello_at() {
             return (!self.renewal.is_wanted()).then_some(again);
@@ -105,10 +106,10 @@ impl Sending {
         self.patience_ends().into_iter().chain(reminder).min()
     }
 
-    /// Greets again when nothing was acknowledged for too long.
-    pub(super) fn lose_patience(&mut self, now: MonoTime) {
+    /// Sends a hello again if nothing was acknowledged for too long.
+    pub(super) fn check_patience(&mut self, now: MonoTime) {
         if self.patience_ends().is_some_and(|limit| now >= limit) {
-            self.greet_again(now);
+            self.schedule_hello(now);
         }
     }
 
@@ -116,10 +117,10 @@ impl Sending {
         self.session.patience_ends(self.spooler.backlog.oldest(), self.lane.progress())
     }
 
-    /// Says hello: at once, unless that led to nothing several times.
-    pub(super) fn greet_again(&mut self, now: MonoTime) {
+    /// Schedules a hello: at once, unless several had no effect.
+    pub(super) fn schedule_hello(&mut self, now: MonoTime) {
         self.lane.take_back();
-        self.session.greet_again(now);
+        self.session.schedule_hello(now);
     }
 
     fn hello(&self) -> Hello {
@@ -140,7 +141,7 @@ impl Sending {
         }
     }
 
-    /// The aggregator asks for the proof that this host is who it says it is.
+    /// Answers the challenge of the aggregator with a proof.
     fn challenged(
         &mut self,
         aggregator: &Slug,
@@ -172,11 +173,12 @@ impl Sending {
         self.notices.push_back(Notice::Refused(reason.to_owned()));
     }
 
-    fn asked_again(&mut self, from: u64, now: MonoTime) {
+    fn resend_from(&mut self, from: u64, now: MonoTime) {
         let Link::Up { next, heard } = self.session.link else { return };
         if from < self.spooler.backlog.oldest() {
-            // It lacks what is no longer here: the hello tells it so, and it records the gap.
-            self.greet_again(now);
+            // The aggregator lacks batches that are no longer here. The hello states so, and the aggregator records the
+            // gap.
+            self.schedule_hello(now);
         } else {
             self.session.link = Link::Up { next: next.min(from), heard };
             self.lane.lost(from);
@@ -186,8 +188,8 @@ impl Sending {
     fn acknowledged_through(&mut self, through: u64, now: Stamp) {
         let Link::Up { next, .. } = self.session.link else { return };
         if through > self.spooler.backlog.sent() {
-            // Nobody can have stored what was not sent: the greeting finds out what there is.
-            self.greet_again(now.mono);
+            // Batches that were not sent cannot be stored. The hello finds out what the aggregator has.
+            self.schedule_hello(now.mono);
         } else if through >= self.spooler.backlog.oldest() {
             self.session.progressed(next.max(through + 1), now.mono);
             self.acknowledged(through, None, now);
@@ -195,33 +197,35 @@ impl Sending {
         }
     }
 
-    /// The aggregator has batches up to a number. Ours of that number must be the same.
+    /// Handles a welcome: the aggregator has batches up to a number, and this end's batch with that number must be the
+    /// same.
     fn welcomed(&mut self, mut welcome: Welcome, now: Stamp) {
         welcome.stored = welcome.stored.max(self.spooler.backlog.origin.first - 1);
         let (acknowledged, _) = self.spooler.backlog.acknowledged();
         match self.session.link {
             Link::Greeting { .. } => {}
-            // The answer to a second hello that was on its way.
+            // This is the answer to a second hello that was in flight.
             Link::Up { .. } if welcome.stored > acknowledged => {
                 return match self.spooler.backlog.chain(welcome.stored) {
                     ours if ours == welcome.chain => self.acknowledged_through(welcome.stored, now),
-                    _ => self.greet_again(now.mono),
+                    _ => self.schedule_hello(now.mono),
                 };
             }
             _ => return,
         }
+        // The welcome states whether the batches of an earlier process are stored, also if the stream is left below.
         self.spooler.resolve_earlier(welcome.stored, welcome.process);
         if welcome.stored > self.spooler.backlog.newest() {
-            return self.leave(&welcome, now);
+            return self.leave_stream(&welcome, now);
         }
         if welcome.stored < acknowledged {
             return match self.has_sent(&welcome) {
-                true => self.taken_in(welcome, true, now),
-                false => self.leave(&welcome, now),
+                true => self.begin_sending(welcome, true, now),
+                false => self.leave_stream(&welcome, now),
             };
         }
         match self.spooler.backlog.known(welcome.stored) {
-            Some((chain, scanned)) => self.judge(welcome, Some(chain), scanned, now),
+            Some((chain, scanned)) => self.compare_chains(welcome, Some(chain), scanned, now),
             None => {
                 let scan = self.spooler.backlog.scan_to(welcome.stored);
                 self.session.link = Link::Comparing { scan, purpose: ScanPurpose::Compare(welcome) };
@@ -229,7 +233,7 @@ impl Sending {
         }
     }
 
-    /// The file was read up to `through`; nothing is said of it when that batch was not in it.
+    /// Continues after the file was read up to `through`. `scanned` is `None` if that batch was not in it.
     fn compared(&mut self, through: u64, scanned: Option<ScanResult>, purpose: ScanPurpose, now: Stamp) {
         match purpose {
             ScanPurpose::Compare(welcome) => {
@@ -238,7 +242,7 @@ impl Sending {
                     Some(_) => self.spooler.backlog.chain(welcome.stored),
                     None => None,
                 };
-                self.judge(welcome, chain, scanned, now);
+                self.compare_chains(welcome, chain, scanned, now);
             }
             ScanPurpose::Leave => {
                 if scanned.is_some() {
@@ -249,32 +253,40 @@ impl Sending {
         }
     }
 
-    /// Goes on when the aggregator's last batch is ours, of which the chain is `ours`.
-    fn judge(&mut self, welcome: Welcome, ours: Option<Chain>, scanned: Option<ScanResult>, now: Stamp) {
+    /// Starts sending if the aggregator's last batch is the one with the chain `ours`, and leaves the stream otherwise.
+    fn compare_chains(
+        &mut self,
+        welcome: Welcome,
+        ours: Option<Chain>,
+        scanned: Option<ScanResult>,
+        now: Stamp,
+    ) {
         let (acknowledged, _) = self.spooler.backlog.acknowledged();
+        // The aggregator has no batch of this stream, or no chain of the acknowledged one.
         let nothing_to_compare = welcome.stored < self.spooler.backlog.origin.first
             || welcome.stored == acknowledged && welcome.chain.is_none();
         if nothing_to_compare || ours.is_some() && ours == welcome.chain {
             if welcome.stored > acknowledged {
                 self.acknowledged(welcome.stored, scanned, now);
             }
-            self.taken_in(welcome, false, now);
+            self.begin_sending(welcome, false, now);
         } else {
-            self.leave(&welcome, now);
+            self.leave_stream(&welcome, now);
         }
     }
 
-    /// Whether the aggregator's last batch, which is not here any more, was sent by this process or by one before it.
-    /// In an older database there may stand what a copy of the spool sent; what is held does not go on from that.
+    /// Returns whether this process or an earlier one sent the aggregator's last batch, which is no longer here. An
+    /// older database may contain batches from a copy of the spool, which this spool does not continue.
     fn has_sent(&self, welcome: &Welcome) -> bool {
-        let by =
-            |reached: &Reached| Some(reached.process) == welcome.process && reached.number >= welcome.stored;
+        let by = |reached: &NewestSentBatch| {
+            Some(reached.process) == welcome.process && reached.number >= welcome.stored
+        };
         welcome.chain.is_none()
             || welcome.process == Some(self.spooler.process())
             || self.renewal.reached_before().iter().any(by)
     }
 
-    fn taken_in(&mut self, welcome: Welcome, lacks: bool, now: Stamp) {
+    fn begin_sending(&mut self, welcome: Welcome, lacks: bool, now: Stamp) {
         self.spooler.meet();
         self.session.link = Link::Up { next: self.spooler.backlog.oldest(), heard: now.mono };
         let Welcome { aggregator, stored, .. } = welcome;
@@ -282,20 +294,21 @@ impl Sending {
         self.pass_gap(now);
     }
 
-    /// The aggregator's stream is not ours any more.
+    /// Leaves the stream, because the aggregator's batches differ from those of this spool.
     ///
-    /// When its last batch came from a process that wrote to this spool, all is stored that the spool holds of that
-    /// process ([`Reached`]): either the spool lost its end, or is a copy from which that process went on. What
-    /// came into the spool later was never stored. When that batch came from another process, the spool is a copy of
-    /// unknown age, and everything that is held is sent: rather twice, in two streams, than not at all.
-    fn leave(&mut self, welcome: &Welcome, now: Stamp) {
+    /// If the aggregator's last batch came from a process that wrote to this spool, everything that the spool holds
+    /// from that process is stored ([`NewestSentBatch`]): the spool lost its end, or is a copy that the process continued from.
+    /// Later batches of the spool were never stored. If the batch came from another process, the spool is a copy of
+    /// unknown age, and everything in it is sent: it is better to store events twice, in two streams, than not at all.
+    fn leave_stream(&mut self, welcome: &Welcome, now: Stamp) {
         let (stored, newest) = (welcome.stored, self.spooler.backlog.newest());
         self.notices.push_back(Notice::StreamRenewed { stored, newest });
         let reached =
             self.renewal.reached_before().iter().find(|reached| Some(reached.process) == welcome.process);
-        // An aggregator that has less than that, and something else, contradicts itself.
+        // An aggregator that has less than that, but a different batch, contradicts itself.
         let common =
             reached.filter(|reached| stored > reached.number).map_or(0, |reached| reached.number.min(newest));
+        // Nothing that the spool still holds is known to be stored.
         if common < self.spooler.backlog.oldest() {
             return self.renew_stream(now.mono);
         }
@@ -313,10 +326,10 @@ impl Sending {
 
     fn renew_stream(&mut self, now: MonoTime) {
         self.renewal.want();
-        self.greet_again(now);
+        self.schedule_hello(now);
     }
 
-    /// Batches came from the spool that were asked for.
+    /// Handles batches that were read from the spool.
     pub(super) fn read(&mut self, loading: LoadPurpose, batches: Vec<SpooledBatch>, now: Stamp) {
         match loading {
             LoadPurpose::Scan(from) => self.scanned(from, &batches, now),
@@ -329,11 +342,11 @@ impl Sending {
         }
     }
 
-    /// Batches came that are to be sent.
+    /// Handles batches that were read to be sent.
     fn read_ahead(&mut self, from: u64, batches: Vec<SpooledBatch>, now: Stamp) {
         let backlog = &mut self.spooler.backlog;
         let expected = from == backlog.unknown() && from <= backlog.spooled();
-        // Stored over there meanwhile, or about to be counted.
+        // The aggregator stored the batches meanwhile, or they are about to be counted.
         if !expected || self.session.is_comparing() {
             return;
         }
@@ -344,7 +357,7 @@ impl Sending {
         self.spooler.settle(now);
     }
 
-    /// Batches came that are to be counted.
+    /// Handles batches that were read to be counted.
     fn scanned(&mut self, from: u64, batches: &[SpooledBatch], now: Stamp) {
         let Link::Comparing { scan, .. } = &mut self.session.link else { return };
         if !scan.count(from, batches) {
@@ -356,7 +369,7 @@ impl Sending {
         }
     }
 
-    /// Goes on behind a gap in the spool when everything before it is stored over there.
+    /// Continues after a gap in the spool once everything before it is stored by the aggregator.
     fn pass_gap(&mut self, now: Stamp) {
         if self.session.is_comparing() {
             return;
@@ -364,15 +377,15 @@ impl Sending {
         let Some((resume, before)) = self.reader.pass_gap(&self.spooler.backlog) else { return };
         self.spooler.skip_to(resume, before, now.mono);
         if self.is_up() {
-            self.greet_again(now.mono);
+            self.schedule_hello(now.mono);
         }
         self.spooler.settle(now);
     }
 
-    /// All batches up to and including `through` are stored over there.
+    /// Frees the batches up to `through`, which the aggregator stored.
     fn acknowledged(&mut self, through: u64, scanned: Option<ScanResult>, now: Stamp) {
         if scanned.is_some() {
-            // It was passed, or is found again.
+            // The gap was passed, or will be found again.
             self.reader.forget_gap();
         }
         self.spooler.acknowledged(through, scanned, now);

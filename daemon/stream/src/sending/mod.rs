@@ -1,4 +1,8 @@
-//! The agent's end of the durable lane, and what both lanes may have on their way.
+//! The agent's end of the durable lane, and the flow control of both lanes.
+//!
+//! Events are numbered in batches in the spool ([`EventSpooler`]), read from there ([`SpoolReader`]), and handed over
+//! ([`DurableLane`]) while the aggregator has accepted the host ([`Session`]); [`StreamRenewal`] moves the spool to a
+//! new stream. These parts do not depend on each other.
 
 mod action;
 mod appends;
@@ -37,15 +41,15 @@ use super::totals::Totals;
 use super::{Accounting, Event, Gap, HostDescription, HostSecret, SentUnspooled, ToAggregator, codec};
 use peernet_logger::{HostId, RunId};
 
-/// The agent's end of the durable lane, without I/O: told of events, messages, completed work and time, it says what
-/// to do.
+/// State machine of the agent's end of the durable lane, without I/O.
 ///
-/// Whoever owns it calls [`next`](Self::next) after every other call until it returns nothing, and
-/// [`tick`](Self::tick) when [`deadline`](Self::deadline) has come. It recovers by itself from whatever the transport
-/// loses, repeats or reorders; being told of connections only makes that faster.
+/// The owner calls [`next`](Self::next) after every other call until it returns `None`, and [`tick`](Self::tick) when
+/// the [`deadline`](Self::deadline) is reached. The state machine recovers from everything that the transport loses,
+/// repeats or reorders; reports of connections only make this faster.
 ///
-/// A batch is sent after it was written to the spool. While the spool fails, batches are sent from memory: better
-/// stored over there than nowhere.
+/// The agent's task for the spool performs the actions on the file, so that neither the queue of events nor a live
+/// update waits for a disk. A batch is sent after it was written to the spool. While the spool fails, batches are sent
+/// from memory, because it is better to store them at the aggregator than nowhere.
 #[derive(Clone, Debug)]
 pub struct Sending {
     config: SendingConfig,
@@ -58,13 +62,13 @@ pub struct Sending {
     trouble: SpoolTrouble,
     session: Session,
     lane: DurableLane,
-    /// What the agent is still to be told.
+    /// Notices that the agent has not received yet.
     notices: VecDeque<Notice>,
 }
 
 impl Sending {
-    /// The sending end of a host with its `secret`; `process` is a random number made at process start. Nothing is sent before
-    /// [`connected`](Self::connected).
+    /// Creates the sending end of a host with its `secret`; `process` is a random number drawn at the start of the
+    /// process. Nothing is sent before [`connected`](Self::connected).
     pub fn new(
         config: SendingConfig,
         host: HostDescription,
@@ -72,6 +76,7 @@ impl Sending {
         process: u64,
         mut spool: SpoolState,
     ) -> Self {
+        // Twice the window: one part is in flight while the next is read from the spool.
         let budget = 2 * u64::from(config.window.max(1)) * config.batch_bytes as u64;
         Self {
             renewal: StreamRenewal::new(std::mem::take(&mut spool.reached)),
@@ -87,32 +92,32 @@ impl Sending {
         }
     }
 
-    /// Takes in an event, or drops and counts it. Never waits, never fails: when there is no room the newest events are
-    /// dropped, and a gap stands in their place as soon as there is some.
+    /// Accepts an event, or drops and counts it. It never waits and never fails: without capacity the newest events are
+    /// dropped, and a gap is sent in their place as soon as there is capacity.
     pub fn offer(&mut self, event: &Event, now: Stamp) {
         self.spooler.offer(event, now);
     }
 
-    /// Events were dropped before they came here: counts them, as those that are dropped here.
+    /// Counts events that were dropped before they were handed in.
     pub fn lost(&mut self, gap: &Gap, now: Stamp) {
         self.spooler.lost(gap, now);
     }
 
-    /// Time has passed: cuts a batch that is old enough, reports losses, opens the connection anew when no
+    /// Handles the passage of time: cuts a batch that is old enough, reports losses, and sends a hello if no
     /// acknowledgement came for too long.
     pub fn tick(&mut self, now: Stamp) {
         self.spooler.tick(now);
-        self.lose_patience(now.mono);
+        self.check_patience(now.mono);
     }
 
-    /// When [`tick`](Self::tick) or [`next`](Self::next) has something to do without anything else happening.
+    /// Returns the time at which [`tick`](Self::tick) or [`next`](Self::next) must be called without an event.
     pub fn deadline(&self) -> Option<MonoTime> {
         let again = [self.reader.again(), self.renewal.again()];
         let times = [self.spooler.deadline(), self.link_deadline()].into_iter().chain(again);
         times.flatten().min()
     }
 
-    /// What to do now; `None` when there is nothing.
+    /// Returns the next action; `None` if nothing is to be done.
     pub fn next(&mut self, now: MonoTime) -> Option<Action> {
         self.spooler
             .next(self.renewal.is_wanted(), now)
@@ -121,121 +126,123 @@ impl Sending {
             .or_else(|| self.frame(now).map(Action::Send))
     }
 
-    /// Reports losses and cuts the batch under construction now: before a stop. All is safe when
-    /// [`is_spooled`](Self::is_spooled).
+    /// Reports losses and cuts the batch under construction, before the agent stops. Everything is in the spool when
+    /// [`is_spooled`](Self::is_spooled) returns `true`.
     pub fn flush(&mut self, now: WallTime) {
         self.spooler.flush(now);
     }
 
-    /// Whether a write to the spool is under way that may make something safe.
+    /// Returns whether a write to the spool is in progress.
     pub const fn is_appending(&self) -> bool {
         self.spooler.is_appending()
     }
 
-    /// The end of a process that could not make everything safe: what is in memory only counts as dropped. The spool is
-    /// to keep these totals, so that the next process tells how much is missing. Of what was sent and not acknowledged
-    /// nobody knows whether it is stored: it counts as well.
+    /// Ends a process that could not write everything to the spool: events in memory count as dropped. The returned
+    /// totals are to be written to the spool, so that the next process reports how many events are missing. Events that
+    /// were sent and not acknowledged count as dropped, too, because it is unknown whether they are stored.
     pub fn give_up(&mut self) -> Totals {
         self.spooler.give_up()
     }
 
-    /// Whether something was sent that may be stored, although it is neither in the spool nor acknowledged.
+    /// Returns whether batches were sent that may be stored although they are neither in the spool nor acknowledged.
     pub fn has_sent_unspooled(&self) -> bool {
         self.spooler.has_sent_unspooled()
     }
 
-    /// Events that are in memory only.
+    /// Returns the number of events that are in memory only.
     pub fn unspooled_events(&self) -> u64 {
         self.spooler.unspooled_events()
     }
 
-    /// The frame that says goodbye; `None` when nobody knows us, so that a refused copy cannot say it in our name.
+    /// Returns the goodbye frame; `None` if the aggregator has not accepted this host, so that a refused copy cannot
+    /// end the host's session.
     pub fn goodbye(&mut self) -> Option<Vec<u8>> {
+        // Determined before the connection's state is discarded.
         let known = self.is_up();
         self.disconnected();
         known.then(|| codec::encode(&ToAggregator::Goodbye(self.host.id)))
     }
 
-    /// Whether the aggregator knows us, and live updates make sense.
+    /// Returns whether the aggregator has accepted this host, so that live updates are useful.
     pub const fn is_up(&self) -> bool {
         self.session.is_up()
     }
 
-    /// Whether a live update may go now: it would not wait for long on its way, and the durable lane had its share of a
-    /// link that is too narrow for both. What it would have said goes into the next.
+    /// Returns whether a live update may be sent now: it would not wait for long in the connection, and the durable
+    /// lane had its share of a link that is too slow for both. A skipped update is contained in the next one.
     pub fn may_show(&self) -> bool {
         self.is_up() && self.lane.may_show()
     }
 
-    /// Whether what is sent is to be compressed.
+    /// Returns whether messages should be compressed.
     pub const fn compresses(&self) -> bool {
         self.lane.compresses()
     }
 
-    /// Version of the event stream that was chosen for the connection; the oldest before one was.
+    /// Returns the version of the event stream that was chosen for the connection; the oldest one before that.
     pub const fn version(&self) -> u16 {
         self.session.version()
     }
 
-    /// A live update of so many bytes was sent.
+    /// Records that a live update was sent.
     pub const fn shown(&mut self, bytes: usize) {
         self.lane.shown(bytes as u64);
     }
 
-    /// Whether nothing is in memory that is neither in the spool nor stored.
+    /// Returns whether all events are in the spool or stored.
     pub fn is_spooled(&self) -> bool {
         self.spooler.unspooled_events() == 0
     }
 
-    /// Whether everything that was taken in is stored.
+    /// Returns whether all accepted events are stored.
     pub fn is_idle(&self) -> bool {
         self.spooler.is_idle()
     }
 
-    /// What became of the events.
+    /// Returns the numbers of events by state.
     pub fn accounting(&self) -> Accounting {
         self.spooler.accounting(self.lane.compresses(), self.trouble.reason())
     }
 
-    /// Runs that have ended and whose events are all in the spool or dropped, and how many events that are: who counts
-    /// them as well may forget them, and then has them [forgotten](Self::forget_run) here.
+    /// Returns the ended runs whose events are all in the spool or dropped, and their numbers of events. The agent may
+    /// remove its own counts of these runs, and then calls [`forget_run`](Self::forget_run).
     pub fn settled_runs(&self) -> Vec<(RunId, u64)> {
         self.spooler.settled_runs()
     }
 
-    /// Whether no loss is to be reported, now or later.
+    /// Returns whether no loss is to be reported, now or later.
     #[cfg(test)]
     pub(super) fn has_reported_all(&self) -> bool {
         self.spooler.has_reported_all()
     }
 
-    /// Events that were handed in to this process and are in the spool or dropped, by what the spool itself says.
+    /// Returns the number of events of this process that the spool accounts for, in batches or as dropped.
     pub const fn settled_events(&self) -> u64 {
         self.spooler.settled_events()
     }
 
-    /// The batch that was sent last without being in the spool, because that cannot be written. To be kept where it outlives
-    /// the process before its frame goes out.
+    /// Returns the batch that was sent last without being in the spool, because the spool cannot be written. It must be
+    /// recorded where it outlives the process before its frame is sent.
     pub fn sent_unspooled(&self) -> Option<SentUnspooled> {
         self.spooler.sent_unspooled()
     }
 
-    /// A run that has ended is no longer counted separately.
+    /// Ends the separate count of an ended run.
     pub fn forget_run(&mut self, run: RunId) {
         self.spooler.forget_run(run);
     }
 
-    /// Whose events these are.
+    /// Returns the id of the host.
     pub const fn host(&self) -> HostId {
         self.host.id
     }
 
-    /// The host, to be described anew when the connection is next opened.
+    /// Returns the description of the host, for changes before the next connection.
     pub const fn describe(&mut self) -> &mut HostDescription {
         &mut self.host
     }
 
-    /// The batches of the last [`Action::Append`] are in the spool.
+    /// Records that the batches of the last [`Action::Append`] are in the spool.
     pub fn appended(&mut self, now: Stamp) -> Option<Notice> {
         if self.spooler.appended(now)? {
             self.recovered(SpoolWork::Append);
@@ -243,13 +250,13 @@ impl Sending {
         self.notice()
     }
 
-    /// They are not, none of them.
+    /// Records that none of them is in the spool.
     pub fn append_failed(&mut self, reason: String, now: Stamp) -> Option<Notice> {
         self.spooler.append_failed(now.mono)?;
         self.failed(SpoolWork::Append, reason)
     }
 
-    /// What [`Action::Load`] asked for; a batch that was not found ends the list.
+    /// Handles the batches that [`Action::Load`] requested. A missing batch ends the list.
     pub fn loaded(&mut self, batches: Vec<SpooledBatch>, now: Stamp) -> Option<Notice> {
         let loading = self.reader.end()?;
         self.recovered(SpoolWork::Load);
@@ -257,34 +264,34 @@ impl Sending {
         self.notice()
     }
 
-    /// It could not be read.
+    /// Records that they could not be read.
     pub fn load_failed(&mut self, reason: String, now: Stamp) -> Option<Notice> {
         self.reader.fail(now.mono, self.config.spool_pause)?;
         self.failed(SpoolWork::Load, reason)
     }
 
-    /// The batches of the last [`Action::Delete`] are gone.
+    /// Records that the batches of the last [`Action::Delete`] are deleted.
     pub fn deleted(&mut self) {
         if self.spooler.deleted().is_some() {
             self.recovered(SpoolWork::Delete);
         }
     }
 
-    /// They are not.
+    /// Records that they could not be deleted.
     pub fn delete_failed(&mut self, reason: String, now: Stamp) -> Option<Notice> {
         self.spooler.delete_failed(now.mono)?;
         self.failed(SpoolWork::Delete, reason)
     }
 
-    /// The spool belongs to the stream of the last [`Action::Renew`].
+    /// Records that the spool belongs to the stream of the last [`Action::Renew`].
     pub fn renewed(&mut self, now: Stamp) {
         let Some(stream) = self.renewal.end() else { return };
         self.spooler.renew(stream);
         self.recovered(SpoolWork::Renew);
-        self.greet_again(now.mono);
+        self.schedule_hello(now.mono);
     }
 
-    /// It does not.
+    /// Records that the spool could not be moved to the new stream.
     pub fn renew_failed(&mut self, reason: String, now: Stamp) -> Option<Notice> {
         self.renewal.fail(now.mono, self.config.spool_pause)?;
         self.failed(SpoolWork::Renew, reason)

@@ -1,41 +1,42 @@
-//! Whether batches are compressed: by what the link was seen to carry.
+//! Decision whether batches are compressed, from the observed rate of the link.
 
 use peernet_clock::{MonoTime, Span};
 
 use super::Compression;
 
-/// Below so many bytes a second a link is slow. An agent at full speed makes a few megabytes of events a second, which
-/// is nothing for a cable and too much for a poor radio link; above that rate compression would cost processor time
-/// on a host that is being measured, and gain nothing.
+/// Rate in bytes per second below which a link is slow. An agent at full speed produces a few megabytes of events per
+/// second, which is little for a cable and too much for a poor radio link. Above this rate, compression would use
+/// processor time of a host that is being measured without a benefit.
 const SLOW: f64 = (4 << 20) as f64;
 
-/// Above so many it no longer is. Well above `SLOW`, so that a link between the two does not make it change its mind.
+/// Rate above which a link is no longer slow. It is well above `SLOW`, so that a link in between does not cause
+/// repeated changes.
 const FAST: f64 = 2.0 * SLOW;
 
-/// So long the sending must have waited for acknowledgements before the rate means anything.
+/// Time of waiting for acknowledgements from which on the rate is meaningful.
 const OBSERVED: Span = Span::from_seconds(1);
 
-/// Without having waited for so long there is nothing to gain any more.
+/// Time without waiting after which compression has no benefit.
 const CALM: Span = Span::from_seconds(10);
 
-/// Watches the bytes that were acknowledged while the window was full: only then is it the way to the store, and not
-/// the events, that sets the pace.
+/// Observer of the bytes that are acknowledged while the window is full. Only then does the path to the store limit the
+/// rate, and not the events.
 ///
-/// A slow store looks like a slow link from here. Compressing for it costs some processor time and does no harm. A
-/// store that stood still for a while, because its disk was full, does not: of the times that the sending waited, the
-/// longest does not count. A slow link makes it wait again and again.
+/// A slow store looks like a slow link here; compression for it costs some processor time and does no harm. A store
+/// that stopped for a while, because its disk was full, must not count: the longest wait is therefore ignored. A slow
+/// link causes many waits.
 #[derive(Clone, Debug)]
 pub(super) struct Pace {
     compression: Compression,
     compress: bool,
-    /// Since when the window has been full.
+    /// Start of the time in which the window has been full.
     full: Option<MonoTime>,
-    /// When it last was.
+    /// Last time at which the window was full.
     last_full: MonoTime,
-    /// What was seen while it was full: for how long, and how many bytes of frames.
+    /// Time and bytes of frames observed while the window was full.
     observed: Span,
     bytes: u64,
-    /// The longest wait of those, and the bytes that came with it.
+    /// Longest wait, and the bytes that were acknowledged after it.
     longest: (Span, u64),
 }
 
@@ -50,17 +51,18 @@ impl Pace {
         self.compress
     }
 
-    /// There is a batch to send, and it must wait for an acknowledgement.
+    /// Records that a batch must wait for an acknowledgement.
     pub(super) fn is_full(&mut self, now: MonoTime) {
         self.full.get_or_insert(now);
     }
 
-    /// What was sent took too long to arrive.
+    /// Records that data took too long to arrive.
     pub(super) fn is_slow(&mut self) {
         self.compress |= self.compression == Compression::Auto;
     }
 
-    /// There is nothing to send, on a link that is slow or not: where it is, there would soon be without compression.
+    /// Records that nothing is to be sent. On a slow link compression stays on, because without it batches would soon
+    /// wait again.
     pub(super) fn is_idle(&mut self, slow: bool, now: MonoTime) {
         self.pause(now);
         if self.compression == Compression::Auto && self.compress && !slow && now - self.last_full >= CALM {
@@ -68,12 +70,12 @@ impl Pace {
         }
     }
 
-    /// The link went away, or is opened anew: waiting says nothing about it.
+    /// Records that the connection ended, so that the current wait is meaningless.
     pub(super) fn interrupted(&mut self) {
         self.full = None;
     }
 
-    /// Frames of so many bytes were acknowledged.
+    /// Records that frames were acknowledged.
     pub(super) fn acknowledged(&mut self, bytes: u64, now: MonoTime) {
         let Some(since) = self.full else { return };
         self.pause(now);
@@ -81,6 +83,7 @@ impl Pace {
         if now - since > self.longest.0 {
             self.longest = (now - since, bytes);
         }
+        // Without the longest wait, which may be a pause of the store.
         let (observed, bytes) = (self.observed - self.longest.0, self.bytes - self.longest.1);
         if observed < OBSERVED {
             return;
@@ -92,7 +95,7 @@ impl Pace {
         (self.observed, self.bytes, self.longest) = (Span::ZERO, 0, (Span::ZERO, 0));
     }
 
-    /// Counts the time that it waited until now.
+    /// Ends the current wait.
     fn pause(&mut self, now: MonoTime) {
         if let Some(since) = self.full.take() {
             self.observed += now - since;
@@ -109,7 +112,7 @@ mod tests {
         MonoTime::default() + Span::from_millis(millis)
     }
 
-    /// So many seconds in which the window is always full and so many bytes a second are acknowledged.
+    /// Simulates a number of seconds in which the window is always full and `rate` bytes per second are acknowledged.
     fn wait(pace: &mut Pace, from: i64, seconds: i64, rate: u64) -> i64 {
         for n in 0..10 * seconds {
             pace.is_full(at(from + 100 * n));
@@ -134,9 +137,9 @@ mod tests {
     }
 
     #[test]
-    fn only_what_waits_for_the_link_says_something_of_it() {
+    fn round_trips_count_only_while_link_is_limit() {
         let mut pace = Pace::new(Compression::Auto);
-        // Few events, always acknowledged at once.
+        // Few events are acknowledged at once.
         for n in 0..1_000 {
             pace.acknowledged(1_000, at(100 * n));
             pace.is_idle(false, at(100 * n));
@@ -147,13 +150,13 @@ mod tests {
         assert!(pace.compresses());
         pace.is_idle(false, at(now + 10_001));
         assert!(!pace.compresses(), "the backlog is gone");
-        // Without compression there would soon be one again.
+        // Without compression batches would soon wait again.
         pace.is_slow();
         pace.is_idle(true, at(now + 30_000));
         assert!(pace.compresses(), "the link is slow");
         pace.is_idle(false, at(now + 30_000));
         assert!(!pace.compresses());
-        // An outage is no slowness.
+        // An outage does not count as slow.
         pace.is_full(at(200_000));
         pace.interrupted();
         pace.acknowledged(10, at(300_000));
@@ -161,15 +164,15 @@ mod tests {
     }
 
     #[test]
-    fn a_store_that_stands_still_is_no_slow_link() {
+    fn stalled_store_does_not_count_as_slow_link() {
         let mut pace = Pace::new(Compression::Auto);
         let now = wait(&mut pace, 0, 5, 100 << 20);
-        // Its disk is full for a minute, and then everything is acknowledged.
+        // The store's disk is full for a minute, and then everything is acknowledged.
         pace.is_full(at(now));
         pace.acknowledged(1 << 20, at(now + 60_000));
         wait(&mut pace, now + 60_000, 5, 100 << 20);
         assert!(!pace.compresses());
-        // Batches that take three seconds each are another matter.
+        // Batches that take three seconds each do count.
         for n in 0..6 {
             pace.is_full(at(100_000 + 3_000 * n));
             pace.acknowledged(128 << 10, at(100_000 + 3_000 * (n + 1)));

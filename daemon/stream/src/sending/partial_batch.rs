@@ -5,7 +5,7 @@ use bytes::Bytes;
 use super::super::codec::{self, PART_HEAD_BYTES, Part};
 use peernet_logger::HostId;
 
-/// What is left of the frame of a batch that is sent in parts.
+/// Remaining frame of a batch that is sent in parts.
 #[derive(Clone, Debug)]
 pub(super) struct PartialBatch {
     number: u64,
@@ -14,22 +14,22 @@ pub(super) struct PartialBatch {
 }
 
 impl PartialBatch {
-    /// All of it.
+    /// Creates the complete frame.
     pub(super) const fn new(number: u64, frame: Bytes) -> Self {
         Self { number, frame, offset: 0 }
     }
 
-    /// Which batch it is.
+    /// Returns the number of the batch.
     pub(super) const fn number(&self) -> u64 {
         self.number
     }
 
-    /// Bytes that are left.
+    /// Returns the number of remaining bytes.
     pub(super) const fn len(&self) -> usize {
         self.frame.len() - self.offset
     }
 
-    /// The next frame: no more than so many bytes of the batch, and all of it as it is where that is enough.
+    /// Returns the next frame with at most `most` bytes of the batch; the unchanged frame if all of it fits.
     pub(super) fn next(&mut self, host: HostId, most: usize) -> Vec<u8> {
         let total = self.frame.len();
         let end = total.min(self.offset + most);
@@ -38,11 +38,11 @@ impl PartialBatch {
         if bytes.len() == total {
             return bytes.into();
         }
-        // A frame is far shorter than a u32 can say.
+        // A frame is far shorter than a u32 can state.
         let length = |bytes: usize| u32::try_from(bytes).unwrap_or(u32::MAX);
         codec::part_frame(&Part { host, offset: length(offset), total: length(total), bytes })
     }
 
-    /// What a part is longer than what it carries.
+    /// Number of bytes by which a part is longer than its content.
     pub(super) const OVERHEAD: usize = PART_HEAD_BYTES;
 }

@@ -1,4 +1,4 @@
-//! Reading the spool: ahead of the sending, for a comparison, and past a gap.
+//! Reading of the spool: ahead of sending, for a comparison, and after a gap.
 
 use peernet_clock::{MonoTime, Span};
 
@@ -9,18 +9,18 @@ use super::session::Link;
 use crate::Chain;
 use crate::spool::{SpooledBatch, Usage};
 
-/// What the batches take that were read without being kept, and the chain of the last.
+/// Size of the batches that were read without being kept, and the chain of the last one.
 pub(super) type ScanResult = (Usage, Chain);
 
-/// Batches in the file that are read to be compared and counted, from the first that is not in memory.
+/// Scan of batches in the file that are compared and counted, from the first that is not in memory.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct SpoolScan {
-    /// The next.
+    /// Number of the next batch.
     at: u64,
-    /// The last.
+    /// Number of the last batch.
     through: u64,
     usage: Usage,
-    /// Chain of the last.
+    /// Chain of the last batch.
     chain: Option<Chain>,
 }
 
@@ -29,17 +29,17 @@ impl SpoolScan {
         Self { at, through, usage: Usage::default(), chain: None }
     }
 
-    /// The last batch that is read.
+    /// Returns the number of the last batch that is read.
     pub(super) const fn through(&self) -> u64 {
         self.through
     }
 
-    /// What was read; `None` when the last batch was not in the file.
+    /// Returns the result; `None` if the last batch was not in the file.
     pub(super) fn result(&self) -> Option<ScanResult> {
         self.chain.map(|chain| (self.usage, chain))
     }
 
-    /// Counts batches that were read from number `from` on; returns whether that was all.
+    /// Counts batches that were read from number `from` on. Returns whether the scan is complete.
     pub(super) fn count(&mut self, from: u64, batches: &[SpooledBatch]) -> bool {
         if self.at != from {
             return false;
@@ -53,38 +53,38 @@ impl SpoolScan {
             self.at = batch.number + 1;
         }
         if self.at == from {
-            // It is missing: the one behind it may be there.
+            // The batch is missing; the one after it may exist.
             self.at += 1;
         }
         self.at > self.through
     }
 }
 
-/// Batches that the file should hold and does not: somebody deleted them, or the medium failed.
+/// Batches that the file should hold and does not, because they were deleted or the medium failed.
 ///
-/// The one behind them goes with them. Its own chain can no longer be checked by anyone, because that of the batch
-/// before it is not known; but it gives the chain before the next one. The stream goes on from there, the hello says
-/// so, and the aggregator records what is missing.
+/// The batch after them is lost, too: its chain cannot be checked, because the chain of the batch before it is unknown.
+/// But it supplies the chain before the following batch. The stream continues from there, the hello states so, and the
+/// aggregator records the missing batches.
 #[derive(Clone, Copy, Debug)]
 enum SpoolGap {
-    /// Its end is searched for here.
+    /// The end of the gap is searched for from this number on.
     Open(u64),
-    /// The first batch behind it that can be sent, and the chain of the one before.
+    /// Number of the first batch after the gap that can be sent, and the chain of the batch before it.
     Ends(u64, Chain),
 }
 
-/// Why batches are read.
+/// Purpose of reading batches.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum LoadPurpose {
-    /// To be sent, from this number on.
+    /// Batches to be sent, from this number on.
     Ahead(u64),
-    /// To be compared and counted.
+    /// Batches to be compared and counted.
     Scan(u64),
-    /// To find the end of a gap.
+    /// Search for the end of a gap.
     Probe(u64),
 }
 
-/// What is read from the spool, and the gap that was found in it.
+/// State of the reading of the spool, and the gap that was found in it.
 #[derive(Clone, Debug, Default)]
 pub(super) struct SpoolReader {
     job: Job<LoadPurpose>,
@@ -92,7 +92,7 @@ pub(super) struct SpoolReader {
 }
 
 impl SpoolReader {
-    /// What is to be read now.
+    /// Returns the next read action.
     pub(super) fn next(&mut self, link: &Link, backlog: &Backlog, now: MonoTime) -> Option<Action> {
         if !self.job.is_free(now) {
             return None;
@@ -100,6 +100,7 @@ impl SpoolReader {
         let part = backlog.part_bytes();
         let (loading, from, bytes) = match (link, self.gap) {
             (Link::Comparing { scan, .. }, _) => (LoadPurpose::Scan(scan.at), scan.at, part),
+            // One byte: the search needs the next batch only.
             (_, Some(SpoolGap::Open(at))) => (LoadPurpose::Probe(at), at, 1),
             (_, Some(SpoolGap::Ends(..))) => return None,
             (Link::Down, None) => return None,
@@ -112,30 +113,30 @@ impl SpoolReader {
         Some(Action::Load { from, bytes })
     }
 
-    /// When reading may be tried again after a failure.
+    /// Returns the time of the next attempt after a failure.
     pub(super) const fn again(&self) -> Option<MonoTime> {
         self.job.again()
     }
 
-    /// What was asked for was read: why it was; `None` when nothing was asked for.
+    /// Ends the reading successfully. Returns its purpose; `None` if none was requested.
     pub(super) const fn end(&mut self) -> Option<LoadPurpose> {
         self.job.end()
     }
 
-    /// It could not be read; `None` when nothing was asked for.
+    /// Ends the reading as failed; `None` if none was requested.
     pub(super) fn fail(&mut self, now: MonoTime, pause: Span) -> Option<()> {
         self.job.end()?;
         self.job.fail(now, pause);
         Some(())
     }
 
-    /// The batch after which the file should go on is not in it; the end of the gap is searched for from `at` on.
+    /// Records that the next batch is missing from the file. The end of the gap is searched for from `at` on.
     pub(super) fn open_gap(&mut self, at: u64, backlog: &Backlog) {
         self.gap = Some(SpoolGap::Open(at));
         self.end_gap_with_file(backlog);
     }
 
-    /// What was found in the search for the end of a gap; whether there is such a search.
+    /// Handles the result of the search for the end of a gap. Returns whether there is such a search.
     pub(super) fn probed(&mut self, from: u64, batches: &[SpooledBatch], backlog: &Backlog) -> bool {
         if !matches!(self.gap, Some(SpoolGap::Open(at)) if at == from) {
             return false;
@@ -149,7 +150,7 @@ impl SpoolReader {
         true
     }
 
-    /// A gap that nothing is behind ends with what is in the file.
+    /// Ends a gap without a batch after it at the end of the file.
     fn end_gap_with_file(&mut self, backlog: &Backlog) {
         let spooled = backlog.spooled();
         if let Some(SpoolGap::Open(at)) = self.gap
@@ -160,14 +161,16 @@ impl SpoolReader {
         }
     }
 
-    /// A gap that was passed, or is found again.
+    /// Removes a gap that was passed, or will be found again.
     pub(super) const fn forget_gap(&mut self) {
         self.gap = None;
     }
 
-    /// The first batch behind the gap and the chain before it, once, when everything before the gap is stored over there.
+    /// Returns the first batch after the gap and the chain before it, once, when everything before the gap is stored by
+    /// the aggregator.
     pub(super) fn pass_gap(&mut self, backlog: &Backlog) -> Option<(u64, Chain)> {
         let Some(SpoolGap::Ends(resume, before)) = self.gap else { return None };
+        // Batches before the gap are still in memory and can be stored.
         if backlog.unknown() != backlog.oldest() {
             return None;
         }

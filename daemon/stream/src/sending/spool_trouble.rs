@@ -1,4 +1,4 @@
-//! Why the spool does not do its work.
+//! The current error of the spool.
 
 use super::Notice;
 
@@ -16,12 +16,12 @@ pub(super) enum SpoolWork {
 pub(super) struct SpoolTrouble(Option<(SpoolWork, String)>);
 
 impl SpoolTrouble {
-    /// Why, in words.
+    /// Returns the error as text.
     pub(super) fn reason(&self) -> Option<String> {
         self.0.as_ref().map(|(_, reason)| reason.clone())
     }
 
-    /// Work failed: what the agent should know of it, if it is the first.
+    /// Records a failure. Returns a notice if it is the first.
     pub(super) fn fail(&mut self, work: SpoolWork, reason: String) -> Option<Notice> {
         self.0.is_none().then(|| {
             self.0 = Some((work, reason.clone()));
@@ -29,7 +29,7 @@ impl SpoolTrouble {
         })
     }
 
-    /// Work succeeded: what the agent should know of it, if it had failed.
+    /// Records a success. Returns a notice if the same work had failed before.
     pub(super) fn recover(&mut self, work: SpoolWork) -> Option<Notice> {
         self.0.take_if(|(failed, _)| *failed == work).map(|_| Notice::SpoolRecovered)
     }

@@ -1,4 +1,4 @@
-//! From events to numbered batches that are safe in the spool until they are stored over there.
+//! Events and their numbered batches, which stay in the spool until the aggregator stored them.
 
 use bytes::Bytes;
 use peernet_clock::{MonoTime, Stamp, WallTime};
@@ -8,18 +8,20 @@ use super::appends::Appends;
 use super::backlog::Backlog;
 use super::deletions::Deletions;
 use super::earlier_process::EarlierProcess;
-use super::intake::{Intake, Room};
+use super::intake::{EventCapacity, Intake};
 use super::spool_reader::ScanResult;
 use super::{Action, SendingConfig};
 use crate::spool::{SpoolState, SpooledBatch};
-use crate::totals::{Reached, Totals};
-use crate::{Accounting, BatchHead, Chain, Event, Gap, HandedIn, SentUnspooled, StreamId};
+use crate::totals::{NewestSentBatch, Totals};
+use crate::{Accounting, BatchHead, Chain, Event, Gap, HandedInEvents, SentUnspooled, StreamId};
 
-/// Batches of one transaction, and their bytes, at most: what waits behind it is not kept waiting for long.
+/// Largest number of batches in one transaction, so that other work on the spool does not wait for long.
 const MOST_APPENDED: usize = 256;
+/// Largest number of bytes in one transaction.
 const MOST_APPENDED_BYTES: u64 = 4 << 20;
 
-/// Takes in events, numbers their batches, and says what is to be written to the spool and deleted from it.
+/// State machine that accepts events, numbers their batches, and decides what is written to the spool and deleted from
+/// it.
 #[derive(Clone, Debug)]
 pub(super) struct EventSpooler {
     config: SendingConfig,
@@ -30,23 +32,23 @@ pub(super) struct EventSpooler {
     deletions: Deletions,
     /// Bytes of the bodies in the file.
     file_bytes: u64,
-    /// What became of the end of an earlier process.
+    /// Result for an earlier process.
     earlier: EarlierProcess,
-    /// Whether the aggregator took this process in with the stream at hand.
+    /// `true` if the aggregator has accepted this process with the current stream.
     is_met: bool,
-    /// Whether everything is to be made safe now.
+    /// `true` if everything is to be written to the spool now.
     is_closing: bool,
 }
 
 impl EventSpooler {
-    /// Goes on from what the spool holds; `budget` bytes of batches are kept in memory to be sent.
+    /// Continues from the content of the spool; `budget` bytes of batches are kept in memory for sending.
     pub(super) fn new(config: SendingConfig, process: u64, budget: u64, spool: SpoolState) -> Self {
         let backlog = Backlog::new(&spool, budget);
         let Totals { produced, dropped, .. } = spool.totals;
-        // What is held was produced, whatever the file says.
+        // Events in the spool were produced, whatever its counts state.
         let produced = produced.max(dropped.saturating_add(backlog.held().events));
         let totals =
-            Totals { produced, reached: None, handed_in: HandedIn::default(), ..spool.totals.clone() };
+            Totals { produced, reached: None, handed_in: HandedInEvents::default(), ..spool.totals.clone() };
         Self {
             appends: Appends::new(totals.clone()),
             deletions: Deletions::new(backlog.acknowledged().0),
@@ -61,7 +63,7 @@ impl EventSpooler {
         }
     }
 
-    /// The number that this process made at its start.
+    /// Returns the random number of this process.
     pub(super) const fn process(&self) -> u64 {
         self.process
     }
@@ -89,7 +91,7 @@ impl EventSpooler {
         self.is_closing = true;
     }
 
-    /// When something is to be cut, reported, written or deleted without anything else happening.
+    /// Returns the time of the next cut, report, write or deletion.
     pub(super) fn deadline(&self) -> Option<MonoTime> {
         let deletion = self.may_delete().then(|| self.deletions.due_at()).flatten();
         let writes = [self.appends.again(), self.deletions.again(), deletion, self.losses_due()];
@@ -103,22 +105,22 @@ impl EventSpooler {
         Totals { unreported, ..self.safe_totals().with(self.earlier.resolved()) }
     }
 
-    /// Whether a write is under way that may make something safe.
+    /// Returns whether a write to the spool is in progress.
     pub(super) const fn is_appending(&self) -> bool {
         self.appends.is_under_way()
     }
 
-    /// Whether something was sent that may be stored, although it is neither in the spool nor acknowledged.
+    /// Returns whether batches were sent that may be stored although they are neither in the spool nor acknowledged.
     pub(super) fn has_sent_unspooled(&self) -> bool {
         self.backlog.sent() > self.backlog.spooled().max(self.backlog.oldest() - 1)
     }
 
-    /// Events that are in memory only.
+    /// Returns the number of events that are in memory only.
     pub(super) fn unspooled_events(&self) -> u64 {
         self.intake.usage().events + self.backlog.pending().events
     }
 
-    /// Whether everything that was taken in is stored.
+    /// Returns whether all accepted events are stored.
     pub(super) fn is_idle(&self) -> bool {
         self.intake.usage().events == 0 && self.backlog.held().events == 0
     }
@@ -147,7 +149,7 @@ impl EventSpooler {
     }
 
     pub(super) fn settled_runs(&self) -> Vec<(RunId, u64)> {
-        let events = |handed_in: &HandedIn, run| handed_in.taken.of(run) + handed_in.dropped.of(run);
+        let events = |handed_in: &HandedInEvents, run| handed_in.taken.of(run) + handed_in.dropped.of(run);
         let (counted, written) = (&self.intake.counted().handed_in, &self.appends.written().handed_in);
         let ended = self.intake.ended().iter().map(|run| (*run, events(counted, *run)));
         ended.filter(|(run, count)| events(written, *run) == *count).collect()
@@ -171,11 +173,12 @@ impl EventSpooler {
         self.intake.forget_run(run);
     }
 
-    /// What was counted, without what is in memory only: true also when that is lost.
+    /// Returns the totals without the events that are in memory only. They stay true if those events are lost.
     fn safe_totals(&self) -> Totals {
         let (counted, settled) = (self.intake.counted(), self.backlog.settled());
         let only_here = self.unspooled_events();
-        let handed_in = HandedIn { dropped: counted.handed_in.dropped.clone(), ..settled.handed_in.clone() };
+        let handed_in =
+            HandedInEvents { dropped: counted.handed_in.dropped.clone(), ..settled.handed_in.clone() };
         Totals {
             produced: counted.produced - only_here,
             dropped: counted.dropped,
@@ -187,17 +190,17 @@ impl EventSpooler {
         }
     }
 
-    /// Numbers what was cut.
+    /// Numbers the batches that were cut.
     fn number(&mut self) {
         for cut in self.intake.take_cut() {
             self.backlog.push(cut);
         }
     }
 
-    /// What may still be taken in.
-    fn room(&self) -> Room {
+    /// Returns the capacity for further events.
+    fn room(&self) -> EventCapacity {
         let pending = self.backlog.pending();
-        Room {
+        EventCapacity {
             memory: self.config.memory - pending,
             spool_bytes: self
                 .config
@@ -214,7 +217,7 @@ impl EventSpooler {
         self.number();
     }
 
-    /// All batches up to and including `through` are stored over there.
+    /// Frees the batches up to `through`, which the aggregator stored.
     pub(super) fn acknowledged(&mut self, through: u64, scanned: Option<ScanResult>, now: Stamp) {
         let writing = self.appends.writing();
         let freed = self.backlog.free(through, scanned, writing);
@@ -223,24 +226,24 @@ impl EventSpooler {
         self.report_losses(now);
     }
 
-    /// The aggregator took this process in with the stream at hand.
+    /// Records that the aggregator accepted this process with the current stream.
     pub(super) const fn meet(&mut self) {
         self.is_met = true;
     }
 
-    /// The batches that are held go on in a new stream.
+    /// Continues the held batches in a new stream.
     pub(super) const fn renew(&mut self, stream: StreamId) {
         self.backlog.renew(stream);
         self.is_met = false;
     }
 
-    /// Whether the spool may be given to a new stream: what that does not hold is gone, and what the old one says of an
-    /// earlier process is known.
+    /// Returns whether the spool may be moved to a new stream: stored batches are deleted, and the result for an
+    /// earlier process in the old stream is written.
     pub(super) fn may_renew(&self) -> bool {
         self.backlog.acknowledged().0 <= self.deletions.through() && self.earlier.unwritten().is_none()
     }
 
-    /// The aggregator has all up to this batch, which that process sent: now it is known what became of its end.
+    /// Resolves the earlier process. The aggregator has stored everything up to `number`, which `process` sent.
     pub(super) fn resolve_earlier(&mut self, number: u64, process: Option<u64>) {
         let Some((unresolved, resolved)) = self.earlier.resolve(number, process) else { return };
         self.backlog.add_stored(resolved.stored);
@@ -248,14 +251,14 @@ impl EventSpooler {
         self.earlier.write(resolved, unreported);
     }
 
-    /// Goes on with batch `resume`, because those before it are missing from the file; `before` is the chain of the last
-    /// of them.
+    /// Continues with batch `resume`, because the batches before it are missing from the file; `before` is the chain of
+    /// the last of them.
     pub(super) fn skip_to(&mut self, resume: u64, before: Chain, now: MonoTime) {
         self.backlog.skip_to(resume, before);
         self.deletions.add(0, now);
     }
 
-    /// Counts what is not in the file although it was said to be.
+    /// Counts the events that should be in the file and are not.
     pub(super) fn settle(&mut self, now: Stamp) {
         let missing = self.backlog.settle();
         if missing.events > 0 {
@@ -266,8 +269,8 @@ impl EventSpooler {
         }
     }
 
-    /// The batches of the last transaction are in the spool: whether it is known now that appending works; `None` when there
-    /// was no transaction.
+    /// Ends the last transaction successfully. Returns whether appending works again; `None` if there was no
+    /// transaction.
     pub(super) fn appended(&mut self, now: Stamp) -> Option<bool> {
         let appended = self.appends.end()?;
         if appended.resolves {
@@ -279,7 +282,7 @@ impl EventSpooler {
             self.file_bytes += appended.bytes;
             self.deletions.add_written(appended.freed);
         }
-        // That there was room for a few numbers says nothing of the batches that wait for it.
+        // Success in writing a few numbers does not mean that there is space for the waiting batches.
         let works = appended.last.is_some() || !self.appends.fails() || self.backlog.pending().events == 0;
         if works {
             self.appends.recover();
@@ -288,12 +291,12 @@ impl EventSpooler {
         Some(works)
     }
 
-    /// None of them is; `None` when there was no transaction.
+    /// Ends the last transaction as failed; `None` if there was none.
     pub(super) fn append_failed(&mut self, now: MonoTime) -> Option<()> {
         self.appends.fail(now, self.config.spool_pause)
     }
 
-    /// What was to be deleted is gone; `None` when nothing was.
+    /// Ends the last deletion successfully; `None` if there was none.
     pub(super) fn deleted(&mut self) -> Option<()> {
         let ((through, chain), bytes) = self.deletions.end()?;
         self.file_bytes = self.file_bytes.saturating_sub(bytes);
@@ -301,16 +304,17 @@ impl EventSpooler {
         Some(())
     }
 
-    /// It is not; `None` when nothing was to be deleted.
+    /// Ends the last deletion as failed; `None` if there was none.
     pub(super) fn delete_failed(&mut self, now: MonoTime) -> Option<()> {
         self.deletions.fail(now, self.config.spool_pause)
     }
 
-    /// The batches that may be sent up to which number, and whether that includes those in memory only.
+    /// Returns the number up to which batches may be sent, and whether they may be sent from memory.
     ///
-    /// The file says beforehand which batches may be stored over there, in case it loses what is written later. While
-    /// it cannot be written, what is in it is sent all the same: a disk that is full of batches would never have room
-    /// again. What is not in it is sent only if there is nothing in the file of which that is not known.
+    /// The file records beforehand which batches may have been sent, for the case that it loses later writes. While it
+    /// cannot be written, the batches in it are sent without such a record, because a disk that is full of batches
+    /// would never have space again. Batches that are not in the file are sent only if it has the record for all
+    /// batches in it.
     pub(super) fn sendable(&self) -> (u64, bool) {
         match self.appends.fails() {
             false => (self.appends.written().reached.map_or(0, |reached| reached.number), false),
@@ -319,21 +323,21 @@ impl EventSpooler {
         }
     }
 
-    /// The head and body of a batch to be sent; it counts as sent.
+    /// Returns the head and the body of a batch to be sent, and records it as sent.
     pub(super) fn send(&mut self, number: u64, unspooled: bool, host: HostId) -> Option<(BatchHead, Bytes)> {
         self.backlog.send(number, unspooled, (host, self.process))
     }
 
-    /// What is to be deleted or appended now; `renews` says whether the stream is being left, for which the spool must
-    /// hold nothing that is stored.
+    /// Returns the next deletion or append. `renews` tells whether the stream is being left, for which the spool must
+    /// contain no stored batch.
     pub(super) fn next(&mut self, renews: bool, now: MonoTime) -> Option<Action> {
         self.deletion(renews, now).or_else(|| self.append(now))
     }
 
-    /// Whether something is to be deleted, sooner or later.
+    /// Returns whether a batch is to be deleted, now or later.
     fn may_delete(&self) -> bool {
         let (through, _) = self.backlog.acknowledged();
-        // What is being written may not be there yet.
+        // A batch that is being written may not be in the file yet.
         let settled = through <= self.backlog.spooled() || !self.appends.is_under_way();
         through > self.deletions.through() && settled && self.deletions.may_begin()
     }
@@ -350,8 +354,8 @@ impl EventSpooler {
         })
     }
 
-    /// Whether batches were stored over there that never came into the file. What follows them is not written before
-    /// the file knows that they are gone, or there would be a gap in it.
+    /// Returns whether the aggregator stored batches that were never written to the file. The batches after them are
+    /// not written before the file has recorded the deletion, or the file would have a gap.
     fn is_behind(&self) -> bool {
         self.backlog.acknowledged().0 > self.backlog.spooled()
     }
@@ -367,7 +371,7 @@ impl EventSpooler {
         Some(Action::Append { batches, totals })
     }
 
-    /// What is to be written now.
+    /// Returns the batches and totals that are to be written now.
     fn to_append(&self, now: MonoTime) -> Option<(Vec<SpooledBatch>, Totals)> {
         let (written, spooled) = (self.appends.written(), self.backlog.spooled());
         let resolves = self.earlier.unwritten().is_some();
@@ -387,17 +391,18 @@ impl EventSpooler {
         Some((batches, Totals { reached: self.reaches(newest), ..totals }))
     }
 
-    /// When to write down how much was dropped.
+    /// Returns the time at which the number of dropped events is written alone.
     fn losses_due(&self) -> Option<MonoTime> {
         self.appends.losses_due(self.intake.counted().dropped)
     }
 
-    /// Up to `number` this process may send; nothing before the aggregator is met.
-    fn reaches(&self, number: u64) -> Option<Reached> {
-        self.is_met.then_some(Reached { process: self.process, number })
+    /// Returns the record that this process may send batches up to `number`; `None` before the aggregator has accepted
+    /// it.
+    fn reaches(&self, number: u64) -> Option<NewestSentBatch> {
+        self.is_met.then_some(NewestSentBatch { process: self.process, number })
     }
 
-    /// Whether the file says of everything in it that this process may send it.
+    /// Returns whether the file records for all its batches that this process may send them.
     fn is_marked(&self) -> bool {
         self.appends.is_marked(self.backlog.spooled())
     }

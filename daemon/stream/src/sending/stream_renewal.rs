@@ -1,4 +1,4 @@
-//! The change of the spool to a new stream.
+//! The move of the spool to a new stream.
 
 use peernet_clock::{MonoTime, Span};
 
@@ -6,39 +6,39 @@ use super::Action;
 use super::job::Job;
 use super::spooler::EventSpooler;
 use crate::StreamId;
-use crate::totals::Reached;
+use crate::totals::NewestSentBatch;
 
-/// Which stream the spool is to belong to, and who sent in the one at hand.
+/// Stream that the spool is moved to, and the processes that sent in the current one.
 #[derive(Clone, Debug)]
 pub(super) struct StreamRenewal {
-    /// The stream that is to be gone on in; nothing is sent until the spool belongs to it.
+    /// Stream to continue in. Nothing is sent until the spool belongs to it.
     wanted: Option<StreamId>,
     job: Job<StreamId>,
-    /// How far the processes before this one came in the stream at hand.
-    reached_before: Vec<Reached>,
+    /// Batches that earlier processes may have sent in the current stream.
+    reached_before: Vec<NewestSentBatch>,
 }
 
 impl StreamRenewal {
-    pub(super) fn new(reached_before: Vec<Reached>) -> Self {
+    pub(super) fn new(reached_before: Vec<NewestSentBatch>) -> Self {
         Self { wanted: None, job: Job::default(), reached_before }
     }
 
-    /// Whether the stream at hand is to be left.
+    /// Returns whether the current stream is to be left.
     pub(super) const fn is_wanted(&self) -> bool {
         self.wanted.is_some()
     }
 
-    /// The stream at hand is to be left for a new one.
+    /// Requests the move from the current stream to a new one.
     pub(super) fn want(&mut self) {
         self.wanted = Some(StreamId::random());
     }
 
-    /// How far the processes before this one came in the stream at hand.
-    pub(super) fn reached_before(&self) -> &[Reached] {
+    /// Returns the batches that earlier processes may have sent in the current stream.
+    pub(super) fn reached_before(&self) -> &[NewestSentBatch] {
         &self.reached_before
     }
 
-    /// What is to be done now.
+    /// Returns the next action.
     pub(super) fn next(&mut self, spooler: &EventSpooler, now: MonoTime) -> Option<Action> {
         let stream = self.wanted?;
         if !spooler.may_renew() || !self.job.is_free(now) {
@@ -53,19 +53,19 @@ impl StreamRenewal {
         })
     }
 
-    /// When it may be tried again after a failure.
+    /// Returns the time of the next attempt after a failure.
     pub(super) const fn again(&self) -> Option<MonoTime> {
         self.job.again()
     }
 
-    /// The spool belongs to the new stream, in which nobody else ever sent; `None` when nothing was asked for.
+    /// Ends the move successfully: no other process has sent in the new stream. `None` if none was requested.
     pub(super) fn end(&mut self) -> Option<StreamId> {
         let stream = self.job.end()?;
         (self.wanted, self.reached_before) = (None, Vec::new());
         Some(stream)
     }
 
-    /// It does not; `None` when nothing was asked for.
+    /// Ends the move as failed; `None` if none was requested.
     pub(super) fn fail(&mut self, now: MonoTime, pause: Span) -> Option<()> {
         self.job.end()?;
         self.job.fail(now, pause);

@@ -1,4 +1,4 @@
-//! The aggregator's end alone: who gets in.
+//! Admission of hosts at the aggregator's end.
 
 use super::*;
 
@@ -19,7 +19,7 @@ pub(crate) fn hello(id: HostId, name: &str, process: u64, stream: StreamId, olde
     }
 }
 
-/// The chain of a batch with this number, in the stream that all of these tests speak of.
+/// Returns the chain of a batch in the stream that all of these tests use.
 pub(super) fn chain(number: u64) -> Chain {
     (0..number).fold(Chain::START, |chain, _| chain.then(1, b"event"))
 }
@@ -28,9 +28,9 @@ pub(super) fn mark(host: HostId, stored: u64) -> Mark {
     Mark { host, stored, chain: chain(stored), process: Some(1), events: Some(stored) }
 }
 
-/// What a database knows of one stream.
-pub(super) fn known(mark: Option<Mark>) -> Known {
-    Known { mark, came: mark.is_some(), ..Known::default() }
+/// Returns the database's state for one stream.
+pub(super) fn known(mark: Option<Mark>) -> StreamRecord {
+    StreamRecord { mark, came: mark.is_some(), ..StreamRecord::default() }
 }
 
 pub(super) fn reason(greeting: Greeting) -> String {
@@ -40,7 +40,7 @@ pub(super) fn reason(greeting: Greeting) -> String {
     }
 }
 
-/// Number and chain of the last batch stored, and the window, of a welcome that found nothing unusual.
+/// Returns the number and the chain of the last stored batch, and the window, from a welcome that reports nothing else.
 pub(super) fn welcomed(greeting: &Greeting) -> (u64, Option<Chain>, u32) {
     match greeting {
         Greeting::Welcome {
@@ -55,7 +55,7 @@ pub(super) fn welcomed(greeting: &Greeting) -> (u64, Option<Chain>, u32) {
 }
 
 #[test]
-fn strangers_are_asked_to_say_hello() {
+fn message_without_session_requests_hello() {
     let (mut end, id, stream) = (receiving(), HostId::random(), StreamId::random());
     assert_eq!(end.live(id, at(0).mono), Some(ToAgent::Unknown));
     welcomed(&end.hello(&hello(id, "edge", 1, stream, 1), known(None), at(0).mono));
@@ -75,7 +75,7 @@ fn numbers_that_cannot_be_are_refused() {
 }
 
 #[test]
-fn two_hosts_cannot_have_one_name_while_both_are_there() {
+fn second_connected_host_of_same_name_is_refused() {
     let (mut end, first, second) = (receiving(), HostId::random(), HostId::random());
     end.hello(&hello(first, "edge", 1, StreamId::random(), 1), known(None), at(0).mono);
     let late = hello(second, "edge", 2, StreamId::random(), 1);
@@ -95,7 +95,7 @@ fn a_goodbye_frees_name_and_host_id_at_once() {
 }
 
 #[test]
-fn a_second_process_with_the_same_host_id_is_refused_while_the_first_lives() {
+fn second_process_of_host_is_refused_while_first_lives() {
     let (mut end, id, stream) = (receiving(), HostId::random(), StreamId::random());
     end.hello(&hello(id, "edge", 1, stream, 1), known(None), at(0).mono);
     // A cloned machine has the same stream as well.
@@ -108,7 +108,7 @@ fn a_second_process_with_the_same_host_id_is_refused_while_the_first_lives() {
 }
 
 #[test]
-fn a_crashed_agent_gets_in_as_soon_as_its_silence_shows() {
+fn crashed_agent_is_accepted_after_its_silence() {
     let (mut end, id, stream) = (receiving(), HostId::random(), StreamId::random());
     end.hello(&hello(id, "edge", 1, stream, 1), known(None), at(0).mono);
     end.live(id, at(200).mono);
@@ -116,12 +116,12 @@ fn a_crashed_agent_gets_in_as_soon_as_its_silence_shows() {
     assert_eq!(end.hello(&again, known(None), at(300).mono), Greeting::Wait);
     assert_eq!(end.hello(&again, known(None), at(550).mono), Greeting::Wait);
     welcomed(&end.hello(&again, known(None), at(1_050).mono));
-    // Long after a crash nothing is waited for.
+    // Long after a crash there is no wait.
     welcomed(&end.hello(&hello(id, "edge", 3, stream, 1), known(None), at(9_000).mono));
 }
 
 #[test]
-fn a_spool_that_another_host_owns_is_refused_whether_that_host_is_here_or_in_the_database() {
+fn spool_of_another_host_is_refused() {
     let (mut end, stream, owner) = (receiving(), StreamId::random(), HostId::random());
     let copy = hello(HostId::random(), "edge-2", 2, stream, 1);
     let words = format!("the spool of this agent belongs to the host with the id {owner}");
@@ -132,14 +132,14 @@ fn a_spool_that_another_host_owns_is_refused_whether_that_host_is_here_or_in_the
 }
 
 #[test]
-fn a_spool_that_was_deleted_or_replaced_is_noticed_once() {
+fn deleted_or_replaced_spool_is_reported_once() {
     let (mut end, id) = (receiving(), HostId::random());
     let (old, new) = (StreamId::random(), StreamId::random());
     let replaced = |greeting| match greeting {
         Greeting::Welcome { replaced, .. } => replaced,
         other => panic!("expected a welcome, got {other:?}"),
     };
-    let last = |last| Known { last, ..Known::default() };
+    let last = |last| StreamRecord { last, ..StreamRecord::default() };
     let first = hello(id, "edge", 1, old, 1);
     assert_eq!(replaced(end.hello(&first, known(None), at(0).mono)), None);
     end.goodbye(id);
@@ -149,19 +149,19 @@ fn a_spool_that_was_deleted_or_replaced_is_noticed_once() {
     assert_eq!(replaced(end.hello(&second, last(Some(old)), at(2).mono)), Some(old));
     assert_eq!(replaced(end.hello(&second, last(Some(old)), at(3).mono)), None);
     end.goodbye(id);
-    // A stream that goes on from the other, and ones that are known: nothing is missing.
+    // Nothing is missing for a stream that continues the other one, nor for known streams.
     let renewed = Hello { previous: Some(old), ..second.clone() };
     assert_eq!(replaced(end.hello(&renewed, last(Some(old)), at(4).mono)), None);
     end.goodbye(id);
-    let stored = Known { mark: Some(mark(id, 3)), ..last(Some(old)) };
+    let stored = StreamRecord { mark: Some(mark(id, 3)), ..last(Some(old)) };
     assert_eq!(replaced(end.hello(&second, stored, at(5).mono)), None);
     end.goodbye(id);
-    let came = Known { came: true, ..last(Some(old)) };
+    let came = StreamRecord { came: true, ..last(Some(old)) };
     assert_eq!(replaced(end.hello(&hello(id, "edge", 3, new, 1), came, at(6).mono)), None);
 }
 
 #[test]
-fn what_an_older_database_lacks_of_a_stream_that_was_left_is_noticed_once() {
+fn batches_lacking_in_older_database_are_reported_once() {
     let (mut end, id) = (receiving(), HostId::random());
     let (old, new) = (StreamId::random(), StreamId::random());
     let lacking = |greeting| match greeting {
@@ -170,21 +170,21 @@ fn what_an_older_database_lacks_of_a_stream_that_was_left_is_noticed_once() {
     };
     let renewed =
         Hello { previous: Some(old), first: 8, events_before_first: Some(7), ..hello(id, "edge", 1, new, 8) };
-    let previous = |previous| Known { last: Some(old), previous, ..Known::default() };
-    let expected = |from| Some(Lacking { stream: old, from, through: 7, events: Some(8 - from) });
+    let previous = |previous| StreamRecord { last: Some(old), previous, ..StreamRecord::default() };
+    let expected = |from| Some(LackingBatches { stream: old, from, through: 7, events: Some(8 - from) });
     for (stored, lacks) in [(Some(3), expected(4)), (None, expected(1)), (Some(7), None), (Some(9), None)] {
         let before = previous(stored.map(|stored| mark(id, stored)));
         assert_eq!(lacking(end.hello(&renewed, before, at(0).mono)), lacks);
         assert_eq!(lacking(end.hello(&renewed, before, at(1).mono)), None, "said");
         end.goodbye(id);
-        let came = Known { came: true, ..before };
+        let came = StreamRecord { came: true, ..before };
         assert_eq!(lacking(end.hello(&renewed, came, at(2).mono)), None, "recorded");
         end.goodbye(id);
     }
-    // Batches behind the seventh came from the memory of a dead process, and were stored in another database only.
+    // Batches after the seventh came from the memory of a dead process, and were stored in another database only.
     let renewed = Hello { events_before_first: Some(9), ..renewed };
     let before = previous(Some(mark(id, 7)));
-    let expected = Lacking { stream: old, from: 8, through: 8, events: Some(2) };
+    let expected = LackingBatches { stream: old, from: 8, through: 8, events: Some(2) };
     assert_eq!(lacking(end.hello(&renewed, before, at(3).mono)), Some(expected));
 }
 
@@ -204,7 +204,7 @@ fn a_host_that_changes_its_streams_waits_for_the_writer() {
 }
 
 #[test]
-fn windows_share_what_the_aggregator_is_ready_to_hold() {
+fn windows_share_aggregators_memory() {
     let mut end = receiving();
     let window = |end: &mut Receiving, n: u64, batch_bytes| {
         let name = format!("edge-{n}");

@@ -1,4 +1,4 @@
-//! The aggregator's challenges alone: whose hello counts.
+//! Challenges at the aggregator's end, and the hellos that they confirm.
 
 use std::collections::BTreeMap;
 
@@ -14,7 +14,7 @@ fn nonce(byte: u8) -> Nonce {
     Nonce::from_bytes([byte; 32])
 }
 
-/// What an agent with a secret answers.
+/// Returns the proof of an agent with a secret.
 fn proof(secret: &HostSecret, hello: &Hello, challenge: &ToAgent) -> Proof {
     let ToAgent::Challenge { aggregator, stream, nonce, enrol, version: None } = challenge else {
         panic!("expected a challenge, got {challenge:?}");
@@ -33,7 +33,7 @@ fn unknown_host_is_enrolled_with_the_secret_it_proves() {
     let (mut end, hello, secret) = (challenges(), some_hello(), HostSecret::random());
     let challenge = end.challenge(1, hello.clone(), true, nonce(1), at(0).mono);
     let proven = end.prove(&1, proof(&secret, &hello, &challenge), None);
-    assert_eq!(proven, Proven::Yes { hello: Box::new(hello), enrolled: Some(secret) });
+    assert_eq!(proven, ProofResult::Yes { hello: Box::new(hello), enrolled: Some(secret) });
     assert!(end.is_empty());
 }
 
@@ -43,7 +43,10 @@ fn known_host_proves_without_telling_its_secret() {
     let challenge = end.challenge(1, hello.clone(), false, nonce(1), at(0).mono);
     let proof = proof(&secret, &hello, &challenge);
     assert_eq!(proof.secret, None);
-    assert_eq!(end.prove(&1, proof, Some(&secret)), Proven::Yes { hello: Box::new(hello), enrolled: None });
+    assert_eq!(
+        end.prove(&1, proof, Some(&secret)),
+        ProofResult::Yes { hello: Box::new(hello), enrolled: None }
+    );
 }
 
 #[test]
@@ -52,11 +55,11 @@ fn another_secret_is_refused_even_when_it_is_told() {
     let impostor = HostSecret::random();
     let challenge = end.challenge(1, hello.clone(), false, nonce(1), at(0).mono);
     let told = Proof { secret: Some(impostor.clone()), ..proof(&impostor, &hello, &challenge) };
-    assert_eq!(end.prove(&1, told, Some(&known)), Proven::No(Box::new(hello.clone())));
+    assert_eq!(end.prove(&1, told, Some(&known)), ProofResult::No(Box::new(hello.clone())));
     // The host was enrolled on another connection after this one was asked for its secret.
     let challenge = end.challenge(1, hello.clone(), true, nonce(2), at(0).mono);
     let told = proof(&impostor, &hello, &challenge);
-    assert_eq!(end.prove(&1, told, Some(&known)), Proven::No(Box::new(hello)));
+    assert_eq!(end.prove(&1, told, Some(&known)), ProofResult::No(Box::new(hello)));
 }
 
 #[test]
@@ -65,18 +68,18 @@ fn proof_counts_once_and_on_its_own_connection() {
     let challenge = end.challenge(1, hello.clone(), false, nonce(1), at(0).mono);
     let overheard = proof(&secret, &hello, &challenge);
     end.challenge(2, hello, false, nonce(2), at(0).mono);
-    assert_eq!(end.prove(&2, overheard.clone(), Some(&secret)), Proven::Unasked);
+    assert_eq!(end.prove(&2, overheard.clone(), Some(&secret)), ProofResult::Unasked);
     let replayed = Proof { nonce: nonce(2), ..overheard.clone() };
-    assert!(matches!(end.prove(&2, replayed, Some(&secret)), Proven::No(_)));
-    assert!(matches!(end.prove(&1, overheard.clone(), Some(&secret)), Proven::Yes { .. }));
-    assert_eq!(end.prove(&1, overheard, Some(&secret)), Proven::Unasked);
+    assert!(matches!(end.prove(&2, replayed, Some(&secret)), ProofResult::No(_)));
+    assert!(matches!(end.prove(&1, overheard.clone(), Some(&secret)), ProofResult::Yes { .. }));
+    assert_eq!(end.prove(&1, overheard, Some(&secret)), ProofResult::Unasked);
 }
 
 #[test]
-fn cleared_secret_is_asked_for_again_and_not_refused() {
+fn cleared_secret_is_requested_again() {
     let (mut end, hello, secret) = (challenges(), some_hello(), HostSecret::random());
     let challenge = end.challenge(1, hello.clone(), false, nonce(1), at(0).mono);
-    assert_eq!(end.prove(&1, proof(&secret, &hello, &challenge), None), Proven::Unasked);
+    assert_eq!(end.prove(&1, proof(&secret, &hello, &challenge), None), ProofResult::Unasked);
 }
 
 #[test]
@@ -91,7 +94,8 @@ fn repeated_hello_gets_the_same_challenge() {
 }
 
 proptest! {
-    /// Whatever is sent on whichever connection, a hello counts only where its own proof with the host's secret follows it.
+    /// Checks that a hello is accepted only after its own proof with the host's secret, whatever is sent on other
+    /// connections.
     #[test]
     fn hello_counts_only_after_its_own_proof(
         steps in prop::collection::vec((0_u8..4, 0_u8..3, 0_u8..3, any::<bool>()), 1..60),
@@ -117,7 +121,7 @@ proptest! {
                     }
                     let counts = honest && challenged == host && mine == Some((host, challenge.clone()));
                     let proven = end.prove(&connection, Proof { host: said.host.id, nonce: *nonce, code, secret: None }, Some(&secret(host)));
-                    prop_assert_eq!(matches!(&proven, Proven::Yes { hello, .. } if hello.host.id == said.host.id), counts);
+                    prop_assert_eq!(matches!(&proven, ProofResult::Yes { hello, .. } if hello.host.id == said.host.id), counts);
                 }
                 _ => {
                     end.forget(&connection);

@@ -1,14 +1,14 @@
-//! Both ends in a world of faults, by the thousand.
+//! Both ends with thousands of generated sequences of faults.
 
 use proptest::prelude::*;
 use proptest::strategy::Union;
 use proptest_state_machine::{ReferenceStateMachine, StateMachineTest, prop_state_machine};
 
-use super::world::World;
+use super::simulation::Simulation;
 use super::*;
 
-/// Small limits, so that a few events reach all of them: batches of three events, three of them under way, room for
-/// some forty events.
+/// Returns a configuration with small limits, so that a few events reach all of them: three events per batch, three
+/// batches in flight, and space for about forty events.
 pub(super) fn config() -> SendingConfig {
     SendingConfig {
         batch_nodes: 3,
@@ -21,17 +21,17 @@ pub(super) fn config() -> SendingConfig {
     }
 }
 
-/// Works that the aggregator's queue holds.
+/// Number of works in the aggregator's queue.
 const CAPACITY: usize = 5;
 
-/// Machines with the same host id, at most.
+/// Largest number of machines with the same host id.
 const MOST_SITES: u8 = 3;
 
 #[derive(Clone, Debug)]
 enum Step {
     Offer(u8),
     Pass(u16),
-    /// The n-th frame under way arrives; or a copy of it does.
+    /// The n-th frame in flight arrives; with `keep` a copy of it does.
     Up {
         nth: u8,
         keep: bool,
@@ -46,16 +46,16 @@ enum Step {
         keep: bool,
     },
     LoseDown(u8),
-    /// The spool's disk completes a job.
+    /// The spool's disk completes an action.
     Work,
     /// The spool's disk begins to fail, or works again.
     Breaks(bool),
     Commit(u8),
     FailToCommit,
-    /// The commit is on disk, and the process gone before it said so.
+    /// The commit is on disk, and the process is killed before it reports it.
     CommitAndKill,
     KillAggregator,
-    /// The disk has done so many of the jobs the process did not get to know of.
+    /// The disk has performed this many actions whose completion the process did not learn of.
     KillAgent {
         done: u8,
     },
@@ -63,15 +63,15 @@ enum Step {
     BackUp,
     Restore,
     Copy,
-    /// The machine is killed, and the next one started.
+    /// The machine is killed, and the next one is started.
     Move {
         done: u8,
     },
     DeleteSpool,
 }
 
-/// What has happened so far, as far as the next step depends on it. `ALL` are the faults that people make: old
-/// backups, copies, deletions.
+/// State that the choice of the next step depends on. `ALL` adds faults caused by users: old backups, copies,
+/// deletions.
 #[derive(Clone, Debug)]
 struct Plan<const ALL: bool> {
     broken: bool,
@@ -88,7 +88,7 @@ impl<const ALL: bool> ReferenceStateMachine for Plan<ALL> {
     }
 
     fn transitions(state: &Self) -> BoxedStrategy<Step> {
-        // The order is kept more often than not.
+        // Frames are usually delivered in order.
         let nth = || prop_oneof![3 => Just(0_u8), 1 => any::<u8>()];
         let keep = || prop::bool::weighted(0.15);
         let mut steps = vec![
@@ -145,46 +145,46 @@ impl<const ALL: bool> ReferenceStateMachine for Plan<ALL> {
 }
 
 impl<const ALL: bool> StateMachineTest for Plan<ALL> {
-    type SystemUnderTest = World;
+    type SystemUnderTest = Simulation;
     type Reference = Self;
 
-    fn init_test(_: &Self) -> World {
-        World::new(config(), CAPACITY)
+    fn init_test(_: &Self) -> Simulation {
+        Simulation::new(config(), CAPACITY)
     }
 
-    fn apply(mut world: World, _: &Self, step: Step) -> World {
+    fn apply(mut simulation: Simulation, _: &Self, step: Step) -> Simulation {
         match step {
-            Step::Offer(count) => (0..count).for_each(|_| world.offer()),
-            Step::Pass(millis) => world.pass(i64::from(millis)),
-            Step::Up { nth, keep } => world.deliver_up(nth.into(), keep),
-            Step::LoseUp(nth) => world.lose_up(nth.into()),
-            Step::Damage { nth, bit } => world.damage(nth.into(), bit.into()),
-            Step::Down { nth, keep } => world.deliver_down(nth.into(), keep),
-            Step::LoseDown(nth) => world.lose_down(nth.into()),
-            Step::Work => world.work(),
-            Step::Breaks(broken) => world.broken = broken,
-            Step::Commit(count) => world.commit(count.into(), true),
-            Step::FailToCommit => world.fail_commit(),
-            Step::CommitAndKill => world.commit(usize::MAX, false),
-            Step::KillAggregator => world.aggregator.kill(),
-            Step::KillAgent { done } => world.start_agent(world.site, done.into()),
-            Step::Disconnect => world.disconnect(),
-            Step::BackUp => world.back_up(),
-            Step::Restore => world.restore(),
-            Step::Copy => world.copy(),
-            Step::Move { done } => world.go_to_the_next(done.into()),
-            Step::DeleteSpool => world.delete_spool(),
+            Step::Offer(count) => (0..count).for_each(|_| simulation.offer()),
+            Step::Pass(millis) => simulation.pass(i64::from(millis)),
+            Step::Up { nth, keep } => simulation.deliver_up(nth.into(), keep),
+            Step::LoseUp(nth) => simulation.lose_up(nth.into()),
+            Step::Damage { nth, bit } => simulation.damage(nth.into(), bit.into()),
+            Step::Down { nth, keep } => simulation.deliver_down(nth.into(), keep),
+            Step::LoseDown(nth) => simulation.lose_down(nth.into()),
+            Step::Work => simulation.work(),
+            Step::Breaks(broken) => simulation.broken = broken,
+            Step::Commit(count) => simulation.commit(count.into(), true),
+            Step::FailToCommit => simulation.fail_commit(),
+            Step::CommitAndKill => simulation.commit(usize::MAX, false),
+            Step::KillAggregator => simulation.aggregator.kill(),
+            Step::KillAgent { done } => simulation.start_agent(simulation.site, done.into()),
+            Step::Disconnect => simulation.disconnect(),
+            Step::BackUp => simulation.back_up(),
+            Step::Restore => simulation.restore(),
+            Step::Copy => simulation.copy(),
+            Step::Move { done } => simulation.go_to_the_next(done.into()),
+            Step::DeleteSpool => simulation.delete_spool(),
         }
-        world
+        simulation
     }
 
-    fn check_invariants(world: &World, _: &Self) {
-        world.check();
+    fn check_invariants(simulation: &Simulation, _: &Self) {
+        simulation.check();
     }
 
-    fn teardown(mut world: World, _: Self) {
-        world.settle();
-        world.check_settled();
+    fn teardown(mut simulation: Simulation, _: Self) {
+        simulation.settle();
+        simulation.check_settled();
     }
 }
 

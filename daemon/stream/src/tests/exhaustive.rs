@@ -1,22 +1,22 @@
-//! Every order of everything that can happen: to one batch with two faults, and to two batches without any.
+//! Exhaustive exploration of a small model: one batch with two faults, and two batches without a fault.
 //!
-//! The real machines of both ends, a spool file and a database, from the moment at which the batches are cut. In each
-//! state every move is tried: any message under way arrives (so that messages overtake one another in every way), the
-//! disk completes a job, the writer commits one work. As long as the budget of faults lasts, so is every fault: a
-//! message is lost, or arrives and stays under way; a commit fails; the aggregator is killed, before a commit or
-//! between a commit and its acknowledgement; the agent is killed, before or after the disk did what it was asked; the
-//! connection is opened anew; so much time passes that whatever is due next becomes due. States that were met on
-//! another way are not gone through twice: messages under way count as a set, and hashes of 64 bits stand for states.
+//! The model consists of the real state machines of both ends, a spool file and a database, from the moment at which
+//! the batches are cut. In each state every move is tried: a message in flight arrives (so that messages overtake one
+//! another in every order), the disk completes an action, the writer commits one work. While faults are left, every
+//! fault is tried as well: a message is lost, or arrives and stays in flight; a commit fails; the aggregator is killed,
+//! before a commit or between a commit and its acknowledgement; the agent is killed, before or after the disk performed
+//! its actions; the connection is reopened; time passes until the next deadline. States that were reached before are
+//! not explored again: messages in flight count as a set, and a state is identified by a hash of 64 bits.
 //!
-//! What is checked: in each state what [`World::check`] says, at each deletion in the spool that all of it is stored,
-//! at each commit that it continues its stream; and from each state in which nothing moves without a fault, that both
-//! ends come to rest in bounded time with each spooled event in the database exactly once and in order.
+//! Checks: in each state those of [`Simulation::check`]; at each deletion in the spool that all deleted batches are stored;
+//! at each commit that it continues its stream; and from each state without a move but faults, that both ends settle in
+//! bounded time with each spooled event in the database exactly once and in order.
 
 use std::collections::{HashSet, VecDeque};
 use std::fmt::{self, Write as _};
 use std::hash::{DefaultHasher, Hash, Hasher};
 
-use super::world::World;
+use super::simulation::Simulation;
 use super::*;
 
 #[derive(Clone, Copy, Debug)]
@@ -38,57 +38,57 @@ enum Move {
     Pass,
 }
 
-/// What happens without a fault.
-fn moves(world: &World) -> Vec<Move> {
-    let mut moves: Vec<Move> = (0..world.up.len()).map(Move::Up).collect();
-    moves.extend((0..world.down.len()).map(Move::Down));
-    moves.extend((!world.jobs.is_empty()).then_some(Move::Work));
-    moves.extend((!world.aggregator.is_idle()).then_some(Move::Commit));
+/// Returns the moves that are no faults.
+fn moves(simulation: &Simulation) -> Vec<Move> {
+    let mut moves: Vec<Move> = (0..simulation.up.len()).map(Move::Up).collect();
+    moves.extend((0..simulation.down.len()).map(Move::Down));
+    moves.extend((!simulation.jobs.is_empty()).then_some(Move::Work));
+    moves.extend((!simulation.aggregator.is_idle()).then_some(Move::Commit));
     moves
 }
 
-fn faults(world: &World) -> Vec<Move> {
+fn faults(simulation: &Simulation) -> Vec<Move> {
     let mut faults = vec![Move::KillAggregator, Move::KillAgent(0), Move::Disconnect, Move::Pass];
-    for n in 0..world.up.len() {
+    for n in 0..simulation.up.len() {
         faults.extend([Move::RepeatUp(n), Move::LoseUp(n)]);
     }
-    for n in 0..world.down.len() {
+    for n in 0..simulation.down.len() {
         faults.extend([Move::RepeatDown(n), Move::LoseDown(n)]);
     }
-    if !world.aggregator.is_idle() {
+    if !simulation.aggregator.is_idle() {
         faults.extend([Move::FailToCommit, Move::CommitAndKill]);
     }
-    if !world.jobs.is_empty() {
+    if !simulation.jobs.is_empty() {
         faults.extend([Move::KillAgent(1), Move::Break]);
     }
     faults
 }
 
-fn apply(world: &mut World, step: Move) {
+fn apply(simulation: &mut Simulation, step: Move) {
     match step {
-        Move::Up(n) => world.deliver_up(n, false),
-        Move::Down(n) => world.deliver_down(n, false),
-        Move::Work => world.work(),
-        Move::Commit => world.commit(1, true),
-        Move::RepeatUp(n) => world.deliver_up(n, true),
-        Move::RepeatDown(n) => world.deliver_down(n, true),
-        Move::LoseUp(n) => world.lose_up(n),
-        Move::LoseDown(n) => world.lose_down(n),
+        Move::Up(n) => simulation.deliver_up(n, false),
+        Move::Down(n) => simulation.deliver_down(n, false),
+        Move::Work => simulation.work(),
+        Move::Commit => simulation.commit(1, true),
+        Move::RepeatUp(n) => simulation.deliver_up(n, true),
+        Move::RepeatDown(n) => simulation.deliver_down(n, true),
+        Move::LoseUp(n) => simulation.lose_up(n),
+        Move::LoseDown(n) => simulation.lose_down(n),
         Move::Break => {
-            world.broken = true;
-            world.work();
-            world.broken = false;
+            simulation.broken = true;
+            simulation.work();
+            simulation.broken = false;
         }
-        Move::FailToCommit => world.fail_commit(),
-        Move::CommitAndKill => world.commit(1, false),
-        Move::KillAggregator => world.aggregator.kill(),
-        Move::KillAgent(done) => world.start_agent(world.site, done),
-        Move::Disconnect => world.disconnect(),
-        Move::Pass => world.pass_to_deadline(),
+        Move::FailToCommit => simulation.fail_commit(),
+        Move::CommitAndKill => simulation.commit(1, false),
+        Move::KillAggregator => simulation.aggregator.kill(),
+        Move::KillAgent(done) => simulation.start_agent(simulation.site, done),
+        Move::Disconnect => simulation.disconnect(),
+        Move::Pass => simulation.pass_to_deadline(),
     }
 }
 
-/// Hashes what is written to it.
+/// Hasher of formatted text.
 struct Digest(DefaultHasher);
 
 impl fmt::Write for Digest {
@@ -104,39 +104,40 @@ fn hash_of(value: impl Hash) -> u64 {
     hasher.finish()
 }
 
-/// What stands for a state; messages under way are a set.
-fn key(world: &World, faults: u32) -> u64 {
-    let mut up: Vec<u64> = world.up.iter().map(hash_of).collect();
-    let down = world.down.iter().map(|(connection, message)| hash_of((connection, codec::encode(message))));
+/// Returns the identifier of a state. Messages in flight count as a set.
+fn key(simulation: &Simulation, faults: u32) -> u64 {
+    let mut up: Vec<u64> = simulation.up.iter().map(hash_of).collect();
+    let down =
+        simulation.down.iter().map(|(connection, message)| hash_of((connection, codec::encode(message))));
     let mut down: Vec<u64> = down.collect();
     up.sort_unstable();
     down.sort_unstable();
     let mut digest = Digest(DefaultHasher::new());
-    let World { now, sending, jobs, aggregator, .. } = world;
-    write!(digest, "{now}{sending:?}{jobs:?}{:?}{aggregator:?}{up:?}{down:?}{faults}", world.file())
+    let Simulation { now, sending, jobs, aggregator, .. } = simulation;
+    write!(digest, "{now}{sending:?}{jobs:?}{:?}{aggregator:?}{up:?}{down:?}{faults}", simulation.file())
         .expect("a hash takes everything");
     digest.0.finish()
 }
 
-/// Goes through every state; returns how many there are, how many transitions between them, and from how many both
-/// ends were brought to rest.
-fn explore(start: World, most_faults: u32) -> (usize, usize, usize) {
+/// Explores all states. Returns the numbers of states, of transitions between them, and of states from which both ends
+/// were settled.
+fn explore(start: Simulation, most_faults: u32) -> (usize, usize, usize) {
     let mut known = HashSet::from([key(&start, most_faults)]);
     let mut waiting = VecDeque::from([(start, most_faults)]);
     let (mut transitions, mut rests) = (0, 0);
-    while let Some((world, left)) = waiting.pop_front() {
-        let mut steps: Vec<(Move, u32)> = moves(&world).into_iter().map(|step| (step, left)).collect();
+    while let Some((simulation, left)) = waiting.pop_front() {
+        let mut steps: Vec<(Move, u32)> = moves(&simulation).into_iter().map(|step| (step, left)).collect();
         if steps.is_empty() {
             rests += 1;
-            let mut world = world.clone();
-            world.settle();
-            world.check_settled();
+            let mut simulation = simulation.clone();
+            simulation.settle();
+            simulation.check_settled();
         }
         if left > 0 {
-            steps.extend(faults(&world).into_iter().map(|step| (step, left - 1)));
+            steps.extend(faults(&simulation).into_iter().map(|step| (step, left - 1)));
         }
         for (step, left) in steps {
-            let mut next = world.clone();
+            let mut next = simulation.clone();
             apply(&mut next, step);
             next.check();
             transitions += 1;
@@ -148,27 +149,28 @@ fn explore(start: World, most_faults: u32) -> (usize, usize, usize) {
     (known.len(), transitions, rests)
 }
 
-/// A world in which so many batches of one event are about to be spooled.
-fn world(batches: usize) -> World {
+/// Returns a simulation in which batches of one event each are about to be spooled.
+fn simulation(batches: usize) -> Simulation {
     let config = SendingConfig { batch_nodes: 1, batch_bytes: 1_024, window: 2, ..SendingConfig::default() };
-    let mut world = World::new(config, 2);
-    // A proof comes before all that is looked at here, and every message more multiplies the states.
-    world.aggregator.asks_for_proofs = false;
-    (0..batches).for_each(|_| world.offer());
-    world.agent(|sending, now| sending.flush(now.wall));
-    world
+    let mut simulation = Simulation::new(config, 2);
+    // Proofs are left out: they precede everything that is explored here, and each further message multiplies the
+    // states.
+    simulation.aggregator.asks_for_proofs = false;
+    (0..batches).for_each(|_| simulation.offer());
+    simulation.agent(|sending, now| sending.flush(now.wall));
+    simulation
 }
 
 #[test]
 fn one_batch_from_the_first_hello_with_two_faults() {
-    let (states, transitions, rests) = explore(world(1), 2);
+    let (states, transitions, rests) = explore(simulation(1), 2);
     println!("{states} states, {transitions} transitions, {rests} brought to rest");
     assert!(states > 20_000, "{states} states");
 }
 
 #[test]
 fn two_batches_in_every_order_without_a_fault() {
-    let (states, transitions, rests) = explore(world(2), 0);
+    let (states, transitions, rests) = explore(simulation(2), 0);
     println!("{states} states, {transitions} transitions, {rests} brought to rest");
     assert!(states > 100, "{states} states");
 }

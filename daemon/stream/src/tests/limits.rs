@@ -1,7 +1,7 @@
-//! What is dropped, how it is counted, where the gap stands: of runs and their iterations.
+//! Dropped events of runs: their counts, and the places of the gaps.
 
 use super::super::EndReason;
-use super::world::World;
+use super::simulation::Simulation;
 use super::*;
 use peernet_logger::{Anchor, Measure, Name, NodeId, RunId, Slug, Tree, Unit, stage};
 
@@ -35,40 +35,40 @@ fn started(run: RunId) -> Event {
     })
 }
 
-/// A world in which so many events fit into memory, with a disk that does nothing yet.
-fn of(events: u64) -> World {
-    World::new(SendingConfig { memory: Usage { events, bytes: 1_000_000 }, ..roomy() }, 100)
+/// Returns a simulation in which `events` events fit into memory, with a disk that has done nothing yet.
+fn of(events: u64) -> Simulation {
+    Simulation::new(SendingConfig { memory: Usage { events, bytes: 1_000_000 }, ..roomy() }, 100)
 }
 
 fn roomy() -> SendingConfig {
     SendingConfig { reserve_events: 2, ..SendingConfig::default() }
 }
 
-fn offer(world: &mut World, event: &Event, now: i64) {
-    world.now = now;
-    world.agent(|sending, now| sending.offer(event, now));
+fn offer(simulation: &mut Simulation, event: &Event, now: i64) {
+    simulation.now = now;
+    simulation.agent(|sending, now| sending.offer(event, now));
 }
 
-/// Everything that is stored in the end.
-fn drain(world: &mut World) -> Vec<Event> {
-    world.settle();
-    // What is reported only when there is room again.
-    world.settle();
-    let bodies = world.truth.bodies.iter();
+/// Returns all events that are stored in the end.
+fn drain(simulation: &mut Simulation) -> Vec<Event> {
+    simulation.settle();
+    // Some losses are reported only when there is space again.
+    simulation.settle();
+    let bodies = simulation.expected_content.bodies.iter();
     bodies.flat_map(|(count, body)| codec::events(body, *count).expect("our own events")).collect()
 }
 
 #[test]
 fn the_newest_iterations_are_dropped_and_a_gap_names_their_pipeline_and_run() {
-    let (mut world, run) = (of(10), RunId::random());
-    offer(&mut world, &started(run), 0);
+    let (mut simulation, run) = (of(10), RunId::random());
+    offer(&mut simulation, &started(run), 0);
     for number in 1..=20 {
-        offer(&mut world, &iteration(run, number, tree()), number as i64);
+        offer(&mut simulation, &iteration(run, number, tree()), number as i64);
     }
-    let before = world.sending.accounting();
+    let before = simulation.sending.accounting();
     assert_eq!((before.produced, before.waiting, before.dropped), (21, 8, 13));
 
-    let events = drain(&mut world);
+    let events = drain(&mut simulation);
     assert!(matches!(events[0], Event::RunStarted(_)));
     let kept: Vec<u64> = events
         .iter()
@@ -79,53 +79,53 @@ fn the_newest_iterations_are_dropped_and_a_gap_names_their_pipeline_and_run() {
     assert_eq!((gap.count, gap.run, gap.pipeline.as_ref().map(Slug::as_str)), (13, Some(run), Some("line")));
     assert_eq!((gap.from, gap.to), (at(8).wall, at(20).wall));
 
-    let after = world.sending.accounting();
+    let after = simulation.sending.accounting();
     assert_eq!((after.produced, after.stored, after.waiting, after.dropped), (22, 9, 0, 13));
 }
 
 #[test]
-fn a_run_can_still_be_ended_when_iterations_no_longer_fit() {
-    let (mut world, run) = (of(10), RunId::random());
-    (1..=20).for_each(|number| offer(&mut world, &iteration(run, number, tree()), 0));
-    let dropped = world.sending.accounting().dropped;
+fn run_ends_although_iterations_no_longer_fit() {
+    let (mut simulation, run) = (of(10), RunId::random());
+    (1..=20).for_each(|number| offer(&mut simulation, &iteration(run, number, tree()), 0));
+    let dropped = simulation.sending.accounting().dropped;
     let ended = RunEnded { run, ended: at(1).wall, reason: EndReason::Finished };
-    offer(&mut world, &Event::RunEnded(ended), 1);
-    assert_eq!(world.sending.accounting().dropped, dropped);
-    let events = drain(&mut world);
-    // The gap stands where the iterations would have stood: before the end of their run.
+    offer(&mut simulation, &Event::RunEnded(ended), 1);
+    assert_eq!(simulation.sending.accounting().dropped, dropped);
+    let events = drain(&mut simulation);
+    // The gap is in the place of the iterations: before the end of their run.
     assert!(matches!(events[events.len() - 2..], [Event::Gap(_), Event::RunEnded(_)]));
 }
 
 #[test]
-fn what_the_aggregator_would_refuse_is_not_sent_and_holds_up_nothing() {
-    let (mut world, run) = (of(100), RunId::random());
+fn oversized_event_is_not_sent_and_blocks_nothing() {
+    let (mut simulation, run) = (of(100), RunId::random());
     let mut broken = tree();
     let node = broken.add(NodeId::ROOT, Name::from("x"), Span::ZERO, Measure::Value(1.0, Unit::NONE));
     *broken.measure_mut(node).expect("added") = Measure::Value(f64::NAN, Unit::NONE);
-    offer(&mut world, &iteration(run, 1, broken), 0);
-    offer(&mut world, &iteration(run, 2, tree()), 1);
-    let events = drain(&mut world);
+    offer(&mut simulation, &iteration(run, 1, broken), 0);
+    offer(&mut simulation, &iteration(run, 2, tree()), 1);
+    let events = drain(&mut simulation);
     let [Event::Gap(gap), Event::Iteration(kept)] = &events[..] else { panic!("{events:?}") };
     assert_eq!((gap.count, kept.number), (1, 2));
     assert!(gap.reason.contains("not a number"), "{}", gap.reason);
 }
 
 #[test]
-fn a_loss_that_goes_on_is_reported_once_a_second_and_before_its_run_ends() {
-    let (mut world, run) = (of(10_000), RunId::random());
+fn continuing_loss_is_reported_each_second_and_at_end() {
+    let (mut simulation, run) = (of(10_000), RunId::random());
     let mut broken = tree();
     let node = broken.add(NodeId::ROOT, Name::from("x"), Span::ZERO, Measure::Value(1.0, Unit::NONE));
     *broken.measure_mut(node).expect("added") = Measure::Value(f64::NAN, Unit::NONE);
-    offer(&mut world, &started(run), 0);
+    offer(&mut simulation, &started(run), 0);
     for n in 0..1_500 {
-        offer(&mut world, &iteration(run, 2 * n, broken.clone()), 2 * n as i64);
-        offer(&mut world, &iteration(run, 2 * n + 1, tree()), 2 * n as i64 + 1);
+        offer(&mut simulation, &iteration(run, 2 * n, broken.clone()), 2 * n as i64);
+        offer(&mut simulation, &iteration(run, 2 * n + 1, tree()), 2 * n as i64 + 1);
     }
     let ended = RunEnded { run, ended: at(3_000).wall, reason: EndReason::Finished };
-    offer(&mut world, &Event::RunEnded(ended), 3_000);
-    let before = world.sending.accounting();
+    offer(&mut simulation, &Event::RunEnded(ended), 3_000);
+    let before = simulation.sending.accounting();
     assert_eq!((before.dropped, before.produced), (1_500, before.waiting + before.dropped));
-    let events = drain(&mut world);
+    let events = drain(&mut simulation);
     let counts =
         events.iter().filter_map(|event| if let Event::Gap(gap) = event { Some(gap.count) } else { None });
     assert_eq!(counts.collect::<Vec<_>>(), [1, 500, 500, 499]);

@@ -1,5 +1,5 @@
-//! Both ends: each by hand for what is worth reading, together by the thousand in a [`world`] of faults, and on a
-//! small model in every order there is.
+//! Tests of both ends: each end alone with readable examples, both together with generated faults in a [`simulation`], and
+//! exhaustively on a small model.
 
 mod admission;
 mod challenges;
@@ -8,8 +8,8 @@ mod exhaustive;
 mod limits;
 mod progress;
 mod random;
+mod simulation;
 mod versions;
-mod world;
 
 pub(super) use self::admission::hello;
 

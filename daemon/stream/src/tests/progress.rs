@@ -1,9 +1,9 @@
-//! The aggregator's end alone: what becomes of a batch.
+//! Handling of batches at the aggregator's end.
 
 use super::admission::{chain, hello, known, mark, welcomed};
 use super::*;
 
-/// The window of one agent alone.
+/// Window of a single agent.
 const WINDOW: u32 = 8;
 
 struct End {
@@ -14,7 +14,7 @@ struct End {
 }
 
 impl End {
-    /// A host of which so many batches are stored said hello.
+    /// Returns an end to which a host with `stored` stored batches sent a hello.
     fn with(stored: u64) -> Self {
         let (mut end, id, stream) = (receiving(), HostId::random(), StreamId::random());
         let mark = (stored > 0).then(|| mark(id, stored));
@@ -49,7 +49,7 @@ impl End {
         ToAgent::Resend { stream: self.stream, from }
     }
 
-    /// Another process with the same spool, long after the first.
+    /// Sends the hello of another process with the same spool, long after the first.
     fn restarted(&mut self, stored: u64) -> Greeting {
         self.process = 2;
         let hello = hello(self.id, "edge", self.process, self.stream, stored + 1);
@@ -72,7 +72,7 @@ fn batches_are_accepted_in_order_and_acknowledged_when_stored() {
 }
 
 #[test]
-fn a_hole_is_asked_for_once() {
+fn hole_is_requested_once() {
     let mut end = End::with(0);
     let (first, second) = (end.resend(1), end.resend(2));
     assert_eq!(end.batch(2), Arrival::Hole(Some(first)));
@@ -83,7 +83,7 @@ fn a_hole_is_asked_for_once() {
 }
 
 #[test]
-fn a_failed_write_is_asked_for_again_with_all_that_followed() {
+fn failed_batch_is_requested_again_with_later_ones() {
     let mut end = End::with(0);
     (1..=3).for_each(|number| assert_eq!(end.batch(number), Arrival::Accept));
     end.stored(1);
@@ -93,7 +93,7 @@ fn a_failed_write_is_asked_for_again_with_all_that_followed() {
 }
 
 #[test]
-fn what_nobody_holds_is_reported_missing_once() {
+fn lost_batches_are_reported_missing_once() {
     for (stored, first, from) in [(3, 1, 4), (0, 1, 1), (0, 5, 5), (3, 6, 4)] {
         let (mut end, id, stream) = (receiving(), HostId::random(), StreamId::random());
         let hello = Hello { first, events_before_first: Some(first - 1), ..hello(id, "edge", 1, stream, 8) };
@@ -102,7 +102,7 @@ fn what_nobody_holds_is_reported_missing_once() {
         let Greeting::Welcome { missing, .. } = greeting else { panic!("{greeting:?}") };
         assert_eq!(
             missing,
-            Some(Missing {
+            Some(MissingBatches {
                 host: id,
                 stream,
                 from,
@@ -122,7 +122,7 @@ fn what_nobody_holds_is_reported_missing_once() {
 }
 
 #[test]
-fn another_stream_or_a_batch_that_does_not_follow_is_answered_by_a_call_for_a_hello() {
+fn batch_that_does_not_follow_requests_hello() {
     let mut end = End::with(4);
     let other = BatchHead { stream: StreamId::random(), ..end.head(5) };
     assert_eq!(end.end.batch(&other, true, at(1).mono), UNKNOWN);
@@ -134,7 +134,7 @@ fn another_stream_or_a_batch_that_does_not_follow_is_answered_by_a_call_for_a_he
 }
 
 #[test]
-fn what_a_dead_process_sent_is_settled_before_the_next_is_let_in() {
+fn batches_of_dead_process_are_settled_before_next_session() {
     let mut end = End::with(0);
     (1..=3).for_each(|number| assert_eq!(end.batch(number), Arrival::Accept));
     end.stored(1);
@@ -145,7 +145,7 @@ fn what_a_dead_process_sent_is_settled_before_the_next_is_let_in() {
     };
     assert_eq!(stored, 3);
 
-    // When storing fails there is nothing that speaks against what the next process has.
+    // After storing failed, nothing contradicts the batches of the next process.
     let mut end = End::with(1);
     assert_eq!(end.batch(2), Arrival::Accept);
     assert!(matches!(end.restarted(1), Greeting::Wait));
@@ -156,7 +156,7 @@ fn what_a_dead_process_sent_is_settled_before_the_next_is_let_in() {
 }
 
 #[test]
-fn two_batches_of_one_number_are_answered_by_a_call_for_a_hello() {
+fn two_batches_of_one_number_request_hello() {
     let mut end = End::with(1);
     (2..=3).for_each(|number| assert_eq!(end.batch(number), Arrival::Accept));
     let other = BatchHead { chain: chain(9), ..end.head(2) };
@@ -167,13 +167,13 @@ fn two_batches_of_one_number_are_answered_by_a_call_for_a_hello() {
 }
 
 #[test]
-fn a_damaged_batch_is_asked_for_twice_more_and_then_put_aside() {
+fn damaged_batch_is_requested_twice_then_quarantined() {
     let mut end = End::with(0);
     let (head, resend) = (end.head(1), Arrival::Hole(Some(end.resend(1))));
     assert_eq!(end.end.batch(&head, false, at(1).mono), resend);
     assert_eq!(end.batch(2), Arrival::Hole(None));
     assert_eq!(end.end.batch(&head, false, at(1).mono), resend);
-    // Another damage shows that it was the way.
+    // Different damage shows that the batch was damaged in transit.
     let other = BatchHead { events: 2, ..head };
     assert_eq!(end.end.batch(&other, false, at(1).mono), resend);
     assert_eq!(end.end.batch(&head, false, at(1).mono), resend);
@@ -183,7 +183,7 @@ fn a_damaged_batch_is_asked_for_twice_more_and_then_put_aside() {
 }
 
 #[test]
-fn a_spool_whose_chains_are_damaged_is_told_to_compare() {
+fn spool_with_damaged_chains_is_compared() {
     let mut end = End::with(0);
     let (head, resend) = (BatchHead { before: chain(7), ..end.head(1) }, Arrival::Hole(Some(end.resend(1))));
     for expected in [resend.clone(), resend.clone(), UNKNOWN, resend] {
@@ -192,7 +192,7 @@ fn a_spool_whose_chains_are_damaged_is_told_to_compare() {
 }
 
 #[test]
-fn what_found_no_room_is_asked_for_when_there_is_some_those_that_wait_longest_first() {
+fn deferred_streams_are_requested_oldest_first() {
     let mut end = receiving();
     let agents: Vec<(HostId, StreamId)> = (0..3)
         .map(|n| {
@@ -208,10 +208,10 @@ fn what_found_no_room_is_asked_for_when_there_is_some_those_that_wait_longest_fi
     let request = |agent: usize| (agents[agent].0, ToAgent::Resend { stream: agents[agent].1, from: 1 });
     assert_eq!(end.room(0), []);
     assert_eq!(end.room(2), [request(2), request(0)]);
-    // What a hello brings again is not asked for.
+    // Batches that a hello brings again are not requested.
     end.hello(&hello(agents[1].0, "edge-1", 1, agents[1].1, 1), known(None), at(1).mono);
     assert_eq!(end.room(2), []);
-    // Asked, and there was no room once more.
+    // A requested batch found no room once more.
     end.deferred(agents[2].1);
     assert_eq!(end.room(9), [request(2)]);
     end.deferred(agents[0].1);
@@ -220,7 +220,7 @@ fn what_found_no_room_is_asked_for_when_there_is_some_those_that_wait_longest_fi
 }
 
 #[test]
-fn an_agent_that_ignores_its_window_fills_no_memory() {
+fn agent_beyond_window_fills_no_memory() {
     let mut end = End::with(0);
     let accepted = (1..=10_000).take_while(|number| end.batch(*number) == Arrival::Accept).count();
     assert!((MOST_UNDER_WAY..3_000).contains(&accepted), "{accepted}");
@@ -235,7 +235,7 @@ fn numbers_at_their_end_break_nothing() {
         |number| Mark { host: id, stored: number, chain: Chain::START, process: None, events: Some(number) };
     let hello = Hello { oldest: last, before: Chain::START, ..hello(id, "edge", 1, stream, 1) };
     let greeting = end.hello(&hello, known(None), at(0).mono);
-    assert!(matches!(greeting, Greeting::Welcome { missing: Some(Missing { from: 1, .. }), .. }));
+    assert!(matches!(greeting, Greeting::Welcome { missing: Some(MissingBatches { from: 1, .. }), .. }));
     let head = |number| {
         let (host, before, chain) = (id, Chain::START, chain(1));
         BatchHead { host, stream, process: 1, number, before, chain, events: 1, events_before: number - 1 }

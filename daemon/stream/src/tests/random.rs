@@ -1,4 +1,4 @@
-//! Any bytes at both ends, and what the fuzz targets have found worth keeping.
+//! Random input to both ends, and the corpus of the fuzz targets.
 
 use std::path::Path;
 

@@ -4,7 +4,7 @@ use super::super::codec::{decode, encode};
 use super::admission::{hello, known, reason, welcomed};
 use super::*;
 
-/// A hello of an agent that speaks other versions.
+/// Returns the hello of an agent that supports other versions.
 fn hello_of(oldest: u16, extension: Option<HelloExtension>) -> Hello {
     let hello = hello(HostId::random(), "edge", 1, StreamId::random(), 1);
     Hello { protocol: oldest, extension, ..hello }
@@ -14,7 +14,7 @@ fn extension(newest: u16) -> Option<HelloExtension> {
     Some(HelloExtension { newest: Some(newest), since: Some(Release(0, 9, 0)) })
 }
 
-/// The version that a challenge names.
+/// Returns the version in the challenge to a hello.
 fn chosen(hello: &Hello) -> Option<u16> {
     let mut end = Challenges::new("base".parse().expect("a name"));
     match end.challenge(1, hello.clone(), false, Nonce::from_bytes([5; 32]), at(0).mono) {
@@ -24,7 +24,7 @@ fn chosen(hello: &Hello) -> Option<u16> {
 }
 
 #[test]
-fn agent_of_first_version_hears_nothing_new() {
+fn first_version_agent_gets_known_messages_only() {
     let old = hello_of(5, None);
     assert_eq!((chosen(&old), HelloExtension::of(&VersionRange::single(5))), (None, None));
     welcomed(&receiving().hello(&old, known(None), at(0).mono));
@@ -46,7 +46,8 @@ fn later_agent_is_served_in_newest_common_version() {
 fn unknown_names_in_hello_are_ignored() {
     let later = hello_of(STREAM_VERSIONS.oldest(), extension(9));
     let mut frame = encode(&ToAggregator::Hello(later.clone()));
-    // The extension is a map with two names, and the last value in the frame: one more name goes to its end.
+    // The extension is a map with two names, and the last value in the frame, so that another name is appended at the
+    // end.
     let mut extension = Vec::new();
     codec::append(&mut extension, &later.extension);
     let map = frame.len() - extension.len();

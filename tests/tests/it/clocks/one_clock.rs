@@ -3,7 +3,7 @@
 use std::path::Path;
 use std::time::Duration;
 
-use peernet_clock::{RawTime, RehearsalDescription, Span, WallTime};
+use peernet_clock::{ClockFaults, RawTime, Span, WallTime};
 use peernet_tests::truth::{HostClock, Iteration, iterations};
 use peernet_tests::{Api, FalseTime, Process, Since, Site, program, until_grown};
 use rustix::process::Signal;
@@ -80,7 +80,7 @@ fn hold_measured(what: &str, iterations: &[Iteration], edge: &HostClock) {
 fn raw_ahead_by(offset: Span) -> HostClock {
     let (steps, since) = (Vec::new(), WallTime::default());
     // Without drift and steps it does not matter when it began.
-    HostClock::new(RehearsalDescription { offset, drift_ppm: 0.0, steps, since }, RawTime::default())
+    HostClock::new(ClockFaults { offset, drift_ppm: 0.0, steps, since }, RawTime::default())
 }
 
 #[test]

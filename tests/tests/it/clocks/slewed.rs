@@ -2,7 +2,7 @@
 
 use std::fmt::Write;
 
-use peernet_clock::{RehearsalDescription, RehearsedStep, Span, WallTime};
+use peernet_clock::{ClockFaultStep, ClockFaults, Span, WallTime};
 use peernet_tests::truth::{Delay, HostClock, Iteration};
 use peernet_tests::{Network, Plant};
 
@@ -19,28 +19,23 @@ impl Slew {
     /// How often it is set forward in a second.
     const HZ: f64 = 10.0;
 
-    fn steps(&self) -> impl Iterator<Item = RehearsedStep> {
+    fn steps(&self) -> impl Iterator<Item = ClockFaultStep> {
         let period = Span::from_seconds_f64(1.0 / Self::HZ);
         let by = Span::from_seconds_f64(self.ppm * 1e-6 / Self::HZ);
         let (begin, count) = (Span::from_seconds_f64(self.at_s), (self.for_s * Self::HZ) as i64);
         (0..count)
-            .map(move |number| RehearsedStep::of_wall(begin + Span::from_nanos(period.nanos() * number), by))
+            .map(move |number| ClockFaultStep::of_wall(begin + Span::from_nanos(period.nanos() * number), by))
     }
 }
 
 /// A clock that is ahead and is slewed; its rehearsal begins at the epoch.
-fn slewed(offset_ms: i64, slews: &[Slew]) -> RehearsalDescription {
+fn slewed(offset_ms: i64, slews: &[Slew]) -> ClockFaults {
     let steps = slews.iter().flat_map(Slew::steps).collect();
-    RehearsalDescription {
-        offset: Span::from_millis(offset_ms),
-        drift_ppm: 0.0,
-        steps,
-        since: WallTime::default(),
-    }
+    ClockFaults { offset: Span::from_millis(offset_ms), drift_ppm: 0.0, steps, since: WallTime::default() }
 }
 
 /// The same as a table of a configuration.
-fn table(description: &RehearsalDescription) -> String {
+fn table(description: &ClockFaults) -> String {
     let millis = |span: Span| span.nanos() as f64 * 1e-6;
     let steps = description.steps.iter().fold(String::new(), |mut steps, step| {
         let (at_s, by_ms) = (step.at.seconds(), millis(step.by));
@@ -51,10 +46,10 @@ fn table(description: &RehearsalDescription) -> String {
 }
 
 /// The clock of a host that runs. The API lists the first steps only.
-fn clock_of(plant: &Plant, host: &str, description: RehearsalDescription) -> HostClock {
+fn clock_of(plant: &Plant, host: &str, description: ClockFaults) -> HostClock {
     let told = plant.clock_of(host);
     let (since, raw_since) = told.since().zip(told.raw_since()).expect("rehearsed");
-    HostClock::new(RehearsalDescription { since, ..description }, raw_since)
+    HostClock::new(ClockFaults { since, ..description }, raw_since)
 }
 
 /// 500 ppm is what a kernel slews at by itself; 40,000 ppm are below chrony's default maximum.

@@ -1,6 +1,6 @@
 //! What is said of hosts.
 
-use peernet_aggregator::{Arrivals, HostPicture};
+use peernet_aggregator::{Arrivals, HostSnapshot};
 use peernet_clock::Span;
 use peernet_store::HostRow;
 use peernet_stream::{Accounting, HostDescription, HostMetrics};
@@ -225,8 +225,8 @@ impl From<&HostDescription> for Description {
     }
 }
 
-impl From<&HostPicture> for Host {
-    fn from(host: &HostPicture) -> Self {
+impl From<&HostSnapshot> for Host {
+    fn from(host: &HostSnapshot) -> Self {
         let HostMetrics {
             cpu,
             memory_used_bytes,

@@ -1,6 +1,6 @@
 //! Links: the relation between two hosts' clocks, and what the network does between them.
 
-use peernet_aggregator::LinkPicture;
+use peernet_aggregator::LinkSnapshot;
 use peernet_clock::{ExchangeCounts, Span};
 use peernet_store::{ClockPoint, ClockSeries, DelayAssumptions, LinkRow};
 use serde::Serialize;
@@ -169,8 +169,8 @@ impl From<&ClockSeries> for LinkSeries {
     }
 }
 
-impl From<&LinkPicture> for Link {
-    fn from(link: &LinkPicture) -> Self {
+impl From<&LinkSnapshot> for Link {
+    fn from(link: &LinkSnapshot) -> Self {
         let live = &link.live;
         let subject = Subject::live(link);
         let basis = live.now.basis;

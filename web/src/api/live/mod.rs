@@ -17,7 +17,7 @@ use axum::http::{HeaderMap, HeaderName};
 use axum::response::sse::{Event, KeepAlive, Sse};
 use axum::response::{AppendHeaders, IntoResponse};
 use futures::{Stream, StreamExt, stream};
-use peernet_aggregator::{Picture, Readiness};
+use peernet_aggregator::{LiveState, Readiness};
 use peernet_clock::WallTime;
 use serde::Deserialize;
 use tokio::sync::watch;
@@ -154,7 +154,7 @@ fn event_time(id: &str) -> Result<WallTime, WebError> {
 }
 
 /// How many seconds of each pipeline a listener needs who has them until then.
-fn seconds_since(after: WallTime, picture: &Picture) -> usize {
+fn seconds_since(after: WallTime, picture: &LiveState) -> usize {
     let missed = (picture.at - after).seconds().ceil();
     // An id from the future is of another clock: all there is.
     let missed = if (0.0..HISTORY as f64).contains(&missed) { missed as usize } else { HISTORY };
@@ -183,7 +183,7 @@ fn topics(text: &str) -> Result<Vec<Topic>, WebError> {
 struct Listener {
     app: App,
     topics: Vec<Topic>,
-    pictures: watch::Receiver<Arc<Picture>>,
+    pictures: watch::Receiver<Arc<LiveState>>,
     ready: watch::Receiver<Readiness>,
     next: Instant,
     /// Until when the listener has heard everything, before the first event.
@@ -236,7 +236,7 @@ fn hash(text: &str) -> u64 {
 
 impl Listener {
     /// What to send of a picture, and how many bytes that is.
-    async fn events(&mut self, picture: &Picture) -> (Vec<Event>, usize) {
+    async fn events(&mut self, picture: &LiveState) -> (Vec<Event>, usize) {
         let seconds = self.after.take().map_or(PipelineList::SECONDS, |after| seconds_since(after, picture));
         let readiness = self.ready.borrow_and_update().clone();
         let mut texts = vec![("status", serde_json::to_string(&StatusEvent::new(picture, &readiness)))];

@@ -1,6 +1,6 @@
 //! The events of the live stream.
 
-use peernet_aggregator::{Picture, Readiness};
+use peernet_aggregator::{LiveState, Readiness};
 use serde::Serialize;
 use utoipa::ToSchema;
 
@@ -30,7 +30,7 @@ pub(crate) struct HostNow {
 
 impl PictureEvent {
     /// With so many of each pipeline's last seconds.
-    pub(crate) fn new(picture: &Picture, seconds: usize) -> Self {
+    pub(crate) fn new(picture: &LiveState, seconds: usize) -> Self {
         let hosts = picture.hosts.iter().map(|host| HostNow {
             name: host.description.name.to_string(),
             connected: host.connected,
@@ -60,7 +60,7 @@ pub(crate) struct StatusEvent {
 }
 
 impl StatusEvent {
-    pub(crate) fn new(picture: &Picture, readiness: &Readiness) -> Self {
+    pub(crate) fn new(picture: &LiveState, readiness: &Readiness) -> Self {
         let connected = picture.hosts.iter().filter(|host| host.connected);
         let behind = connected.clone().map(|host| (picture.at - host.last_seen).seconds().max(0.0));
         Self {

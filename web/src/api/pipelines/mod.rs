@@ -3,7 +3,7 @@
 use axum::Json;
 use axum::extract::rejection::PathRejection;
 use axum::extract::{Path, State};
-use peernet_aggregator::PipelinePicture;
+use peernet_aggregator::PipelineSnapshot;
 use peernet_logger::Name;
 use serde::Deserialize;
 use utoipa::IntoParams;
@@ -57,7 +57,7 @@ impl Part {
     }
 
     /// The pipeline with at most so many seconds, and what is wanted of it.
-    fn take(&self, picture: &PipelinePicture, seconds: usize) -> Pipeline {
+    fn take(&self, picture: &PipelineSnapshot, seconds: usize) -> Pipeline {
         let seconds = self.window.map_or(seconds, |window| seconds.min(window as usize));
         let mut taken = Pipeline::new(picture, seconds);
         taken.windows.retain(|window| self.window.is_none_or(|wanted| window.seconds == wanted));
@@ -88,7 +88,7 @@ async fn list(
     Parameters(query): Parameters<Query>,
 ) -> Result<Json<PipelineList>, WebError> {
     let part = Part::of(&query)?;
-    let taken = |one: &PipelinePicture| part.take(one, PipelineList::SECONDS);
+    let taken = |one: &PipelineSnapshot| part.take(one, PipelineList::SECONDS);
     Ok(Json(PipelineList::of(&app.picture(), taken)))
 }
 

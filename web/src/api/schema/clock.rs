@@ -1,6 +1,6 @@
 //! What is known of hosts' wall clocks.
 
-use peernet_clock::{Discipline, Interval, RehearsalDescription};
+use peernet_clock::{ClockFaults, Discipline, Interval};
 use peernet_stream as stream;
 use serde::Serialize;
 use utoipa::ToSchema;
@@ -65,8 +65,8 @@ pub(crate) struct RehearsalStep {
     pub by_s: f64,
 }
 
-impl From<&RehearsalDescription> for Rehearsal {
-    fn from(rehearsal: &RehearsalDescription) -> Self {
+impl From<&ClockFaults> for Rehearsal {
+    fn from(rehearsal: &ClockFaults) -> Self {
         let steps = rehearsal.steps.iter();
         Self {
             offset_s: rehearsal.offset.seconds(),

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use peernet_aggregator::{LiveSecond, PercentileSeries, Picture, PipelinePicture};
+use peernet_aggregator::{LiveSecond, LiveState, PercentileSeries, PipelineSnapshot};
 use peernet_store as store;
 use serde::Serialize;
 use utoipa::ToSchema;
@@ -184,7 +184,7 @@ impl From<&LiveSecond> for Second {
 
 impl Pipeline {
     /// A pipeline with its last `seconds`.
-    pub(crate) fn new(picture: &PipelinePicture, seconds: usize) -> Self {
+    pub(crate) fn new(picture: &PipelineSnapshot, seconds: usize) -> Self {
         let windows = picture.windows.iter().map(|window| Window {
             seconds: window.seconds,
             covered_s: window.covered_s,
@@ -220,7 +220,7 @@ impl PipelineList {
     pub(crate) const SECONDS: usize = 5;
 
     /// Every pipeline, as far as it is taken.
-    pub(crate) fn of(picture: &Picture, taken: impl Fn(&PipelinePicture) -> Pipeline) -> Self {
+    pub(crate) fn of(picture: &LiveState, taken: impl Fn(&PipelineSnapshot) -> Pipeline) -> Self {
         let pipelines = picture.pipelines.iter().map(|one| taken(one));
         Self { at: time(picture.at), pipelines: pipelines.collect() }
     }

@@ -6,7 +6,7 @@ use super::super::{link, links, pipeline};
 use super::{check, overview_of};
 use crate::tests::samples::{self, host, picture};
 
-pub(super) fn linked(half: Option<f64>, verdict: Verdict) -> peernet_aggregator::Picture {
+pub(super) fn linked(half: Option<f64>, verdict: Verdict) -> peernet_aggregator::LiveState {
     let mut shown =
         picture(vec![host("cam-1", "Orin")], vec![samples::pipeline("line", 30.0, 1.0, verdict, &[])]);
     shown.links.push(std::sync::Arc::new(samples::link(half, &[])));

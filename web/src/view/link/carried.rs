@@ -1,6 +1,6 @@
 //! What a link carries, pipeline by pipeline: messages of different sizes have no speed in common.
 
-use peernet_aggregator::{Picture, PipelinePicture};
+use peernet_aggregator::{LiveState, PipelineSnapshot};
 use peernet_logger::stage;
 use peernet_statistics::number::{NONE, bytes, rate};
 
@@ -24,14 +24,14 @@ pub(crate) struct CarriedRow {
 
 impl CarriedRow {
     /// The pipelines that use the link, by name.
-    pub(crate) fn all(picture: &Picture, subject: &Subject<'_>) -> Vec<Self> {
+    pub(crate) fn all(picture: &LiveState, subject: &Subject<'_>) -> Vec<Self> {
         let Some(link) = subject.live else { return Vec::new() };
         let uses =
-            |one: &&PipelinePicture| one.host == link.edge && link.live.pipelines.contains(&one.pipeline);
+            |one: &&PipelineSnapshot| one.host == link.edge && link.live.pipelines.contains(&one.pipeline);
         picture.pipelines.iter().map(|one| &**one).filter(uses).filter_map(Self::new).collect()
     }
 
-    fn new(pipeline: &PipelinePicture) -> Option<Self> {
+    fn new(pipeline: &PipelineSnapshot) -> Option<Self> {
         let window = pipeline.window(LATELY.seconds() as u32)?;
         let size =
             |name| window.value(name).map_or_else(|| NONE.to_owned(), |size| bytes(size.mean).to_string());

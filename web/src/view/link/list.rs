@@ -1,6 +1,6 @@
 //! Links in a list.
 
-use peernet_aggregator::{LinkPicture, Picture};
+use peernet_aggregator::{LinkSnapshot, LiveState};
 use peernet_clock::Verdict;
 use peernet_statistics::number::{bound_ms, offset_ms, percent, trip_ms};
 use peernet_store::LinkRow;
@@ -47,12 +47,12 @@ fn cell(known: Option<String>, why: &str) -> Cell {
 
 impl LinkLine {
     /// The first so many links of a picture.
-    pub(crate) fn first(most: usize, picture: &Picture, zone: Zone) -> Vec<Self> {
+    pub(crate) fn first(most: usize, picture: &LiveState, zone: Zone) -> Vec<Self> {
         let rehearsed = Rehearsed::of(picture);
         picture.links.iter().take(most).map(|link| Self::new(link, &rehearsed, zone)).collect()
     }
 
-    fn new(link: &LinkPicture, rehearsed: &Rehearsed, zone: Zone) -> Self {
+    fn new(link: &LinkSnapshot, rehearsed: &Rehearsed, zone: Zone) -> Self {
         let subject = Subject::live(link);
         let verdict = subject.verdict();
         let offset = subject.offset();
@@ -117,7 +117,7 @@ pub(super) const TOO_YOUNG: &str =
 
 impl PastLine {
     /// The stored links that are not in the live picture.
-    pub(crate) fn all(rows: &[LinkRow], picture: &Picture, zone: Zone) -> Vec<Self> {
+    pub(crate) fn all(rows: &[LinkRow], picture: &LiveState, zone: Zone) -> Vec<Self> {
         let past = rows.iter().filter(|row| !is_live(picture, row)).map(|row| {
             let subject = Subject::past(row);
             Self { name: subject.route(), href: subject.href(), last: zone.moment(row.last) }
@@ -127,7 +127,7 @@ impl PastLine {
 }
 
 /// The answer to whether one-way delays can be trusted, in the title of the list.
-pub(crate) fn title(picture: &Picture) -> String {
+pub(crate) fn title(picture: &LiveState) -> String {
     let links: Vec<Subject<'_>> = picture.links.iter().map(|link| Subject::live(link)).collect();
     let verdicts: Vec<Verdict> = links.iter().filter_map(Subject::verdict).collect();
     let of = |wanted: fn(u8) -> bool| verdicts.iter().filter(|verdict| wanted(severity(**verdict))).count();

@@ -17,7 +17,7 @@ mod trend;
 
 use std::sync::Arc;
 
-use peernet_aggregator::{LinkPicture, Picture};
+use peernet_aggregator::{LinkSnapshot, LiveState};
 use peernet_clock::{Offset, RelatedClocks, Span, Verdict, WallTime};
 use peernet_store::{ClockPoint, DelayAssumptions, LinkKey, LinkRow};
 use peernet_stream::{NetworkName, Placement, PlacementKind};
@@ -65,7 +65,7 @@ pub(crate) fn href(edge: &str, cloud: &str, network: &NetworkName) -> String {
 }
 
 /// The address of the page of the link that a placement uses, if the link is known.
-pub(crate) fn of_placement(picture: &Picture, edge: &str, placement: &Placement) -> Option<String> {
+pub(crate) fn of_placement(picture: &LiveState, edge: &str, placement: &Placement) -> Option<String> {
     let cloud = placement.peer.as_ref().filter(|_| placement.kind == PlacementKind::Remote)?.as_str();
     let network = placement.network.as_ref().map(|network| network.parse::<NetworkName>());
     let network = network.transpose().ok()?;
@@ -74,9 +74,9 @@ pub(crate) fn of_placement(picture: &Picture, edge: &str, placement: &Placement)
 }
 
 /// The link of that name in a picture.
-pub(crate) fn find<'a>(picture: &'a Picture, wanted: &str) -> Option<&'a LinkPicture> {
+pub(crate) fn find<'a>(picture: &'a LiveState, wanted: &str) -> Option<&'a LinkSnapshot> {
     let (edge, cloud, network) = parts(wanted)?;
-    let matches = |link: &&LinkPicture| {
+    let matches = |link: &&LinkSnapshot| {
         link.edge_name.as_str() == edge
             && link.live.peer_name.as_str() == cloud
             && *link.live.network() == network
@@ -85,12 +85,12 @@ pub(crate) fn find<'a>(picture: &'a Picture, wanted: &str) -> Option<&'a LinkPic
 }
 
 /// Whether a stored link is in a picture, too.
-pub(crate) fn is_live(picture: &Picture, row: &LinkRow) -> bool {
+pub(crate) fn is_live(picture: &LiveState, row: &LinkRow) -> bool {
     let key = row.key();
     picture.links.iter().any(|link| key_of(link) == key)
 }
 
-fn key_of(link: &LinkPicture) -> LinkKey {
+fn key_of(link: &LinkSnapshot) -> LinkKey {
     LinkKey { edge: link.edge, cloud: link.live.peer, network: link.live.network().clone() }
 }
 
@@ -109,7 +109,7 @@ pub(crate) struct Subject<'a> {
     pub cloud: String,
     pub key: LinkKey,
     /// `None` for a link that is stored and not in the live picture.
-    pub live: Option<&'a LinkPicture>,
+    pub live: Option<&'a LinkSnapshot>,
     /// The newest point's time, on the edge's wall clock.
     pub end: WallTime,
     /// Whether the edge tells of it now.
@@ -139,7 +139,7 @@ pub(crate) fn is_young(offset: &Offset) -> bool {
 
 impl<'a> Subject<'a> {
     /// A link of the picture.
-    pub(crate) fn live(link: &'a LinkPicture) -> Self {
+    pub(crate) fn live(link: &'a LinkSnapshot) -> Self {
         Self {
             edge: link.edge_name.to_string(),
             cloud: link.live.peer_name.to_string(),

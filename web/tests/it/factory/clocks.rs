@@ -1,8 +1,8 @@
 //! What a line's edge knows of the rack's clock: one sample a second.
 
 use peernet_clock::{
-    DelaySource, Discipline, Exchange, ExchangeCounts, Interval, Offset, RawTime, RehearsalDescription,
-    RelatedClocks, Span, Verdict, WallTime,
+    ClockFaults, DelaySource, Discipline, Exchange, ExchangeCounts, Interval, Offset, RawTime, RelatedClocks,
+    Span, Verdict, WallTime,
 };
 use peernet_logger::{HostId, stage};
 use peernet_statistics::SplitMix64;
@@ -30,7 +30,7 @@ pub(super) fn host_clock(rehearsed: bool, since: WallTime) -> HostClock {
         discipline: Some(Discipline { source: DelaySource::Chrony, error: claim }),
         text: "chrony, stratum 3, to ntp.plant".into(),
         epoch: u32::from(rehearsed),
-        rehearsal: rehearsed.then(|| RehearsalDescription {
+        rehearsal: rehearsed.then(|| ClockFaults {
             offset: Span::from_seconds(1),
             drift_ppm: 50.0,
             steps: Vec::new(),

@@ -7,9 +7,9 @@ use uuid::Uuid;
 
 use super::{CountOwner, SHARED_MEMORY, open_own, read_owner, remove};
 
-/// Removes files of counts in which no process counts any more, and whose spool is gone or is `own`.
+/// Removes the files of counts in which no process counts, and whose spool is gone or is `own`.
 ///
-/// Files named in `needed`, which `own` still needs, stay; so does a file that does not say which spool it belongs to.
+/// Files named in `needed`, which `own` still needs, stay. So does a file without the identity of a spool.
 pub(crate) fn remove_abandoned(own: &CountOwner, needed: &[&str]) {
     let entries = match fs::read_dir(SHARED_MEMORY) {
         Ok(entries) => entries,
@@ -33,13 +33,13 @@ pub(crate) fn remove_abandoned(own: &CountOwner, needed: &[&str]) {
     }
 }
 
-/// Whether a name is that of a file of counts.
+/// Returns whether a name is that of a file of counts.
 fn is_count_file_name(name: &str) -> bool {
     let id = name.strip_prefix("peernet-").and_then(|name| name.strip_suffix(".count"));
     id.is_some_and(|id| Uuid::try_parse(id).is_ok()) && Path::new(name).file_name().is_some()
 }
 
-/// Whether no process counts in a file and none can need it later. The file is locked during the check.
+/// Returns whether no process counts in a file and none can need it later. The file is locked during the check.
 fn is_abandoned(file: &File, own: &CountOwner) -> bool {
     file.try_lock().is_ok()
         && read_owner(file).is_some_and(|owner| owner.is_same_file(own) || owner.is_gone())

@@ -1,4 +1,4 @@
-//! The spool that a count of events belongs to.
+//! Identity of the spool that a file of counts belongs to.
 
 use std::ffi::OsStr;
 use std::fs::{self, Metadata};
@@ -8,32 +8,32 @@ use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
 use std::time::UNIX_EPOCH;
 
-/// Bytes of an owner as it is written.
+/// Length of an encoded identity in bytes.
 pub(super) const OWNER_BYTES: usize = 4096;
-/// Bytes of the numbers and of the length of the path before the path.
+/// Bytes before the path: four numbers and the length of the path.
 const NUMBERS: usize = 4 * 8 + 2;
-/// Names the mount namespace, in which paths have their meaning.
+/// Path that identifies the mount namespace, within which paths have their meaning.
 const MOUNT_NAMESPACE: &str = "/proc/self/ns/mnt";
 
-/// A spool file. The copy of a spool is another one.
+/// Identity of a spool file. A copy of the spool has another one.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct CountOwner {
     device: u64,
     inode: u64,
-    /// Nanoseconds since 1970 at which the file was made; 0 where its file system does not say. An inode's number is given to another file
-    /// once the first is deleted.
+    /// Creation time of the file in nanoseconds since 1970; 0 if its file system does not know it. It is needed
+    /// because the inode number of a deleted file is used again.
     made: u64,
-    /// 0 when it is not known.
+    /// Inode of the mount namespace; 0 if it is unknown.
     mount_namespace: u64,
-    /// Empty when it is too long to be written.
+    /// Path of the file; empty if it is too long to be stored.
     path: PathBuf,
 }
 
 impl CountOwner {
-    /// The file at a path.
+    /// Returns the identity of the file at a path.
     ///
     /// # Errors
-    /// When there is none.
+    /// When there is no such file.
     pub(crate) fn at(path: &Path) -> io::Result<Self> {
         let (path, metadata) = (fs::canonicalize(path)?, fs::metadata(path)?);
         let path = if path.as_os_str().len() > OWNER_BYTES - NUMBERS { PathBuf::new() } else { path };
@@ -47,13 +47,13 @@ impl CountOwner {
         })
     }
 
-    /// Says whether both are the same file, by whatever path.
+    /// Returns whether both are the same file, under any path.
     pub(crate) fn is_same_file(&self, other: &Self) -> bool {
         (self.device, self.inode, self.made) == (other.device, other.inode, other.made)
     }
 
-    /// Says whether the file is certainly no longer at its path. A path says nothing in another mount namespace, nor where another file
-    /// system is in the place of the file's, which may be mounted again.
+    /// Returns whether the file is certainly no longer at its path. It is not certain in another mount namespace, nor
+    /// if another file system is mounted in the place of the file's, which may be mounted again.
     pub(super) fn is_gone(&self) -> bool {
         if !self.path.is_absolute() || mount_namespace().is_none_or(|own| own != self.mount_namespace) {
             return false;
@@ -61,6 +61,7 @@ impl CountOwner {
         match fs::metadata(&self.path) {
             Ok(found) => found.dev() == self.device && (found.ino(), made(&found)) != (self.inode, self.made),
             Err(error) if error.kind() == io::ErrorKind::NotFound => self.nearest_folder_is_of_its_device(),
+            // For example without permission to read the folder: then nothing is certain.
             Err(_) => false,
         }
     }
@@ -118,7 +119,7 @@ mod tests {
     }
 
     #[test]
-    fn only_a_file_that_is_certainly_away_is_gone() {
+    fn only_certainly_missing_file_is_gone() {
         let folder = tempfile::tempdir().expect("a folder");
         let path = folder.path().join("spool.sqlite");
         fs::write(&path, "spool").expect("written");

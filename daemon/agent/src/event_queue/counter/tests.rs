@@ -1,4 +1,4 @@
-//! Counting with real files in shared memory.
+//! Tests of counting with real files in shared memory.
 
 use tempfile::TempDir;
 
@@ -8,7 +8,7 @@ fn at(nanos: i64) -> WallTime {
     WallTime::from_unix_nanos(nanos)
 }
 
-/// A file that stands for a spool, in a folder of its own.
+/// Returns a file in place of a spool, and its folder.
 fn spool() -> (TempDir, CountOwner) {
     let folder = tempfile::tempdir().expect("a folder");
     let path = folder.path().join("spool.sqlite");
@@ -71,7 +71,7 @@ fn other_files_of_the_name_are_not_read() {
 }
 
 #[test]
-fn runs_beyond_the_places_count_among_all() {
+fn runs_beyond_capacity_are_counted_in_total() {
     let (_folder, owner) = spool();
     let counter = EventCounter::create(&owner).expect("shared memory");
     let runs: Vec<RunId> = (0..=MOST_COUNTED_RUNS).map(|_| RunId::random()).collect();
@@ -101,7 +101,7 @@ fn file_is_abandoned_once_its_process_and_spool_are_gone() {
 }
 
 #[test]
-fn file_of_a_spool_that_is_there_stays() {
+fn file_of_existing_spool_stays() {
     let (_own_folder, own) = spool();
     let (_folder, owner) = spool();
     let counter = EventCounter::create(&owner).expect("shared memory");
@@ -123,7 +123,7 @@ fn files_of_others_are_never_removed() {
     let name = counter.name().expect("a file");
     drop(counter);
     let path = Path::new(SHARED_MEMORY).join(&name);
-    // The file of an earlier version names no spool.
+    // The file of an earlier version contains no identity of a spool.
     File::options()
         .write(true)
         .open(&path)

@@ -1,4 +1,4 @@
-//! Real chronyd processes that leave the machine's clock alone.
+//! Real chronyd processes that do not change the machine's clock.
 
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
@@ -7,7 +7,7 @@ use peernet_test_ports::free_port;
 
 use crate::config::{ClockConfig, DisciplineSource};
 
-/// A program of the unpacked package, or of the system.
+/// Returns the path of a program of the unpacked package, or of the system.
 fn program(name: &str) -> PathBuf {
     let tools = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../.venv-tools/chrony/usr");
     let places = [tools.join("sbin"), tools.join("bin"), "/usr/sbin".into(), "/usr/bin".into()];
@@ -15,7 +15,7 @@ fn program(name: &str) -> PathBuf {
     found.unwrap_or_else(|| panic!("{name} is not there: run `deploy/install-tools.sh test`"))
 }
 
-/// A chronyd with files of its own, ended with the test.
+/// A chronyd with separate files, killed at the end of the test.
 pub(super) struct Chronyd {
     child: Child,
     folder: tempfile::TempDir,
@@ -24,28 +24,28 @@ pub(super) struct Chronyd {
 }
 
 impl Chronyd {
-    /// Follows nothing but its own clock, and serves it.
+    /// Starts a server that follows only its own clock.
     pub(super) fn server() -> Self {
         Self::start("local stratum 10\nallow 127.0.0.1\n", free_port())
     }
 
-    /// Follows `server`, whose time it corrects by `offset_s`.
+    /// Starts a client of `server`, whose time it corrects by `offset_s`.
     pub(super) fn client(server: &Self, offset_s: f64) -> Self {
         let line =
             format!("server 127.0.0.1 port {} iburst minpoll -2 maxpoll 0 offset {offset_s}\n", server.ntp);
         let client = Self::start(&line, 0);
         let mut waiting = client.chronyc();
-        // Right after its first measurement chrony says that the clock's rate may be anything: until it is known to
-        // 100 ppm, in tenths of a second.
+        // Right after its first measurement chrony reports an unbounded rate. This waits, in steps of 0.1 s, until
+        // the rate is known to 100 ppm.
         let waited = waiting.args(["waitsync", "600", "0", "100", "0.1"]).output().expect("chronyc runs");
         assert!(waited.status.success(), "not synchronised within a minute:\n{}", client.log());
         client
     }
 
-    /// Has nobody to follow.
+    /// Starts a daemon without a server.
     pub(super) fn lonely() -> Self {
         let mut lonely = Self::start("", 0);
-        // chronyc itself paces this.
+        // The loop is paced by chronyc itself.
         while !lonely.answers() {
             let ended = lonely.child.try_wait().expect("it is our child");
             assert_eq!(ended, None, "chronyd ended:\n{}", lonely.log());
@@ -65,7 +65,7 @@ impl Chronyd {
         std::fs::write(path("conf"), configuration).expect("the temporary folder is writable");
         let log = std::fs::File::create(path("log")).expect("the temporary folder is writable");
         let user = Command::new("id").arg("-un").output().expect("id runs").stdout;
-        // -x leaves the clock alone, -U asks for no privilege.
+        // -x does not touch the clock, -U needs no privilege.
         let child = Command::new(program("chronyd"))
             .args(["-x", "-d", "-U", "-u", String::from_utf8_lossy(&user).trim(), "-f", &path("conf")])
             .stdin(Stdio::null())
@@ -76,8 +76,8 @@ impl Chronyd {
         Self { child, folder, ntp, commands }
     }
 
-    /// The configuration of an agent that asks this chronyd alone.
-    pub(super) fn asked(&self) -> ClockConfig {
+    /// Returns the configuration of an agent that queries only this chronyd.
+    pub(super) fn clock_config(&self) -> ClockConfig {
         ClockConfig {
             discipline: vec![DisciplineSource::Chrony],
             discipline_interval_s: 0.1,
@@ -87,7 +87,7 @@ impl Chronyd {
         }
     }
 
-    /// Ends it.
+    /// Kills the daemon.
     pub(super) fn end(&mut self) {
         self.child.kill().expect("it was running");
         self.child.wait().expect("it is our child");
@@ -114,7 +114,7 @@ impl Chronyd {
 
 impl Drop for Chronyd {
     fn drop(&mut self) {
-        // A child that has ended already cannot be ended, which is what is wanted.
+        // It may have ended already.
         let _ = self.child.kill();
         let _ = self.child.wait();
     }

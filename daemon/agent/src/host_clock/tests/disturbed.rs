@@ -1,21 +1,21 @@
-//! Steps, and clocks that are wrong on purpose.
+//! Tests of steps and of clocks with injected faults.
 
 use std::sync::Arc;
 
-use peernet_clock::{ClockIdentity, RehearsedClock, SharedClock, Span, SteppedClock};
+use peernet_clock::{ClockIdentity, FaultyClock, SharedClock, Span, SteppedClock};
 
 use super::{system_clock, watched};
 use crate::config::{ClockConfig, RehearsalConfig, RehearsedDiscipline, RehearsedStepConfig};
 
-/// The machine's clock, made wrong.
+/// Returns the machine's clock with injected faults.
 fn rehearsed(config: &RehearsalConfig) -> SharedClock {
     let truth = system_clock();
     let description = config.description(truth.wall());
-    Arc::new(RehearsedClock::new(truth, ClockIdentity::new("boot", "rehearsal"), description))
+    Arc::new(FaultyClock::new(truth, ClockIdentity::new("boot", "rehearsal"), description))
 }
 
 #[tokio::test]
-async fn a_step_is_published_with_what_made_the_clock_wrong() {
+async fn step_is_published_with_its_rehearsal() {
     let rehearsal = RehearsalConfig {
         offset_ms: -1000.0,
         steps: vec![RehearsedStepConfig { at_s: 0.3, by_ms: 3000.0, clock: SteppedClock::Wall }],
@@ -31,7 +31,7 @@ async fn a_step_is_published_with_what_made_the_clock_wrong() {
 }
 
 #[tokio::test]
-async fn a_rehearsed_host_claims_nothing_or_exactly_its_error() {
+async fn rehearsed_host_claims_nothing_or_exact_error() {
     let silent = RehearsalConfig { offset_ms: 1000.0, ..RehearsalConfig::default() };
     let clock = rehearsed(&silent);
     let (mut published, _running) = watched(ClockConfig::default(), Some(silent.clone()), &clock);

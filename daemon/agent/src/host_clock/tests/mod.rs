@@ -1,4 +1,4 @@
-//! The whole of it, against real clocks, real daemons and a clock that moves when told to.
+//! Tests of the whole module, with real clocks, real daemons and a clock that the test moves.
 
 mod chronyd;
 mod disturbed;
@@ -11,7 +11,7 @@ use peernet_networks::PeerClock;
 use tokio::sync::watch;
 use tokio_util::sync::{CancellationToken, DropGuard};
 
-use super::{not_asked_yet, run};
+use super::{initial_state, run};
 use crate::config::{ClockConfig, HostConfig, RehearsalConfig};
 use crate::incidents::Incidents;
 
@@ -19,19 +19,19 @@ fn system_clock() -> SharedClock {
     Arc::new(SystemClock::new(ClockIdentity::new("boot", "test")))
 }
 
-/// The task, running until the guard goes.
+/// Starts the task, which runs until the guard is dropped.
 fn watched(
     config: ClockConfig,
     rehearsal: Option<RehearsalConfig>,
     clock: &SharedClock,
 ) -> (watch::Receiver<PeerClock>, DropGuard) {
-    let (event_queue, _) = crate::event_queue::entrance(
+    let (event_queue, _) = crate::event_queue::create(
         &HostConfig::default(),
         clock,
         crate::event_queue::EventCounter::default(),
     );
     let incidents = Incidents::new(Arc::clone(clock), event_queue);
-    let (publish, published) = watch::channel(not_asked_yet(clock));
+    let (publish, published) = watch::channel(initial_state(clock));
     let stop = CancellationToken::new();
     tokio::spawn(run(config, rehearsal, Arc::clone(clock), incidents, publish, stop.clone()));
     (published, stop.drop_guard())

@@ -1,4 +1,4 @@
-//! What a real chrony says becomes an interval that contains the truth, with the right sign.
+//! Tests with real chrony: its claims become intervals that contain the truth, with the right sign.
 
 use peernet_clock::{DelaySource, Span};
 use peernet_networks::PeerClock;
@@ -8,22 +8,22 @@ use super::chronyd::Chronyd;
 use super::{system_clock, watched};
 use crate::config::ClockConfig;
 
-/// What is published first after chrony was asked.
-async fn asked(published: &mut watch::Receiver<PeerClock>) -> PeerClock {
-    let asked = published.wait_for(|known| !known.text.is_empty() && !known.text.contains("not asked"));
-    asked.await.expect("the task runs").clone()
+/// Waits for the first state after chrony was queried.
+async fn first_answer(published: &mut watch::Receiver<PeerClock>) -> PeerClock {
+    let answered = published.wait_for(|known| !known.text.is_empty() && !known.text.contains("not asked"));
+    answered.await.expect("the task runs").clone()
 }
 
 #[tokio::test]
-async fn a_known_bias_is_within_the_interval_and_its_opposite_is_not() {
+async fn interval_contains_known_bias_and_not_its_opposite() {
     let server = Chronyd::server();
-    // chrony adds `offset` to what it measures of a server that has the same clock: it takes true time to be 50 ms
-    // later than the clock shows, or earlier.
+    // chrony adds `offset` to its measurement of a server with the same clock: it assumes that true time is 50 ms
+    // ahead of the clock, or behind it.
     for (offset_s, error) in [(0.050, Span::from_millis(-50)), (-0.050, Span::from_millis(50))] {
         let client = Chronyd::client(&server, offset_s);
         let clock = system_clock();
-        let (mut published, _running) = watched(client.asked(), None, &clock);
-        let known = asked(&mut published).await;
+        let (mut published, _running) = watched(client.clock_config(), None, &clock);
+        let known = first_answer(&mut published).await;
         assert_eq!(known.text, "chrony, stratum 11, to 127.0.0.1");
         let claim = known.discipline.expect("chrony is synchronised");
         assert_eq!(claim.source, DelaySource::Chrony);
@@ -36,7 +36,7 @@ async fn a_known_bias_is_within_the_interval_and_its_opposite_is_not() {
 }
 
 #[tokio::test]
-async fn who_follows_nobody_or_only_itself_claims_nothing() {
+async fn daemon_without_other_source_claims_nothing() {
     let (server, lonely) = (Chronyd::server(), Chronyd::lonely());
     // The server answers commands once a client is synchronised to it.
     let _client = Chronyd::client(&server, 0.0);
@@ -44,18 +44,18 @@ async fn who_follows_nobody_or_only_itself_claims_nothing() {
         [(&server, "chrony, following nothing but its own clock"), (&lonely, "chrony, not synchronised")];
     for (daemon, text) in expected {
         let clock = system_clock();
-        let (mut published, _running) = watched(daemon.asked(), None, &clock);
-        let known = asked(&mut published).await;
+        let (mut published, _running) = watched(daemon.clock_config(), None, &clock);
+        let known = first_answer(&mut published).await;
         assert_eq!((known.discipline, known.text.as_str()), (None, text));
     }
 }
 
 #[tokio::test]
-async fn a_daemon_that_ends_takes_its_claim_with_it() {
+async fn claim_ends_with_its_daemon() {
     let server = Chronyd::server();
     let mut client = Chronyd::client(&server, 0.0);
     let clock = system_clock();
-    let (mut published, _running) = watched(client.asked(), None, &clock);
+    let (mut published, _running) = watched(client.clock_config(), None, &clock);
     published.wait_for(|known| known.discipline.is_some()).await.expect("the task runs");
     client.end();
     let known = published.wait_for(|known| known.discipline.is_none()).await.expect("the task runs").clone();
@@ -63,16 +63,16 @@ async fn a_daemon_that_ends_takes_its_claim_with_it() {
 }
 
 #[tokio::test]
-async fn a_host_without_chrony_says_what_it_has() {
+async fn host_without_chrony_reports_kernel() {
     let clock = system_clock();
     let config = ClockConfig { chronyc: "/nowhere/chronyc".to_owned(), ..ClockConfig::default() };
     let (mut published, _running) = watched(config, None, &clock);
-    let known = asked(&mut published).await;
+    let known = first_answer(&mut published).await;
     assert!(known.text.starts_with("kernel, "), "{}", known.text);
 }
 
 #[tokio::test]
-async fn a_command_that_hangs_or_prints_nonsense_claims_nothing() {
+async fn hanging_or_invalid_command_claims_nothing() {
     let clock = system_clock();
     for (script, words) in [("sleep 60", "no answer within"), ("echo hello", "cannot be understood")] {
         let folder = tempfile::tempdir().expect("there is room for a temporary folder");
@@ -86,7 +86,7 @@ async fn a_command_that_hangs_or_prints_nonsense_claims_nothing() {
             ..ClockConfig::default()
         };
         let (mut published, _running) = watched(config, None, &clock);
-        let known = asked(&mut published).await;
+        let known = first_answer(&mut published).await;
         assert_eq!(known.discipline, None);
         assert!(known.text.contains(words), "{}", known.text);
     }

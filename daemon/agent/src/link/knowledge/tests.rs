@@ -1,4 +1,4 @@
-//! Seconds, windows and restarts; what the relation itself makes of exchanges is tested where it is.
+//! Tests of seconds, windows and restarts. The relation itself is tested in the crate `clock`.
 
 use peernet_clock::{DelaySource, Discipline, Exchange, Interval, RelationSettings};
 use peernet_networks::RawClock;
@@ -6,26 +6,26 @@ use peernet_networks::RawClock;
 use super::*;
 
 const MS: i64 = 1_000_000;
-const WAY: Way = Way { raw: Span::ZERO, bits: None };
-const WAYS: [Way; 2] = [WAY, WAY];
+const WAY: MessageDelay = MessageDelay { raw: Span::ZERO, bits: None };
+const WAYS: [MessageDelay; 2] = [WAY, WAY];
 
 fn at(millis: i64) -> WallTime {
     WallTime::from_unix_nanos(1_000_000 * MS + millis * MS)
 }
 
-/// All clocks of the edge at that time.
+/// Returns the stamp of the edge's clocks at that time.
 fn now(millis: i64) -> Stamp {
     Stamp { wall: at(millis), raw: RawTime::of_wall(at(millis)), ..Stamp::default() }
 }
 
-/// What a host tells in this epoch of its free-running clock, which shows what its wall clock shows.
-fn told(epoch: u32, discipline: Option<Discipline>) -> PeerClock {
+/// Returns a host's announcement in this epoch of its free-running clock, which agrees with its wall clock.
+fn announcement(epoch: u32, discipline: Option<Discipline>) -> PeerClock {
     let wall_ahead = Interval::exactly(Span::ZERO);
     let raw = Some(RawClock { epoch, wall_ahead, clocksource: "tsc".into() });
     PeerClock { raw, discipline, ..PeerClock::default() }
 }
 
-/// A cloud that is `ahead`, a way of 1 ms in each direction, 2 ms in between.
+/// Returns an exchange with a cloud that is `ahead`: 1 ms in each direction, 2 ms in between.
 fn exchange(sent: i64, ahead: i64) -> ExchangeObservation {
     let exchange = Exchange {
         sent: RawTime::of_wall(at(sent)),
@@ -45,7 +45,8 @@ fn knowledge_of(clocks: RelatedClocks) -> Knowledge {
     let settings = RelationSettings { clocks, trust_time_daemons: true, ..RelationSettings::default() };
     let relation = Relation::new(settings);
     let peer = (HostId::random(), "cloud".parse().expect("a name"));
-    let mut knowledge = Knowledge::new(peer, relation, (told(0, None), told(0, None)), now(0));
+    let mut knowledge =
+        Knowledge::new(peer, relation, (announcement(0, None), announcement(0, None)), now(0));
     knowledge.join(&network());
     knowledge
 }
@@ -55,27 +56,28 @@ fn network() -> NetworkName {
 }
 
 #[test]
-fn what_is_told_of_clocks_that_were_not_stepped_voids_nothing() {
+fn announcement_without_step_keeps_window() {
     let mut knowledge = knowledge();
-    knowledge.edge_says(told(0, None), now(0).raw);
-    let _ = knowledge.cloud_says(told(0, None), now(0).raw);
+    knowledge.edge_announced(announcement(0, None), now(0).raw);
+    let _ = knowledge.cloud_announced(announcement(0, None), now(0).raw);
     let ([up, _], _) = knowledge.judge(&network(), &exchange(0, 0), WAYS, now(4));
     assert!(up.value.is_some(), "{up:?}");
-    let _ = knowledge.cloud_says(PeerClock { text: "something else".into(), ..told(0, None) }, now(5).raw);
+    let _ = knowledge
+        .cloud_announced(PeerClock { text: "something else".into(), ..announcement(0, None) }, now(5).raw);
     assert_eq!(knowledge.judge(&network(), &exchange(10, 0), WAYS, now(14)).1.restart, None);
 }
 
 #[test]
-fn a_second_with_something_in_it_is_told_once_when_it_is_over() {
+fn nonempty_second_is_reported_once_when_over() {
     let mut knowledge = knowledge();
     for sent in [0, 300, 600] {
-        let ([up, down], news) = knowledge.judge(
+        let ([up, down], changes) = knowledge.judge(
             &network(),
             &exchange(sent, 5000),
-            [Way { raw: Span::ZERO, bits: Some(1e6) }, WAY],
+            [MessageDelay { raw: Span::ZERO, bits: Some(1e6) }, WAY],
             now(sent + 4),
         );
-        assert!(news.samples.is_empty() && news.restart.is_none());
+        assert!(changes.samples.is_empty() && changes.restart.is_none());
         for delay in [up, down] {
             let bounds = delay.bounds.expect("bounded by itself alone");
             assert!(bounds.lo <= Span::from_millis(1) && Span::from_millis(1) <= bounds.hi, "{delay:?}");
@@ -89,8 +91,8 @@ fn a_second_with_something_in_it_is_told_once_when_it_is_over() {
         "as much of it as has passed"
     );
 
-    let news = knowledge.turn(now(1001));
-    let [sample] = &news.samples[..] else { panic!("{news:?}") };
+    let changes = knowledge.turn(now(1001));
+    let [sample] = &changes.samples[..] else { panic!("{changes:?}") };
     assert_eq!(sample.at, at(1000));
     assert_eq!((sample.probes.sent, sample.probes.answered, sample.probes.lost), (1, 1, 0));
     assert_eq!(sample.basis.and_then(|basis| basis.probes_authenticated), Some(true));
@@ -108,68 +110,68 @@ fn a_second_with_something_in_it_is_told_once_when_it_is_over() {
 }
 
 #[test]
-fn a_step_of_the_peers_clock_begins_a_window_and_names_it() {
+fn step_of_peers_clock_begins_window_and_is_named() {
     let mut knowledge = knowledge();
     for sent in [0, 100, 200] {
         let _ = knowledge.judge(&network(), &exchange(sent, 0), WAYS, now(sent + 4));
     }
     let before = knowledge.now(&network(), now(250)).window;
-    let _ = knowledge.cloud_says(told(1, None), now(250).raw);
-    // What was under way when the step was told is not believed, however it looks.
+    let _ = knowledge.cloud_announced(announcement(1, None), now(250).raw);
+    // An exchange that was in flight when the step was announced is not used, however plausible it is.
     let under_way = ExchangeObservation { cloud_epoch: Some(1), ..exchange(300, 3000) };
-    let ([up, down], news) = knowledge.judge(&network(), &under_way, WAYS, now(304));
-    assert_eq!((up.value, down.value, news.restart), (None, None, None));
+    let ([up, down], changes) = knowledge.judge(&network(), &under_way, WAYS, now(304));
+    assert_eq!((up.value, down.value, changes.restart), (None, None, None));
     assert_eq!((up.verdict, down.verdict), (Verdict::Stepped, Verdict::Stepped));
-    let [sample] = &news.samples[..] else { panic!("{news:?}") };
+    let [sample] = &changes.samples[..] else { panic!("{changes:?}") };
     assert_eq!((sample.window, sample.at), (before, at(304)), "what was before belongs to the old window");
     assert!(sample.upper.is_some() && sample.offset.is_none(), "{sample:?}");
     let after = ExchangeObservation { cloud_epoch: Some(1), ..exchange(400, 3000) };
-    let (_, news) = knowledge.judge(&network(), &after, WAYS, now(404));
-    let restart = news.restart.expect("told");
+    let (_, changes) = knowledge.judge(&network(), &after, WAYS, now(404));
+    let restart = changes.restart.expect("told");
     assert!((restart.edge, restart.cloud) == (false, true), "{restart:?}");
     if let Some(moved) = restart.moved {
         assert!((moved - Span::from_seconds(3)).abs() < Span::from_millis(10), "{moved}");
     }
-    assert!(news.samples.is_empty(), "{news:?}");
-    let news = knowledge.turn(now(1000));
-    assert_ne!(news.samples[0].window, before);
-    assert_eq!(news.samples[0].upper, Some(after.exchange));
+    assert!(changes.samples.is_empty(), "{changes:?}");
+    let changes = knowledge.turn(now(1000));
+    assert_ne!(changes.samples[0].window, before);
+    assert_eq!(changes.samples[0].upper, Some(after.exchange));
 
-    let _ = knowledge.cloud_says(told(1, None), now(250).raw);
+    let _ = knowledge.cloud_announced(announcement(1, None), now(250).raw);
     let again = ExchangeObservation { cloud_epoch: Some(1), ..exchange(1100, 3000) };
     assert_eq!(knowledge.judge(&network(), &again, WAYS, now(1104)).1.restart, None, "once");
 }
 
 #[test]
-fn an_exchange_across_a_step_has_no_value_and_is_counted() {
+fn exchange_across_step_is_counted_without_value() {
     let mut knowledge = knowledge();
-    let way = Way { raw: Span::from_seconds(3), bits: None };
-    let (delays, _) = knowledge.stepped(&network(), [way, way], now(4));
+    let message_delay = MessageDelay { raw: Span::from_seconds(3), bits: None };
+    let (delays, _) = knowledge.stepped(&network(), [message_delay, message_delay], now(4));
     for delay in delays {
         assert_eq!((delay.raw, delay.value, delay.verdict), (Span::from_seconds(3), None, Verdict::Stepped));
     }
-    let news = knowledge.finish(now(500));
+    let changes = knowledge.finish(now(500));
     assert_eq!(
-        (news.samples[0].up.map(|up| (up.count, up.median)), news.samples[0].at),
+        (changes.samples[0].up.map(|up| (up.count, up.median)), changes.samples[0].at),
         (Some((1, None)), at(500))
     );
 }
 
 #[test]
-fn what_the_time_daemons_say_after_a_step_is_not_told_of_the_window_before_it() {
+fn claims_after_step_do_not_reach_earlier_window() {
     let mut knowledge = knowledge();
     let claiming = |millis, epoch| {
         let error = Interval::exactly(Span::from_millis(millis));
-        told(epoch, Some(Discipline { source: DelaySource::Chrony, error }))
+        announcement(epoch, Some(Discipline { source: DelaySource::Chrony, error }))
     };
-    let _ = knowledge.cloud_says(claiming(0, 0), now(5000).raw);
+    let _ = knowledge.cloud_announced(claiming(0, 0), now(5000).raw);
     let _ = knowledge.judge(&network(), &exchange(5000, 0), WAYS, now(5004));
     let before = knowledge.now(&network(), now(5010)).window;
     // Set back by three seconds, and chrony knows at once by how much.
-    knowledge.edge_says(claiming(-3000, 1), now(2200).raw);
+    knowledge.edge_announced(claiming(-3000, 1), now(2200).raw);
     assert_eq!(knowledge.now(&network(), now(2200)).offset, None);
-    let news = knowledge.turn(now(2200));
-    let [sample] = &news.samples[..] else { panic!("{news:?}") };
+    let changes = knowledge.turn(now(2200));
+    let [sample] = &changes.samples[..] else { panic!("{changes:?}") };
     assert_eq!((sample.window, sample.at, &sample.offset), (before, at(6000), &None));
     let now = knowledge.now(&network(), now(2300));
     assert_ne!(now.window, before);
@@ -177,7 +179,7 @@ fn what_the_time_daemons_say_after_a_step_is_not_told_of_the_window_before_it() 
 }
 
 #[test]
-fn a_probe_across_a_step_of_the_own_clock_tells_of_it_and_of_nothing_else() {
+fn probe_across_own_step_reports_only_step() {
     let mut knowledge = knowledge();
     for millis in [0, 100, 200] {
         let _ = knowledge.judge(&network(), &exchange(millis, 0), WAYS, now(millis + 4));
@@ -186,33 +188,33 @@ fn a_probe_across_a_step_of_the_own_clock_tells_of_it_and_of_nothing_else() {
     let _ = knowledge.probed(&ProbeResult::Sent, true, now(300));
     let _ = knowledge.probed(&ProbeResult::Stepped(1), true, now(304));
     assert_eq!(knowledge.now(&network(), now(305)).offset, None);
-    let news = knowledge.probed(&ProbeResult::Stepped(1), true, now(306));
-    assert!(news.restart.is_none(), "{news:?}");
+    let changes = knowledge.probed(&ProbeResult::Stepped(1), true, now(306));
+    assert!(changes.restart.is_none(), "{changes:?}");
     let after = |millis| ExchangeObservation { edge_epoch: 1, ..exchange(millis, -3000) };
-    // It may have been under way, for all the relation knows.
+    // The relation cannot exclude that this exchange was in flight during the step.
     let _ = knowledge.judge(&network(), &after(400), WAYS, now(404));
-    let (_, news) = knowledge.judge(&network(), &after(500), WAYS, now(504));
-    assert!(news.restart.is_some_and(|restart| restart.edge && !restart.cloud), "{news:?}");
+    let (_, changes) = knowledge.judge(&network(), &after(500), WAYS, now(504));
+    assert!(changes.restart.is_some_and(|restart| restart.edge && !restart.cloud), "{changes:?}");
 }
 
 #[test]
-fn a_claim_made_before_a_step_does_not_come_back_with_the_next_news() {
+fn claim_before_step_stays_void() {
     let mut knowledge = knowledge();
     let claim = |epoch| {
         let error = Interval::exactly(Span::ZERO);
         let discipline = Some(Discipline { source: DelaySource::Chrony, error });
-        told(epoch, discipline)
+        announcement(epoch, discipline)
     };
-    knowledge.edge_says(claim(0), now(0).raw);
-    let _ = knowledge.cloud_says(claim(0), now(0).raw);
+    knowledge.edge_announced(claim(0), now(0).raw);
+    let _ = knowledge.cloud_announced(claim(0), now(0).raw);
     for sent in [0, 10, 20] {
         let _ = knowledge.judge(&network(), &exchange(sent, 0), WAYS, now(sent + 4));
     }
-    // The cloud is set forward by 5 s; an exchange tells of it before the announcement does.
+    // The cloud is set forward by 5 s; an exchange carries the new epoch before the announcement does.
     let stepped = |sent| ExchangeObservation { cloud_epoch: Some(1), ..exchange(sent, 5000) };
     let _ = knowledge.judge(&network(), &stepped(30), WAYS, now(34));
-    knowledge.edge_says(claim(0), now(0).raw);
-    let _ = knowledge.cloud_says(claim(0), now(0).raw);
+    knowledge.edge_announced(claim(0), now(0).raw);
+    let _ = knowledge.cloud_announced(claim(0), now(0).raw);
     for sent in [40, 50] {
         let ([up, down], _) = knowledge.judge(&network(), &stepped(sent), WAYS, now(sent + 4));
         assert!(up.value.is_some() && down.value.is_some(), "{up:?} {down:?}");
@@ -221,7 +223,7 @@ fn a_claim_made_before_a_step_does_not_come_back_with_the_next_news() {
 }
 
 #[test]
-fn networks_of_one_pair_share_the_relation_but_not_their_delays() {
+fn networks_of_pair_share_relation_but_not_delays() {
     let (mut knowledge, other) = (knowledge(), "zmq-udp".parse::<NetworkName>().expect("a name"));
     knowledge.join(&other);
     for sent in [0, 100, 200] {
@@ -232,8 +234,8 @@ fn networks_of_one_pair_share_the_relation_but_not_their_delays() {
     let of_now = |network| knowledge.now(network, now(400)).up.map(|up| up.count);
     assert_eq!((of_now(&network()), of_now(&other)), (Some(3), Some(1)));
 
-    let news = knowledge.turn(now(1001));
-    let [tcp, udp] = &news.samples[..] else { panic!("one for each network: {news:?}") };
+    let changes = knowledge.turn(now(1001));
+    let [tcp, udp] = &changes.samples[..] else { panic!("one for each network: {changes:?}") };
     assert_eq!((&tcp.network, &udp.network), (&network(), &other));
     assert_eq!((tcp.up.map(|up| up.count), udp.up.map(|up| up.count)), (Some(3), Some(1)));
     let delays_apart = ClockSample { network: network(), up: tcp.up, down: tcp.down, ..udp.clone() };
@@ -243,10 +245,12 @@ fn networks_of_one_pair_share_the_relation_but_not_their_delays() {
         (tcp.clone(), udp.clone())
     );
 
-    // What had its session's last delays in this second is told of once more.
+    // A network whose session had its last delays in this second gets one more sample.
     let _ = knowledge.judge(&network(), &exchange(1200, 0), WAYS, now(1204));
     knowledge.leave(&network());
-    let networks = |news: News| news.samples.into_iter().map(|sample| sample.network).collect::<Vec<_>>();
+    let networks = |changes: KnowledgeChanges| {
+        changes.samples.into_iter().map(|sample| sample.network).collect::<Vec<_>>()
+    };
     assert_eq!(networks(knowledge.settle_sessions(now(1300))), [network()]);
     assert_eq!(networks(knowledge.turn(now(2001))), std::slice::from_ref(&other));
     let _ = knowledge.probed(&ProbeResult::Sent, true, now(2100));
@@ -255,36 +259,37 @@ fn networks_of_one_pair_share_the_relation_but_not_their_delays() {
 }
 
 #[test]
-fn network_that_another_session_probes_for_is_told_of_two_seconds_longer() {
+fn ended_network_is_sampled_for_two_more_seconds() {
     let (mut knowledge, other) = (knowledge(), "zmq-udp".parse::<NetworkName>().expect("a name"));
     knowledge.join(&other);
     knowledge.leave(&other);
-    let mut told = |second: i64| {
+    let mut sample_count = |second: i64| {
         let _ = knowledge.probed(&ProbeResult::Sent, true, now(1_000 * second + 100));
         knowledge.turn(now(1_000 * (second + 1) + 1)).samples.len()
     };
-    assert_eq!([0, 1, 2, 3].map(&mut told), [2, 2, 1, 1]);
+    assert_eq!([0, 1, 2, 3].map(&mut sample_count), [2, 2, 1, 1]);
 }
 
 #[test]
-fn samples_of_a_network_that_ends_have_all_probes_of_its_time() {
+fn samples_of_ended_network_include_all_its_probes() {
     let (mut knowledge, other) = (knowledge(), "zmq-udp".parse::<NetworkName>().expect("a name"));
     knowledge.join(&other);
     let _ = knowledge.probed(&ProbeResult::Sent, true, now(900));
-    let mut news = vec![knowledge.turn(now(1_001))];
+    let mut changes = vec![knowledge.turn(now(1_001))];
     let _ = knowledge.probed(&ProbeResult::Sent, true, now(1_100));
     knowledge.leave(&network());
-    // The second ends before the task of the link counts the probes that nobody answered.
-    news.push(knowledge.turn(now(2_001)));
+    // The second ends before the link's task counts the unanswered probes.
+    changes.push(knowledge.turn(now(2_001)));
     let _ = knowledge.probed(&ProbeResult::Lost, true, now(2_002));
     let _ = knowledge.probed(&ProbeResult::Lost, true, now(2_003));
-    news.push(knowledge.settle_sessions(now(2_004)));
-    news.push(knowledge.turn(now(3_001)));
+    changes.push(knowledge.settle_sessions(now(2_004)));
+    changes.push(knowledge.turn(now(3_001)));
     let _ = knowledge.probed(&ProbeResult::Sent, true, now(3_100));
-    news.push(knowledge.turn(now(4_001)));
+    changes.push(knowledge.turn(now(4_001)));
 
     let probes = |of: &NetworkName| {
-        let samples = news.iter().flat_map(|news| &news.samples).filter(|sample| sample.network == *of);
+        let samples =
+            changes.iter().flat_map(|changes| &changes.samples).filter(|sample| sample.network == *of);
         samples.fold((0, 0), |(sent, lost), sample| (sent + sample.probes.sent, lost + sample.probes.lost))
     };
     assert_eq!(probes(&network()), (2, 2));
@@ -302,49 +307,50 @@ fn late_answer_counts_neither_as_answered_nor_as_refused() {
 }
 
 #[test]
-fn wall_clock_of_cloud_counts_only_where_it_is_related() {
+fn wall_clock_of_cloud_counts_only_if_related() {
     for clocks in [RelatedClocks::Raw, RelatedClocks::RawToWall] {
         let is_related = clocks == RelatedClocks::RawToWall;
         let mut knowledge = knowledge_of(clocks);
         for sent in [0, 100, 200] {
             let _ = knowledge.judge(&network(), &exchange(sent, 0), WAYS, now(sent + 4));
         }
-        // A cloud of an earlier release tells nothing of its free-running clock.
-        let raw = told(0, None).raw.filter(|_| !is_related);
+        // A cloud of an earlier release announces nothing about its free-running clock.
+        let raw = announcement(0, None).raw.filter(|_| !is_related);
         let stepped = PeerClock { epoch: 1, raw, ..PeerClock::default() };
-        let news = knowledge.cloud_says(stepped.clone(), now(250).raw);
-        assert_eq!(news.is_cloud_wall_set, !is_related);
+        let changes = knowledge.cloud_announced(stepped.clone(), now(250).raw);
+        assert_eq!(changes.is_cloud_wall_set, !is_related);
         assert_eq!(knowledge.now(&network(), now(260)).offset.is_none(), is_related, "{clocks}");
-        assert!(!knowledge.cloud_says(stepped, now(270).raw).is_cloud_wall_set, "told once");
+        assert!(!knowledge.cloud_announced(stepped, now(270).raw).is_cloud_wall_set, "told once");
     }
 }
 
 #[test]
-fn raw_difference_is_that_of_wall_clocks() {
+fn raw_difference_is_of_wall_clocks() {
     let mut knowledge = knowledge();
     let hour = Span::from_seconds(3_600);
-    let ways = [Way { raw: hour, bits: None }, Way { raw: -hour, bits: None }];
-    let ([up, down], _) = knowledge.judge(&network(), &exchange(0, 0), ways, now(4));
+    let message_delays = [MessageDelay { raw: hour, bits: None }, MessageDelay { raw: -hour, bits: None }];
+    let ([up, down], _) = knowledge.judge(&network(), &exchange(0, 0), message_delays, now(4));
     assert_eq!((up.raw, down.raw), (hour, -hour));
     let bounds = up.bounds.expect("bounded by itself alone");
     assert!(bounds.contains(Span::from_millis(1)) && bounds.hi < Span::from_millis(10), "{bounds:?}");
 }
 
 #[test]
-fn sample_says_what_its_bounds_rest_on_and_when_its_second_ended() {
+fn sample_has_basis_of_bounds_and_end_of_second() {
     let mut knowledge = knowledge();
     let _ = knowledge.judge(&network(), &exchange(300, 0), WAYS, now(304));
-    // The next look comes 80 ms late, after the wall clock was slewed: 900 ms of it were 890 ms of the free-running one.
+    // `turn` is called 80 ms late, after the wall clock was slewed: 900 ms of it were 890 ms of the free-running
+    // clock.
     let late = Stamp { raw: now(1_080).raw - Span::from_millis(10), ..now(1_080) };
-    let news = knowledge.turn(late);
-    let [sample] = &news.samples[..] else { panic!("one second: {news:?}") };
+    let changes = knowledge.turn(late);
+    let [sample] = &changes.samples[..] else { panic!("one second: {changes:?}") };
     let basis = sample.basis.expect("told");
     assert_eq!((sample.at, basis.clocks), (at(1_000), RelatedClocks::Raw));
     assert_eq!(basis.at_raw, Some(now(990).raw), "as long before the look as by the wall clock");
     assert!(basis.claims_trusted, "as this relation is set");
 }
 
-/// Messages that others sent: 30 ms to a cloud that is 5 s ahead, 20 ms there, 5 ms back.
+/// Returns stamps of messages that others sent: 30 ms to a cloud that is 5 s ahead, 20 ms there, 5 ms back.
 fn observed(sent: i64, edge: u32, cloud: u32) -> (Crossing, Crossing) {
     let here = |millis| HostStamp {
         wall: at(sent + millis),
@@ -361,7 +367,7 @@ fn observed(sent: i64, edge: u32, cloud: u32) -> (Crossing, Crossing) {
 }
 
 #[test]
-fn observed_stamps_are_judged_and_nothing_is_learnt_from_them() {
+fn observed_stamps_are_judged_without_learning() {
     let mut knowledge = knowledge();
     let (up, down) = observed(0, 0, 0);
     let [unknown, _] = knowledge.judge_stamps(&up, Some(&down));
@@ -379,7 +385,7 @@ fn observed_stamps_are_judged_and_nothing_is_learnt_from_them() {
     let sum = up_delay.and_then(|up| up.value).zip(down_delay.and_then(|down| down.value));
     let sum = sum.map(|(up, down)| up + down).expect("both have a value");
     assert!((sum - Span::from_millis(35)).abs() < Span::from_micros(5), "{sum}");
-    // A receiver here that was 40 ms late: the cloud's had the message before.
+    // The receiver on this host was 40 ms late: the cloud received the message before.
     let mut late = up;
     late.sender.raw = late.sender.raw + Span::from_millis(40);
     let [negative, _] = knowledge.judge_stamps(&late, None);
@@ -403,14 +409,14 @@ fn observed_stamps_of_another_epoch_are_stepped() {
     let stepped = [Some(Verdict::Stepped); 2];
     assert_ne!(verdicts(&knowledge, 0, 0), stepped);
     assert_eq!(verdicts(&knowledge, 0, 1), stepped, "the relation does not know of the step yet");
-    let _ = knowledge.cloud_says(told(1, None), now(400).raw);
+    let _ = knowledge.cloud_announced(announcement(1, None), now(400).raw);
     assert_eq!(verdicts(&knowledge, 0, 0), stepped, "they were made before the step");
     let (mut up, _) = observed(320, 0, 1);
     up.sender.epoch = None;
     assert_eq!(knowledge.judge_stamps(&up, None)[0].map(|delay| delay.verdict), Some(Verdict::Stepped));
 }
 
-/// Ten a second, of which the middle moves by 8 ms from the 20th on, and back from the 40th on.
+/// Ten exchanges a second, whose middle moves by 8 ms from the 20th on, and back from the 40th on.
 #[test]
 fn suspected_jump_begins_a_window_and_is_reported_once_a_minute() {
     let mut knowledge = knowledge();
@@ -425,12 +431,15 @@ fn suspected_jump_begins_a_window_and_is_reported_once_a_minute() {
         // Twelve milliseconds on the way, so that no exchange contradicts another one.
         stamps.sent = stamps.sent - Span::from_millis(5);
         stamps.returned = stamps.returned + Span::from_millis(5);
-        let (_, news) = knowledge.judge(&network(), &observation, WAYS, now(sent + 9));
-        jumps.extend(news.jump);
-        assert!(news.restart.is_none() && news.excess.is_none(), "{news:?}");
+        let (_, changes) = knowledge.judge(&network(), &observation, WAYS, now(sent + 9));
+        jumps.extend(changes.jump);
+        assert!(changes.restart.is_none() && changes.excess.is_none(), "{changes:?}");
         windows.insert(knowledge.now(&network(), now(sent + 9)).window);
     }
     let [jump] = jumps[..] else { panic!("{jumps:?}") };
-    assert!((jump.moved - Span::from_millis(8)).abs() < Span::from_millis(1) && jump.untold == 0, "{jump:?}");
+    assert!(
+        (jump.moved - Span::from_millis(8)).abs() < Span::from_millis(1) && jump.unreported == 0,
+        "{jump:?}"
+    );
     assert!(windows.contains(&before) && windows.len() == 3, "{windows:?}");
 }

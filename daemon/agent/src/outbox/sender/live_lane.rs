@@ -1,4 +1,4 @@
-//! Live updates: when one is due, and whether the connection takes it.
+//! Decides when a live update is due, and whether the connection has room for it.
 
 use peernet_clock::WallTime;
 use peernet_stream::{Accounting, Sending, ToAggregator, codec};
@@ -7,16 +7,16 @@ use crate::live::Receipt;
 use crate::outbox::connection::Connection;
 use crate::outbox::live_sources::LiveSources;
 
-/// The live lane of one connection.
+/// Live lane of one connection.
 #[derive(Debug)]
 pub(super) struct LiveLane {
     sources: LiveSources,
-    /// A live update is due.
+    /// `true` if a live update is due.
     is_due: bool,
-    /// It waits for room on the connection, not for the way to be free.
+    /// `true` if the update waits for room on the socket; otherwise it may wait for the flow control.
     is_blocked: bool,
-    /// Sessions that were over when the last update was sent. The aggregator stores the totals of their connections, which it knows from
-    /// the updates before.
+    /// Number of sessions that had ended when the last update was sent. The aggregator stores the totals of their
+    /// connections from earlier updates.
     told_ends: u64,
 }
 
@@ -25,7 +25,7 @@ impl LiveLane {
         Self { sources, is_due: false, is_blocked: false, told_ends: 0 }
     }
 
-    /// Time for an update.
+    /// Makes an update due.
     pub(super) const fn fall_due(&mut self) {
         self.is_due = true;
     }
@@ -34,28 +34,29 @@ impl LiveLane {
         self.is_due
     }
 
-    /// Whether an update waits for room on the connection.
+    /// Returns whether an update waits for room on the connection.
     pub(super) const fn is_blocked(&self) -> bool {
         self.is_due && self.is_blocked
     }
 
-    /// There is no connection: no update is due.
+    /// Handles the loss of the connection: no update is due.
     pub(super) const fn reset(&mut self) {
         (self.is_due, self.is_blocked) = (false, false);
     }
 
-    /// Number of connections to clouds that ended since the last update was sent: the last of their totals never reached the aggregator.
-    pub(super) fn untold_ends(&self) -> u64 {
+    /// Returns the number of connections to clouds that ended since the last update was sent: their final totals
+    /// never reached the aggregator.
+    pub(super) fn unreported_ends(&self) -> u64 {
         self.sources.links.ended_sessions().saturating_sub(self.told_ends)
     }
 
-    /// The aggregator may have been started anew and know no second of ours.
+    /// Marks all seconds as not sent, because the aggregator may have been restarted.
     pub(super) fn start_over(&self) {
         self.sources.live_statistics.start_over();
     }
 
-    /// Sends a live update, before all that waits for the connection: it is worth nothing later. On a slow link it is
-    /// made when it can go, not earlier.
+    /// Sends a live update if one may be sent, before everything else that waits, because it is useless later. On a
+    /// slow link it is composed when it can be sent, not earlier.
     pub(super) fn show(
         &mut self,
         machine: &mut Sending,
@@ -64,7 +65,7 @@ impl LiveLane {
         account: Accounting,
     ) {
         if !machine.is_up() {
-            // The aggregator wants none.
+            // Without a session the aggregator accepts no update.
             self.is_due = false;
             return;
         }
@@ -72,7 +73,7 @@ impl LiveLane {
         if !machine.may_show() {
             return;
         }
-        // Before the update is made: one that ends meanwhile is untold.
+        // Read before the update is composed: a session that ends in between is not in the update.
         let ends = self.sources.links.ended_sessions();
         let (frame, receipt) = self.update(machine, sent, account);
         let bytes = frame.len();
@@ -84,7 +85,7 @@ impl LiveLane {
         }
     }
 
-    /// The frame that says how everything is now.
+    /// Returns the frame of an update of the current state.
     pub(super) fn update(
         &self,
         machine: &Sending,

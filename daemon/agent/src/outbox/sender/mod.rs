@@ -1,4 +1,4 @@
-//! The outbox task: between the feed, the sending end of the event stream, the spool, and the connection.
+//! The outbox task. It connects the event queue, the sending end of the event stream, the spool, and the connection.
 
 mod event_intake;
 mod live_lane;
@@ -16,30 +16,30 @@ use tokio::time::{Instant, MissedTickBehavior};
 
 use self::event_intake::EventIntake;
 use self::live_lane::LiveLane;
-use super::line::{Happened, Line};
+use super::connection_state::{ConnectionEvent, ConnectionState};
 use super::live_sources::LiveSources;
 use super::reports::Reports;
 use super::shutdown::Shutdown;
 use super::spool::{Done, Order, SpoolTask, SpoolTaskError};
-use crate::event_queue::Exit;
+use crate::event_queue::QueueReceiver;
 use crate::live;
 use crate::reconnect_backoff::ReconnectBackoff;
 use crate::runs::Runs;
 
-/// How often the feed is emptied while events come. Looking is cheaper than being woken for each event, above all for
-/// the pipeline that would have to do the waking.
-const LOOK: Duration = Duration::from_millis(20);
+/// Interval at which the queue is emptied while events come. It is polled, because waking the task for each event
+/// would cost the pipeline more.
+const POLL_INTERVAL: Duration = Duration::from_millis(20);
 
-/// How long an aggregator may take to answer the hello; its machine may be busy, but not for this long.
-const WELCOME: Duration = Duration::from_secs(5);
+/// Longest wait for the aggregator's answer to the hello. Its machine may be busy, but not for longer.
+const WELCOME_TIMEOUT: Duration = Duration::from_secs(5);
 
-/// How long the last words may wait for room, and how long they may take to go out then.
-const LINGER: Duration = Duration::from_millis(250);
+/// Longest wait for room for the last update and the goodbye, and then for their being sent.
+const LAST_FRAMES_TIMEOUT: Duration = Duration::from_millis(250);
 
-/// How long closing the spool may take: what is in it is safe without.
-const CLOSING: Duration = Duration::from_secs(2);
+/// Longest time for closing the spool. Its content is safe without it.
+const CLOSE_TIMEOUT: Duration = Duration::from_secs(2);
 
-/// What the task works with.
+/// State of the outbox task.
 #[derive(Debug)]
 pub(super) struct Sender {
     machine: Sending,
@@ -49,9 +49,9 @@ pub(super) struct Sender {
     accounting: watch::Sender<Accounting>,
     clock: SharedClock,
     reports: Reports,
-    /// Frames that the connection had no room for: a window of batches at most.
+    /// Frames for which the connection had no room: a window of batches at most.
     held: VecDeque<Vec<u8>>,
-    /// The last try to reach the aggregator failed.
+    /// `true` if the last attempt to reach the aggregator failed.
     away: bool,
 }
 
@@ -59,39 +59,41 @@ impl Sender {
     pub(super) fn new(
         machine: Sending,
         spool: SpoolTask,
-        exit: Exit,
+        receiver: QueueReceiver,
         accounting: watch::Sender<Accounting>,
         reports: Reports,
         clock: SharedClock,
         (runs, live): (Runs, LiveSources),
     ) -> Self {
-        let intake = EventIntake::new(exit, runs, clock.mono());
+        let intake = EventIntake::new(receiver, runs, clock.mono());
         let (live, held) = (LiveLane::new(live), VecDeque::new());
         Self { machine, spool, intake, live, accounting, clock, reports, held, away: false }
     }
 
-    /// Sends until it is told to stop, and by when: then what is left is made safe, and sent as long as it is taken.
+    /// Sends until `stop` names a deadline. Then the remaining events are written to the spool, and sent as long as
+    /// the aggregator stores them.
     ///
     /// # Errors
-    /// When the spool's task has gone.
+    /// When the spool's task has ended.
     pub(super) async fn run(
         mut self,
         address: Address,
         mut reconnect_backoff: ReconnectBackoff,
         stop: oneshot::Receiver<Instant>,
     ) -> Result<(), SpoolTaskError> {
-        let mut looks = tokio::time::interval(LOOK);
+        let mut polls = tokio::time::interval(POLL_INTERVAL);
         let mut shows = tokio::time::interval(live::INTERVAL);
-        for ticks in [&mut looks, &mut shows] {
+        for ticks in [&mut polls, &mut shows] {
+            // One tick is enough after a stall, because each empties the queue completely.
             ticks.set_missed_tick_behavior(MissedTickBehavior::Delay);
         }
-        let mut stopping = pin!(told(stop));
+        let mut stopping = pin!(deadline_of(stop));
         let mut shutdown: Option<Shutdown> = None;
         let mut alarm = pin!(tokio::time::sleep(Duration::ZERO));
         let mut welcome = pin!(tokio::time::sleep(Duration::ZERO));
-        // Whether the connection is there, but nothing was heard on it yet.
+        // Whether a connection is open on which nothing has been received yet.
         let mut unanswered = false;
-        let mut line = Line::dial(&address, Duration::ZERO);
+        let mut connection_state = ConnectionState::dial(&address, Duration::ZERO);
         loop {
             let blocked = self.live.is_blocked() || !self.held.is_empty();
             let quiet = self.intake.is_quiet(self.clock.mono());
@@ -109,41 +111,43 @@ impl Sender {
                 done = self.spool.done() => {
                     self.spooled(done.ok_or(SpoolTaskError::Ended)?);
                 }
-                event = line.next(blocked) => match event {
-                    Happened::Connected(connection) => {
+                event = connection_state.next(blocked) => match event {
+                    ConnectionEvent::Connected(connection) => {
                         unanswered = true;
-                        welcome.as_mut().reset(Instant::now() + WELCOME);
+                        welcome.as_mut().reset(Instant::now() + WELCOME_TIMEOUT);
                         self.away = false;
                         self.machine.connected(self.clock.mono());
-                        line = Line::Open(connection);
+                        connection_state = ConnectionState::Open(connection);
                     }
-                    Happened::Failed(reason) => {
+                    ConnectionEvent::Failed(reason) => {
                         self.lost();
                         self.reports.away(&address, &reason);
-                        line = Line::dial(&address, reconnect_backoff.grow());
+                        connection_state = ConnectionState::dial(&address, reconnect_backoff.grow());
                     }
-                    Happened::Gone(reason) => {
+                    ConnectionEvent::Gone(reason) => {
                         unanswered = false;
                         self.lost();
                         self.reports.away(&address, &reason);
-                        line = Line::dial(&address, reconnect_backoff.grow());
+                        connection_state = ConnectionState::dial(&address, reconnect_backoff.grow());
                     }
-                    Happened::Message(frame) => {
-                        if self.hear(&frame) {
+                    ConnectionEvent::Message(frame) => {
+                        // Only a valid message proves that an aggregator answers: other programs may accept
+                        // connections as well.
+                        if self.handle_frame(&frame) {
                             unanswered = false;
                             reconnect_backoff.reset();
                         }
                     }
-                    // It is filled below.
-                    Happened::Room => {}
+                    // Frames are sent below.
+                    ConnectionEvent::Room => {}
                 },
                 () = &mut welcome, if unanswered => {
                     unanswered = false;
                     self.lost();
-                    self.reports.mute(&address);
-                    line = Line::dial(&address, reconnect_backoff.grow());
+                    self.reports.silent(&address);
+                    connection_state = ConnectionState::dial(&address, reconnect_backoff.grow());
                 }
-                _ = looks.tick(), if !quiet => self.take(),
+                _ = polls.tick(), if !quiet => self.take(),
                 Some(event) = self.intake.next(), if quiet => {
                     self.intake.offer(&mut self.machine, &event, self.clock.stamp());
                     self.take();
@@ -151,11 +155,11 @@ impl Sender {
                 () = &mut alarm, if shutdown.is_some() => {}
             }
             if shutdown.is_some() {
-                // What comes in now does not wait for company.
+                // During shutdown an event does not wait for its batch to fill.
                 self.take();
                 self.machine.flush(self.clock.wall());
             }
-            self.act(&line)?;
+            self.act(&connection_state)?;
             self.publish();
             if let Some(shutdown) = &mut shutdown {
                 match shutdown.next(Instant::now(), self.state()) {
@@ -164,16 +168,16 @@ impl Sender {
                 }
             }
         }
-        self.leave(line).await;
+        self.leave(connection_state).await;
         Ok(())
     }
 
-    /// Empties the feed, and lets time pass for the machine.
+    /// Moves all queued events to the state machine, and advances its time.
     fn take(&mut self) {
         self.intake.drain(&mut self.machine, self.clock.stamp());
     }
 
-    /// There is no connection.
+    /// Handles the loss of the connection, or a failed attempt.
     fn lost(&mut self) {
         self.machine.disconnected();
         self.held.clear();
@@ -181,8 +185,8 @@ impl Sender {
         self.away = true;
     }
 
-    async fn leave(mut self, line: Line) {
-        let closed = Instant::now() + CLOSING;
+    async fn leave(mut self, connection_state: ConnectionState) {
+        let closed = Instant::now() + CLOSE_TIMEOUT;
         self.give_up(closed).await;
         let account = self.count();
         if account.waiting > 0 {
@@ -191,8 +195,8 @@ impl Sender {
                 "stopped; what waits in the spool goes out after the next start"
             );
         }
-        let connections = self.live.untold_ends();
-        // Else the last update tells of them.
+        let connections = self.live.unreported_ends();
+        // If a session is up, the last update contains the ends of these connections.
         if connections > 0 && !self.machine.is_up() {
             tracing::warn!(
                 connections,
@@ -200,12 +204,12 @@ impl Sender {
                  not stored"
             );
         }
-        if let Line::Open(connection) = line {
-            let words = self.last_words();
-            if tokio::time::timeout(LINGER, connection.deliver(words)).await.is_err() {
+        if let ConnectionState::Open(connection) = connection_state {
+            let frames = self.last_frames();
+            if tokio::time::timeout(LAST_FRAMES_TIMEOUT, connection.deliver(frames)).await.is_err() {
                 tracing::debug!("the connection had no room for the last words");
             }
-            connection.close(LINGER).await;
+            connection.close(LAST_FRAMES_TIMEOUT).await;
         }
         self.publish();
         match tokio::time::timeout_at(closed, self.spool.close()).await {
@@ -217,22 +221,23 @@ impl Sender {
         }
     }
 
-    /// What is said when everything has ended: how it ended, and goodbye. The aggregator hears of this host no more, and
-    /// shows for good what it heard last.
-    fn last_words(&mut self) -> Vec<Vec<u8>> {
+    /// Returns the last frames of a session: a live update and the goodbye, in this order. The aggregator shows the
+    /// state of that update until the host comes back; from it follows whether the host left with nothing waiting.
+    fn last_frames(&mut self) -> Vec<Vec<u8>> {
         let update = || self.live.update(&self.machine, self.clock.wall(), self.count()).0;
         let update = self.machine.is_up().then(update);
         update.into_iter().chain(self.machine.goodbye()).collect()
     }
 
-    /// What is in memory only is lost with it; how much that is goes into the spool, for the next start to tell.
+    /// Handles events that are only in memory at the end: they are lost, and their number goes into the spool, for
+    /// the next start to report.
     async fn give_up(&mut self, by: Instant) {
         if self.machine.is_spooled() {
             return;
         }
         self.take();
         if self.machine.is_appending() {
-            // It may still get there.
+            // A write in progress may still succeed.
             let appended = self.appended(by).await;
             self.spooled(Done::Appended(appended));
         }
@@ -242,7 +247,7 @@ impl Sender {
         let counted = self.intake.is_counted();
         let unsafe_events = self.machine.unspooled_events();
         if counted && self.machine.has_sent_unspooled() {
-            // What of it is stored is asked of the aggregator: to write that all is lost would be wrong.
+            // Only the aggregator knows which of these it stored. Writing now that all are lost would be wrong.
             tracing::warn!(
                 events = unsafe_events,
                 "stopped before these events were in the spool or known to be stored; after the next start a gap will say \
@@ -278,7 +283,7 @@ impl Sender {
         }
     }
 
-    /// What becomes of the write to the spool that is under way.
+    /// Waits for the result of the append in progress.
     async fn appended(&mut self, by: Instant) -> Result<(), SpoolTaskError> {
         loop {
             match tokio::time::timeout_at(by, self.spool.done()).await {
@@ -291,8 +296,8 @@ impl Sender {
     }
 }
 
-/// By when to end, once somebody says so.
-async fn told(stop: oneshot::Receiver<Instant>) -> Instant {
+/// Waits for the deadline that `stop` names; for ever if it is dropped.
+async fn deadline_of(stop: oneshot::Receiver<Instant>) -> Instant {
     match stop.await {
         Ok(deadline) => deadline,
         Err(_) => std::future::pending().await,

@@ -1,18 +1,18 @@
-//! What the outbox does about the machine's wishes, the spool's answers and the aggregator's words.
+//! Handles actions of the state machine, results of the spool, and messages of the aggregator.
 
 use peernet_stream::{Accounting, Action, Notice, ToAgent, codec};
 
 use super::Sender;
-use crate::outbox::line::Line;
+use crate::outbox::connection_state::ConnectionState;
 use crate::outbox::reports::Welcome;
 use crate::outbox::shutdown::OutboxState;
 use crate::outbox::spool::{Done, Order, SpoolTaskError};
 
 impl Sender {
-    /// Does what the machine wants.
-    pub(super) fn act(&mut self, line: &Line) -> Result<(), SpoolTaskError> {
+    /// Performs the actions that the state machine wants.
+    pub(super) fn act(&mut self, connection_state: &ConnectionState) -> Result<(), SpoolTaskError> {
         if self.live.is_due()
-            && let Line::Open(connection) = line
+            && let ConnectionState::Open(connection) = connection_state
         {
             let account = self.count();
             self.live.show(&mut self.machine, connection, self.clock.wall(), account);
@@ -20,6 +20,8 @@ impl Sender {
         while let Some(action) = self.machine.next(self.clock.mono()) {
             let order = match action {
                 Action::Send(frame) => {
+                    // Recorded before it is sent. If the process is killed in between, the aggregator is asked about
+                    // a batch that it does not have, which does no harm.
                     if let Some(sent) = self.machine.sent_unspooled() {
                         self.intake.note_sent_unspooled(sent);
                     }
@@ -35,7 +37,7 @@ impl Sender {
             };
             self.spool.order(order)?;
         }
-        let Line::Open(connection) = line else { return Ok(()) };
+        let ConnectionState::Open(connection) = connection_state else { return Ok(()) };
         while let Some(frame) = self.held.pop_front() {
             if let Err(back) = connection.send(frame) {
                 self.held.push_front(back);
@@ -45,7 +47,7 @@ impl Sender {
         Ok(())
     }
 
-    /// The spool's task did something.
+    /// Handles a result of the spool's task.
     pub(super) fn spooled(&mut self, done: Done) {
         let now = self.clock.stamp();
         let notice = match done {
@@ -56,8 +58,8 @@ impl Sender {
             }
             Done::Appended(Err(reason)) => self.machine.append_failed(reason.to_string(), now),
             Done::Loaded(Ok(loaded)) => {
-                if let Some(what) = loaded.rotten {
-                    self.reports.rotten(what);
+                if let Some(what) = loaded.damage {
+                    self.reports.damage(what);
                 }
                 self.machine.loaded(loaded.batches, now)
             }
@@ -78,8 +80,8 @@ impl Sender {
         }
     }
 
-    /// A message came. Returns whether it was an aggregator that spoke.
-    pub(super) fn hear(&mut self, frame: &[u8]) -> bool {
+    /// Handles a received frame. Returns whether it is a message of an aggregator.
+    pub(super) fn handle_frame(&mut self, frame: &[u8]) -> bool {
         let message: ToAgent = match codec::decode(frame) {
             Ok(message) => message,
             Err(error) => {
@@ -100,19 +102,19 @@ impl Sender {
                     stored,
                     lacks,
                     waiting: self.count().waiting,
-                    untold_ends: self.live.untold_ends(),
+                    unreported_ends: self.live.unreported_ends(),
                 };
                 self.reports.welcomed(&aggregator, &welcome);
                 self.live.start_over();
                 if lacks {
-                    self.intake.repeat_beginnings(&mut self.machine, self.clock.stamp());
+                    self.intake.repeat_run_starts(&mut self.machine, self.clock.stamp());
                 }
             }
             Notice::Enrolling { aggregator } => self.reports.enrolling(&aggregator),
             Notice::Refused(reason) => self.reports.refused(&reason),
             Notice::StreamRenewed { stored, newest } => {
                 self.reports.renewed(stored, newest);
-                self.intake.repeat_beginnings(&mut self.machine, self.clock.stamp());
+                self.intake.repeat_run_starts(&mut self.machine, self.clock.stamp());
             }
             Notice::SpoolFailed(reason) => self.reports.spool_failed(&reason),
             Notice::SpoolRecovered => self.reports.spool_recovered(),
@@ -129,7 +131,7 @@ impl Sender {
         }
     }
 
-    /// The machine's account and what has not reached it.
+    /// Returns the counts of the state machine, with the events that have not reached it.
     pub(super) fn count(&self) -> Accounting {
         let mut account = self.machine.accounting();
         self.intake.add_to(&mut account);

@@ -1,4 +1,4 @@
-//! A spool file that is broken must not keep the robot from measuring: it is put aside, and a new one begins.
+//! Moves a broken spool file aside, so that it does not keep the robot from measuring: a new spool takes its place.
 
 use std::ffi::OsString;
 use std::fs;
@@ -7,18 +7,18 @@ use std::path::{Path, PathBuf};
 
 use peernet_clock::WallTime;
 
-/// Why a file was put aside, and where it is now.
+/// Result of moving a spool aside.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub(in crate::outbox) struct PutAside {
-    /// What was wrong with it.
+pub(in crate::outbox) struct QuarantinedSpool {
+    /// Damage of the file.
     pub(in crate::outbox) reason: String,
-    /// Its new name.
+    /// New path of the file.
     pub(in crate::outbox) kept: PathBuf,
 }
 
-/// Moves the spool and what belongs to it to a name of their own, from which the `sqlite3` shell may save something.
-/// Nobody may have it open.
-pub(super) fn put_aside(spool: &Path, reason: String, now: WallTime) -> io::Result<PutAside> {
+/// Renames the spool and its SQLite companions, from which the `sqlite3` shell may recover data. The spool must not
+/// be open.
+pub(super) fn quarantine(spool: &Path, reason: String, now: WallTime) -> io::Result<QuarantinedSpool> {
     let free = |seconds: i64| {
         let kept = beside(spool, &format!(".damaged-{seconds}"));
         (!kept.exists()).then_some(kept)
@@ -33,19 +33,19 @@ pub(super) fn put_aside(spool: &Path, reason: String, now: WallTime) -> io::Resu
     }
     match fs::remove_file(mark(spool)) {
         Err(error) if error.kind() != io::ErrorKind::NotFound => Err(error),
-        _ => Ok(PutAside { reason, kept }),
+        _ => Ok(QuarantinedSpool { reason, kept }),
     }
 }
 
-/// Notes that the spool turned out to be broken while it was open: the next start puts it aside.
+/// Marks a spool that turned out to be broken while it was open. The next start moves it aside.
 pub(super) fn condemn(spool: &Path, reason: &str) {
     if let Err(error) = fs::write(mark(spool), format!("{reason}\n")) {
         tracing::warn!(%error, "cannot note that the spool {} is broken", spool.display());
     }
 }
 
-/// Why the spool is known to be broken, if it is. A mark without a spool is left over: somebody took the file away, or
-/// putting it aside was interrupted after that.
+/// Returns why the spool is marked as broken, if it is. A mark without a spool is a leftover and is removed: the file
+/// was taken away, or moving it was interrupted.
 pub(super) fn condemned(spool: &Path) -> Option<String> {
     let reason = fs::read_to_string(mark(spool)).ok()?;
     if !spool.exists() {
@@ -61,7 +61,7 @@ fn mark(spool: &Path) -> PathBuf {
     beside(spool, "-condemned")
 }
 
-/// The path with something added to its last part.
+/// Returns the path with `ending` added to its last part.
 pub(super) fn beside(path: &Path, ending: &str) -> PathBuf {
     let mut name = OsString::from(path);
     name.push(ending);

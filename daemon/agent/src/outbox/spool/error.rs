@@ -1,4 +1,4 @@
-//! What can go wrong with the spool, in words that say what was tried, on which file, and what to do.
+//! Errors of the spool. Each text says what was tried, on which file, and what to do.
 
 use std::io;
 use std::path::PathBuf;
@@ -13,80 +13,80 @@ const FULL: i32 = 13;
 const CANNOT_OPEN: i32 = 14;
 const NOT_A_DATABASE: i32 = 26;
 
-/// Why a spool cannot be used at the start.
+/// Reason why a spool cannot be used at the start.
 #[derive(Debug, thiserror::Error)]
 pub enum SpoolError {
     /// SQLite cannot open or read the file.
     #[error("cannot open the spool {}: {source}; check that its folder exists, that this user may write there, and that the disk has room", .path.display())]
     Open {
-        /// The file.
+        /// Path of the spool.
         path: PathBuf,
-        /// SQLite's own words.
+        /// Error of SQLite.
         source: sqlx::Error,
     },
-    /// Its folder, or the file beside it that is locked, cannot be used.
+    /// The spool's folder or its lock file cannot be used.
     #[error("cannot {action} {}: {source}; check [spool] file and its permissions", .path.display())]
     Io {
-        /// What was tried.
+        /// Verb that says what was tried.
         action: &'static str,
-        /// On what.
+        /// File or folder on which it was tried.
         path: PathBuf,
-        /// The system's own words.
+        /// Error of the operating system.
         source: io::Error,
     },
-    /// Another agent has it.
+    /// Another agent has locked the spool.
     #[error("another agent uses the spool {}; stop it, or give each agent a [spool] file of its own", .0.display())]
     InUse(PathBuf),
-    /// Something else is there under its name.
+    /// The file is not a spool.
     #[error("the file {} {objection}", .path.display())]
     NotASpool {
-        /// The file.
+        /// Path of the file.
         path: PathBuf,
-        /// What it is, and what to do.
+        /// Text that says what the file is, and what to do.
         objection: &'static str,
     },
-    /// It was written by a newer version.
+    /// The spool was written by a newer version.
     #[error("the spool {} was written by a newer version (its schema {found}, known here {known}); update this program, or choose another file with [spool] file", .path.display())]
     NewerSchema {
-        /// The file.
+        /// Path of the spool.
         path: PathBuf,
         /// Schema in the file.
         found: i64,
         /// Newest schema that this version knows.
         known: i64,
     },
-    /// Its schema cannot be brought up to date.
+    /// The schema cannot be migrated.
     #[error("cannot bring the schema of the spool {} up to date: {source}; move the file away to begin with an empty one", .path.display())]
     Migrate {
-        /// The file.
+        /// Path of the spool.
         path: PathBuf,
-        /// The failed step in sqlx's words.
+        /// Error of the failed migration.
         source: MigrateError,
     },
-    /// It holds the events of another host.
+    /// The spool belongs to another host.
     #[error("the spool {} holds events of the host {found}, and this host is {own}; put back the file host-id that belongs to it, or choose another file with [spool] file", .path.display())]
     OtherHost {
-        /// The file.
+        /// Path of the spool.
         path: PathBuf,
-        /// Whose it is.
+        /// Id of the host whose events it holds.
         found: String,
-        /// Whose it should be.
+        /// Id of this host.
         own: HostId,
     },
-    /// What it says of itself makes no sense.
+    /// The data of the spool contradict each other.
     #[error("the spool {} is damaged: {what}", .path.display())]
     Damaged {
-        /// The file.
+        /// Path of the spool.
         path: PathBuf,
-        /// What is wrong.
+        /// Contradiction that was found.
         what: SpoolDefect,
     },
 }
 
-/// What makes a spool unusable although SQLite can read it.
+/// Defect of a spool that SQLite can read.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum SpoolDefect {
-    /// An earlier process found the file broken and wrote down what it saw.
+    /// An earlier process found the file broken and left a mark with the reason.
     #[error("{0}")]
     Condemned(String),
     /// The id of its stream cannot be read.
@@ -98,17 +98,17 @@ pub enum SpoolDefect {
     /// The numbers of its batches contradict each other.
     #[error("it begins at batch {first}, was acknowledged up to {acknowledged} and ends at {newest}")]
     BatchNumbers {
-        /// The first batch of the stream.
+        /// First batch of the stream.
         first: i64,
-        /// The last batch that the aggregator has.
+        /// Last batch that the aggregator acknowledged.
         acknowledged: u64,
-        /// The last batch that was written.
+        /// Last batch that was written.
         newest: u64,
     },
 }
 
 impl SpoolError {
-    /// Whether the file itself is broken: trying again, more rights or more room will not help.
+    /// Returns whether the file itself is broken, so that trying again, other permissions or more room will not help.
     pub(super) fn is_damage(&self) -> bool {
         match self {
             Self::Damaged { .. } => true,
@@ -119,8 +119,8 @@ impl SpoolError {
         }
     }
 
-    /// Whether more room may help. SQLite is not always clear about it: where the index of the log has no place, it
-    /// speaks of the file or of its input and output.
+    /// Returns whether more room may help. SQLite is not always clear: if the index of its log does not fit, it
+    /// reports an error of opening or of input and output.
     pub(super) fn may_lack_room(&self) -> bool {
         matches!(
             self,
@@ -130,43 +130,43 @@ impl SpoolError {
     }
 }
 
-/// Why something could not be done with a spool that is open.
+/// Error of an operation on an open spool.
 #[derive(Debug, thiserror::Error)]
-pub(in crate::outbox) enum Trouble {
-    /// The path names another file or none: what is written now is lost when this process ends.
+pub(in crate::outbox) enum SpoolFileError {
+    /// The path names another file or none. What is written now would be lost when this process ends.
     #[error("the spool {} was deleted, moved or replaced while it was in use; put it back. A restart of the agent begins a new one, and what the old one held and was not stored is lost with it", .0.display())]
     Moved(PathBuf),
     /// The disk is full.
     #[error("cannot {action} the spool {}: the disk is full; free some room, it is tried again", .path.display())]
     Full {
-        /// What was tried.
+        /// Verb that says what was tried.
         action: &'static str,
-        /// The file.
+        /// Path of the spool.
         path: PathBuf,
     },
     /// The file is broken.
     #[error("cannot {action} the spool {}: {source}; restart the agent, which then puts the file aside and begins a new one", .path.display())]
     Corrupt {
-        /// What was tried.
+        /// Verb that says what was tried.
         action: &'static str,
-        /// The file.
+        /// Path of the spool.
         path: PathBuf,
-        /// SQLite's own words.
+        /// Error of SQLite.
         source: sqlx::Error,
     },
-    /// Anything else.
+    /// Any other error.
     #[error("cannot {action} the spool {}: {source}; check the disk and the file's permissions, it is tried again", .path.display())]
     Failed {
-        /// What was tried.
+        /// Verb that says what was tried.
         action: &'static str,
-        /// The file.
+        /// Path of the spool.
         path: PathBuf,
-        /// SQLite's own words.
+        /// Error of SQLite.
         source: sqlx::Error,
     },
 }
 
-impl Trouble {
+impl SpoolFileError {
     pub(super) fn new(action: &'static str, path: PathBuf, source: sqlx::Error) -> Self {
         match code(&source) {
             Some(FULL) => Self::Full { action, path },
@@ -176,17 +176,17 @@ impl Trouble {
     }
 }
 
-/// Whether SQLite says that the disk is full.
+/// Returns whether SQLite reports that the disk is full.
 pub(super) fn is_full(error: &sqlx::Error) -> bool {
     code(error) == Some(FULL)
 }
 
-/// Whether SQLite says that the file itself is broken.
+/// Returns whether SQLite reports that the file is broken.
 pub(super) fn is_corrupt(error: &sqlx::Error) -> bool {
     matches!(code(error), Some(CORRUPT | NOT_A_DATABASE))
 }
 
-/// SQLite's primary result code, if it was SQLite that failed.
+/// Returns SQLite's primary result code, if the error is one of SQLite.
 fn code(error: &sqlx::Error) -> Option<i32> {
     let code: i32 = error.as_database_error()?.code()?.parse().ok()?;
     Some(code & 0xff)

@@ -1,4 +1,4 @@
-//! What is done with the open file: one transaction per call.
+//! Operations on an open spool file, each in one transaction.
 
 use std::fmt;
 use std::fs::File;
@@ -13,7 +13,7 @@ use sqlx::{Connection, SqliteConnection};
 use tokio::task::JoinHandle;
 
 use super::aside::beside;
-use super::error::Trouble;
+use super::error::SpoolFileError;
 use super::open::chain;
 use super::reserve::Reserve;
 use super::statements::{checkpoint, delete, give_all_back, insert, vacuum};
@@ -22,7 +22,7 @@ use super::tail;
 use crate::event_queue::counter;
 use crate::lock::FileLock;
 
-/// A spool file that is open, of one stream of one host.
+/// An open spool file: the stream of one host.
 #[derive(Debug)]
 pub(in crate::outbox) struct SpoolFile {
     path: PathBuf,
@@ -30,19 +30,19 @@ pub(in crate::outbox) struct SpoolFile {
     identity: (u64, u64),
     connection: SqliteConnection,
     reserve: Reserve,
-    /// Whether this process counts what is handed in.
+    /// `true` if this process counts the events that are queued.
     counts: bool,
     _lock: FileLock,
 }
 
-/// What was read.
+/// Result of reading batches.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(in crate::outbox) struct Loaded {
-    /// Contiguous batches that are as they were written, as far as that can be checked: the first one cannot when the
-    /// one before it is not there.
+    /// Contiguous batches that are unchanged, as far as that can be checked. The first one cannot be checked if the
+    /// previous one is missing.
     pub(in crate::outbox) batches: Vec<SpooledBatch>,
-    /// Why there are no more of them, if that is not how it should be.
-    pub(in crate::outbox) rotten: Option<String>,
+    /// Damage that ends the list; `None` if it ends for another reason.
+    pub(in crate::outbox) damage: Option<String>,
 }
 
 impl SpoolFile {
@@ -57,52 +57,63 @@ impl SpoolFile {
         Ok(Self { path, identity, connection, reserve, counts, _lock: lock })
     }
 
-    /// Its path.
+    /// Returns the path of the file.
     pub(in crate::outbox) fn path(&self) -> &Path {
         &self.path
     }
 
-    /// Writes batches and what is counted up to the last of them: all or nothing. Without batches it is on the medium
-    /// afterwards, and a full disk need not stand in its way: how much was lost must not be lost as well.
+    /// Writes batches together with the totals up to the last of them, or nothing. Without batches the totals are
+    /// synced to the disk, and the reserve is used if the disk is full, because the number of lost events must not be
+    /// lost as well.
     pub(in crate::outbox) async fn append(
         &mut self,
         batches: &[SpooledBatch],
         totals: &Totals,
-    ) -> Result<(), Trouble> {
+    ) -> Result<(), SpoolFileError> {
         const ACTION: &str = "append to";
         self.in_place()?;
+        // Batches must not use the last room: without a complete reserve nothing could be deleted on a full disk.
         if !self.reserve.take() && !batches.is_empty() {
-            return Err(Trouble::Full { action: ACTION, path: self.path.clone() });
+            return Err(SpoolFileError::Full { action: ACTION, path: self.path.clone() });
         }
         let resolved = match totals.unreported {
-            Some(_) => tail::unresolved_counter(&mut self.connection).await.map_err(self.trouble(ACTION))?,
+            Some(_) => {
+                tail::unresolved_counter(&mut self.connection).await.map_err(self.file_error(ACTION))?
+            }
             None => None,
         };
         match self.try_to_append(ACTION, batches, totals).await {
-            Err(Trouble::Full { .. }) if batches.is_empty() && self.reserve.release() => {
+            Err(SpoolFileError::Full { .. }) if batches.is_empty() && self.reserve.release() => {
                 let appended = self.append_on_full_disk(ACTION, totals).await;
                 self.reserve.take();
                 appended?;
             }
             appended => appended?,
         }
+        // The file now has the losses of the earlier process, whose counts are no longer needed.
         if let Some(counter) = resolved {
             counter::remove(&counter);
         }
         if batches.is_empty() {
-            // What is sent next may be stored over there: a power cut must not make the file forget who sent it.
+            // The aggregator may store what is sent next. A power cut must not make the file forget which process
+            // sent it.
             self.sync(ACTION).await?;
         }
         Ok(())
     }
 
-    /// Reads batches from a number on, at least one, until they exceed so many bytes.
-    pub(in crate::outbox) async fn load(&mut self, from: u64, bytes: usize) -> Result<Loaded, Trouble> {
-        let mut loaded = Loaded { batches: Vec::new(), rotten: None };
+    /// Reads batches from number `from` on: at least one, until their length exceeds `bytes`.
+    pub(in crate::outbox) async fn load(
+        &mut self,
+        from: u64,
+        bytes: usize,
+    ) -> Result<Loaded, SpoolFileError> {
+        let mut loaded = Loaded { batches: Vec::new(), damage: None };
         let mut size = 0;
-        // A damaged page in front of it is no reason not to read on: what follows a hole cannot be checked either.
+        // A damaged page before `from` must not prevent reading. After a gap the first batch cannot be checked
+        // either.
         let mut before = match self.chain_before(from).await {
-            Err(Trouble::Corrupt { .. }) => None,
+            Err(SpoolFileError::Corrupt { .. }) => None,
             chain => chain?,
         };
         let mut number = from;
@@ -112,33 +123,34 @@ impl SpoolFile {
                     (size, before) = (size + batch.body.len(), Some(batch.chain));
                     loaded.batches.push(batch);
                 }
-                // The end, unless it is the very batch that was asked for.
-                Ok(Err(Rot::Missing)) if !loaded.batches.is_empty() => break,
-                Ok(Err(rot)) => {
-                    loaded.rotten = Some(self.rotten(number, rot));
+                // A missing batch is the end of the list, unless it is the first one.
+                Ok(Err(BatchDamage::Missing)) if !loaded.batches.is_empty() => break,
+                Ok(Err(batch_damage)) => {
+                    loaded.damage = Some(self.damage(number, batch_damage));
                     break;
                 }
-                Err(Trouble::Corrupt { source, .. }) => {
-                    loaded.rotten = Some(self.rotten(number, format!("cannot be read ({source})")));
+                Err(SpoolFileError::Corrupt { source, .. }) => {
+                    loaded.damage = Some(self.damage(number, format!("cannot be read ({source})")));
                     break;
                 }
+                // What was read is sent first. If the error persists, the next call returns it.
                 Err(_) if !loaded.batches.is_empty() => break,
-                Err(trouble) => return Err(trouble),
+                Err(file_error) => return Err(file_error),
             }
             number += 1;
         }
         Ok(loaded)
     }
 
-    /// Deletes the batches up to a number and remembers the chain of that batch.
+    /// Deletes the batches up to number `through` and stores the chain of that batch.
     pub(in crate::outbox) async fn delete_through(
         &mut self,
         through: u64,
         chain: Chain,
-    ) -> Result<(), Trouble> {
+    ) -> Result<(), SpoolFileError> {
         self.in_place()?;
         match self.try_to_delete(through, chain).await {
-            Err(Trouble::Full { .. }) if self.reserve.release() => {
+            Err(SpoolFileError::Full { .. }) if self.reserve.release() => {
                 let deleted = self.delete_on_full_disk(through, chain).await;
                 self.reserve.take();
                 deleted
@@ -147,13 +159,13 @@ impl SpoolFile {
         }
     }
 
-    /// The file belongs to another stream from now on, which begins at `first`, behind so many events.
+    /// Changes the file to another stream, which begins at batch `first` after `events_before` events.
     pub(in crate::outbox) async fn renew(
         &mut self,
         stream: StreamId,
         previous: StreamId,
         (first, events_before): (u64, u64),
-    ) -> Result<(), Trouble> {
+    ) -> Result<(), SpoolFileError> {
         const ACTION: &str = "begin a new stream in";
         self.in_place()?;
         let statement =
@@ -165,17 +177,18 @@ impl SpoolFile {
             .bind(events_before.cast_signed())
             .execute(&mut self.connection)
             .await;
-        renewed.map_err(self.trouble(ACTION))?;
+        renewed.map_err(self.file_error(ACTION))?;
         self.in_place()?;
-        // A power cut must not bring the old stream back: what was stored in the new one would be sent once more.
+        // Without this sync a power cut could restore the old stream, and what was stored in the new one would be
+        // sent again.
         self.sync(ACTION).await
     }
 
-    /// Gives the disk what a backlog needed, some at a time.
-    pub(in crate::outbox) async fn shrink(&mut self) -> Result<bool, Trouble> {
+    /// Returns part of the unused pages to the file system, after a backlog. Returns whether there is more to do.
+    pub(in crate::outbox) async fn shrink(&mut self) -> Result<bool, SpoolFileError> {
         let shrunk = vacuum(&mut self.connection).await;
-        match shrunk.map_err(self.trouble("shrink")) {
-            Err(Trouble::Full { .. }) if self.reserve.release() => {
+        match shrunk.map_err(self.file_error("shrink")) {
+            Err(SpoolFileError::Full { .. }) if self.reserve.release() => {
                 let shrunk = self.shrink_on_full_disk().await;
                 self.reserve.take();
                 shrunk.map(|()| false)
@@ -184,18 +197,18 @@ impl SpoolFile {
         }
     }
 
-    /// The log, in which all is before it is in the file.
+    /// Returns SQLite's log, to which every change is written before it is moved to the file.
     pub(in crate::outbox) fn log(&self) -> Log {
         Log(beside(&self.path, "-wal"))
     }
 
-    /// Moves the log into the file and closes it.
-    pub(in crate::outbox) async fn close(self) -> Result<(), Trouble> {
+    /// Moves the log to the file and closes the file.
+    pub(in crate::outbox) async fn close(self) -> Result<(), SpoolFileError> {
         let path = self.path;
-        self.connection.close().await.map_err(|source| Trouble::new("close", path, source))
+        self.connection.close().await.map_err(|source| SpoolFileError::new("close", path, source))
     }
 
-    /// The connection, for tests that make the disk small.
+    /// Returns the connection, for tests that limit the size of the file.
     #[cfg(test)]
     pub(super) fn connection(&mut self) -> &mut SqliteConnection {
         &mut self.connection
@@ -206,47 +219,51 @@ impl SpoolFile {
         action: &'static str,
         batches: &[SpooledBatch],
         totals: &Totals,
-    ) -> Result<(), Trouble> {
+    ) -> Result<(), SpoolFileError> {
         let written = insert(&mut self.connection, batches, totals, self.counts).await;
         self.end(action, written).await
     }
 
-    /// Empties the log first: what is counted again and again then takes no more of the disk each time.
-    async fn append_on_full_disk(&mut self, action: &'static str, totals: &Totals) -> Result<(), Trouble> {
-        checkpoint(&mut self.connection).await.map_err(self.trouble(action))?;
+    /// Empties the log first, so that repeated writes of the totals do not make it longer each time.
+    async fn append_on_full_disk(
+        &mut self,
+        action: &'static str,
+        totals: &Totals,
+    ) -> Result<(), SpoolFileError> {
+        checkpoint(&mut self.connection).await.map_err(self.file_error(action))?;
         self.try_to_append(action, &[], totals).await
     }
 
-    async fn try_to_delete(&mut self, through: u64, chain: Chain) -> Result<(), Trouble> {
+    async fn try_to_delete(&mut self, through: u64, chain: Chain) -> Result<(), SpoolFileError> {
         let deleted = delete(&mut self.connection, through, chain).await;
         self.end("delete from", deleted).await
     }
 
-    /// Empties the log first, which may hold more than the reserve, and gives the disk what was deleted.
-    async fn delete_on_full_disk(&mut self, through: u64, chain: Chain) -> Result<(), Trouble> {
-        checkpoint(&mut self.connection).await.map_err(self.trouble("delete from"))?;
+    /// Empties the log first, which may be longer than the reserve, and returns the deleted pages to the file system.
+    async fn delete_on_full_disk(&mut self, through: u64, chain: Chain) -> Result<(), SpoolFileError> {
+        checkpoint(&mut self.connection).await.map_err(self.file_error("delete from"))?;
         self.try_to_delete(through, chain).await?;
         self.shrink_on_full_disk().await
     }
 
-    /// Gives the disk all that is free.
-    async fn shrink_on_full_disk(&mut self) -> Result<(), Trouble> {
+    /// Returns all unused pages to the file system.
+    async fn shrink_on_full_disk(&mut self) -> Result<(), SpoolFileError> {
         let given = async {
             checkpoint(&mut self.connection).await?;
             give_all_back(&mut self.connection).await
         };
-        given.await.map_err(self.trouble("shrink"))
+        given.await.map_err(self.file_error("shrink"))
     }
 
-    /// The chain of the batch before; `None` when it is not known any more.
-    async fn chain_before(&mut self, number: u64) -> Result<Option<Chain>, Trouble> {
+    /// Returns the chain of the batch before `number`; `None` if it is no longer known.
+    async fn chain_before(&mut self, number: u64) -> Result<Option<Chain>, SpoolFileError> {
         let bytes: Option<Vec<u8>> = sqlx::query_scalar(
             "SELECT chain FROM batch WHERE number = ?1 UNION ALL SELECT chain FROM stream WHERE acknowledged = ?1",
         )
         .bind((number.saturating_sub(1)).cast_signed())
         .fetch_optional(&mut self.connection)
         .await
-        .map_err(self.trouble("read"))?;
+        .map_err(self.file_error("read"))?;
         Ok(bytes.and_then(|bytes| chain(&bytes).ok()))
     }
 
@@ -254,87 +271,91 @@ impl SpoolFile {
         &mut self,
         number: u64,
         before: Option<Chain>,
-    ) -> Result<Result<SpooledBatch, Rot>, Trouble> {
+    ) -> Result<Result<SpooledBatch, BatchDamage>, SpoolFileError> {
         let row: Option<(i64, u32, Vec<u8>, Vec<u8>)> =
             sqlx::query_as("SELECT since_ns, events, chain, body FROM batch WHERE number = ?")
                 .bind(number.cast_signed())
                 .fetch_optional(&mut self.connection)
                 .await
-                .map_err(self.trouble("read"))?;
-        let Some((since, events, kept, body)) = row else { return Ok(Err(Rot::Missing)) };
+                .map_err(self.file_error("read"))?;
+        let Some((since, events, kept, body)) = row else { return Ok(Err(BatchDamage::Missing)) };
         let since = WallTime::from_unix_nanos(since);
         Ok(match chain(&kept) {
-            // Behind a hole it cannot be checked here; what follows it can.
+            // A batch after a gap cannot be checked here; the one after it can.
             Ok(chain) if before.is_none_or(|before| before.then(events, &body) == chain) => {
                 Ok(SpooledBatch { number, since, events, chain, body: Bytes::from(body) })
             }
-            _ => Err(Rot::Changed),
+            _ => Err(BatchDamage::Changed),
         })
     }
 
-    fn rotten(&self, number: u64, what: impl fmt::Display) -> String {
+    fn damage(&self, number: u64, what: impl fmt::Display) -> String {
         format!("batch {number} in the spool {} {what}; it cannot be sent", self.path.display())
     }
 
-    /// Waits until the log is on the medium.
-    async fn sync(&mut self, action: &'static str) -> Result<(), Trouble> {
+    /// Waits until the log is on the disk.
+    async fn sync(&mut self, action: &'static str) -> Result<(), SpoolFileError> {
         let synced = ended(&mut self.log().sync()).await;
-        synced.map_err(|error| self.trouble(action)(sqlx::Error::Io(error)))
+        synced.map_err(|error| self.file_error(action)(sqlx::Error::Io(error)))
     }
 
-    /// Commits what went well, and undoes what did not.
-    async fn end(&mut self, action: &'static str, result: Result<(), sqlx::Error>) -> Result<(), Trouble> {
+    /// Commits a transaction that succeeded, and rolls back one that failed.
+    async fn end(
+        &mut self,
+        action: &'static str,
+        result: Result<(), sqlx::Error>,
+    ) -> Result<(), SpoolFileError> {
         let ended = match result {
             Ok(()) => sqlx::query("COMMIT").execute(&mut self.connection).await.map(drop),
             Err(error) => Err(error),
         };
         if let Err(error) = ended {
-            // After some errors SQLite has undone it already, and says that there is nothing to undo.
+            // After some errors SQLite has rolled back already and reports that there is nothing to roll back.
             if let Err(error) = sqlx::query("ROLLBACK").execute(&mut self.connection).await {
                 tracing::debug!(%error, "nothing to roll back in the spool");
             }
-            return Err(self.trouble(action)(error));
+            return Err(self.file_error(action)(error));
         }
         self.in_place()
     }
 
-    /// Whether the path still names the open file: two words of the file system's cache.
-    fn in_place(&self) -> Result<(), Trouble> {
+    /// Checks that the path still names the open file. This is cheap: the file system answers from its cache.
+    fn in_place(&self) -> Result<(), SpoolFileError> {
         match identity(&self.path) {
             Ok(identity) if identity == self.identity => Ok(()),
-            _ => Err(Trouble::Moved(self.path.clone())),
+            _ => Err(SpoolFileError::Moved(self.path.clone())),
         }
     }
 
-    fn trouble(&self, action: &'static str) -> impl Fn(sqlx::Error) -> Trouble + use<> {
+    fn file_error(&self, action: &'static str) -> impl Fn(sqlx::Error) -> SpoolFileError + use<> {
         let path = self.path.clone();
-        move |source| Trouble::new(action, path.clone(), source)
+        move |source| SpoolFileError::new(action, path.clone(), source)
     }
 }
 
-/// What is wrong with a batch.
+/// Damage of one batch.
 #[derive(Debug, thiserror::Error)]
-enum Rot {
+enum BatchDamage {
     #[error("is not there")]
     Missing,
     #[error("is not what was written")]
     Changed,
 }
 
-/// SQLite's log file.
+/// SQLite's log file (write-ahead log).
 #[derive(Clone, Debug)]
 pub(in crate::outbox) struct Log(PathBuf);
 
 impl Log {
-    /// Puts on the disk what is in the log, on a thread that may block: a memory card takes seconds now and then.
+    /// Syncs the log to the disk, on a thread that may block, because a memory card sometimes takes seconds.
     ///
-    /// The file is opened for it: SQLite does not lock the log, so that closing it again takes no lock away. (The
-    /// spool's own file must never be opened beside SQLite: closing that would.)
+    /// The log is opened for it. SQLite does not lock the log, so that closing this descriptor releases no lock. (The
+    /// spool's own file must never be opened besides SQLite: closing that descriptor would release SQLite's locks.)
     pub(super) fn sync(&self) -> JoinHandle<io::Result<()>> {
         let path = self.0.clone();
         tokio::task::spawn_blocking(move || match File::open(path) {
             Ok(log) => log.sync_data(),
-            // There is none before the first transaction.
+            // There is no log before the first transaction.
             Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(()),
             Err(error) => Err(error),
         })

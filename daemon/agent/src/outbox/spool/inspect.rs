@@ -1,4 +1,4 @@
-//! Looking into a spool from outside, beside its agent or without one.
+//! Inspection of a spool by another program, with or without a running agent.
 
 use std::path::Path;
 use std::time::Duration;
@@ -10,90 +10,90 @@ use sqlx::sqlite::SqliteConnectOptions;
 use sqlx::{ConnectOptions, Connection, SqliteConnection};
 
 use super::error::is_corrupt;
-use super::look::APPLICATION_ID;
+use super::file_kind::APPLICATION_ID;
 
-/// Time to wait for another program that locks the file.
-const BUSY: Duration = Duration::from_secs(10);
+/// Longest wait for another program that has locked the file.
+const BUSY_TIMEOUT: Duration = Duration::from_secs(10);
 
-/// The contents of a spool.
+/// Contents of a spool.
 #[derive(Clone, Debug, Default, Serialize)]
 pub struct Inspection {
-    /// The host's id.
+    /// Id of the host.
     pub host: String,
-    /// The stream's id.
+    /// Id of the stream.
     pub stream: String,
-    /// All batches up to this number are stored by the aggregator.
+    /// Number of the last batch that the aggregator has acknowledged.
     pub acknowledged: i64,
-    /// Batches that wait.
+    /// Number of waiting batches.
     pub batches: u64,
-    /// Numbers of the first and the last of them.
+    /// Numbers of the first and the last waiting batch.
     pub waiting: Option<(i64, i64)>,
-    /// Begin of the first of them, nanoseconds since 1970 UTC.
+    /// Start time of the first waiting batch, nanoseconds since 1970 UTC.
     pub oldest_ns: Option<i64>,
-    /// Events in them.
+    /// Number of events in the waiting batches.
     pub events: u64,
-    /// Bytes of these events.
+    /// Number of bytes of these events.
     pub bytes: u64,
-    /// Events that were handed in since the file was made.
+    /// Number of events that were queued since the file was created.
     pub produced: i64,
-    /// Of those, dropped, and counted in gaps.
+    /// Number of these events that were dropped and counted in gaps.
     pub dropped: i64,
-    /// Of the dropped ones, those that were in the memory of an agent that was killed; the others found no room. `None` in a
-    /// spool of an earlier release, which did not tell them apart.
+    /// Number of dropped events that were in the memory of a killed agent; the others found no room. `None` in a
+    /// spool of an earlier release, which did not count them separately.
     pub lost_when_killed: Option<i64>,
-    /// Every damage that was found.
+    /// All damage that was found.
     #[serde(skip)]
     pub damages: Vec<SpoolDamage>,
 }
 
-/// One thing that is wrong with a spool.
+/// One damage of a spool.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum SpoolDamage {
-    /// SQLite finds its file broken.
+    /// SQLite finds the file broken.
     #[error("the spool is damaged in {places} places, the first: {first}")]
     Pages {
         /// Number of findings, at most 100.
         places: usize,
-        /// SQLite's words of the first.
+        /// SQLite's text of the first finding.
         first: String,
     },
-    /// SQLite cannot read on.
+    /// SQLite cannot read further.
     #[error("the spool is damaged, or none: {0}")]
     Unreadable(String),
-    /// It does not say whose events it holds.
+    /// The spool has no stream, and so no host.
     #[error("the spool has no stream")]
     NoStream,
-    /// Batches do not have the hash that they had.
+    /// Batches do not match their hashes.
     #[error("{batches} batches are not what was spooled, the first is number {first}")]
     Altered {
-        /// Number of such batches.
+        /// Number of these batches.
         batches: usize,
-        /// The number of the first.
+        /// Number of the first of them.
         first: i64,
     },
-    /// Batches are missing in between.
+    /// Batches are missing before this number.
     #[error("batches are missing before number {0}")]
     Missing(i64),
 }
 
-/// The reason why a file cannot be inspected.
+/// Reason why a file cannot be inspected.
 #[derive(Debug, thiserror::Error)]
 pub enum InspectError {
-    /// It is an aggregator's database.
+    /// The file is an aggregator's database.
     #[error("it is an aggregator's database and not an agent's spool")]
     Database,
-    /// It is an empty file.
+    /// The file is empty.
     #[error("it is an empty file and not an agent's spool")]
     Empty,
-    /// It is something else.
+    /// The file is a database of another program.
     #[error("it is the database of another program and not an agent's spool")]
     Other,
-    /// It cannot be opened or read now.
+    /// The file cannot be opened or read.
     #[error(transparent)]
     Read(#[from] SpoolReadError),
 }
 
-/// SQLite cannot open or read a spool, in its own words.
+/// Error of SQLite when a spool cannot be opened or read.
 #[derive(Debug, thiserror::Error)]
 #[error(transparent)]
 pub struct SpoolReadError(#[from] sqlx::Error);
@@ -104,10 +104,10 @@ impl From<sqlx::Error> for InspectError {
     }
 }
 
-/// Reads a whole spool at one moment, beside a running agent if there is one.
+/// Reads a whole spool in one transaction, also while its agent runs.
 ///
 /// # Errors
-/// If the file is no spool or cannot be read. A damaged spool is not an error: [`Inspection::damages`] lists the damage.
+/// When the file is not a spool or cannot be read. Damage is not an error: it is in [`Inspection::damages`].
 pub async fn inspect(path: &Path) -> Result<Inspection, InspectError> {
     let mut found = Inspection::default();
     match found.read(path).await {
@@ -119,10 +119,10 @@ pub async fn inspect(path: &Path) -> Result<Inspection, InspectError> {
     }
 }
 
-/// Events that wait in a spool.
+/// Returns the number of events that wait in a spool.
 ///
 /// # Errors
-/// If the spool cannot be read.
+/// When the spool cannot be read.
 pub async fn waiting_events(path: &Path) -> Result<u64, SpoolReadError> {
     let mut connection = reading(path).connect().await?;
     let events: i64 =
@@ -131,8 +131,9 @@ pub async fn waiting_events(path: &Path) -> Result<u64, SpoolReadError> {
     Ok(u64::try_from(events).unwrap_or(0))
 }
 
-/// The losses of killed agents; `None` where the agent that wrote the spool did not count them.
+/// Returns the number of events lost by killed agents; `None` if the agent that wrote the spool did not count them.
 async fn lost_when_killed(connection: &mut SqliteConnection) -> Result<Option<i64>, sqlx::Error> {
+    // Spools of earlier releases lack the column. Inspecting a file does not migrate it.
     let column = "SELECT count(*) > 0 FROM pragma_table_info('stream') WHERE name = 'lost_when_killed'";
     if !sqlx::query_scalar(column).fetch_one(&mut *connection).await? {
         return Ok(None);
@@ -141,7 +142,11 @@ async fn lost_when_killed(connection: &mut SqliteConnection) -> Result<Option<i6
 }
 
 fn reading(path: &Path) -> SqliteConnectOptions {
-    SqliteConnectOptions::new().filename(path).read_only(true).busy_timeout(BUSY).disable_statement_logging()
+    SqliteConnectOptions::new()
+        .filename(path)
+        .read_only(true)
+        .busy_timeout(BUSY_TIMEOUT)
+        .disable_statement_logging()
 }
 
 #[derive(sqlx::FromRow)]
@@ -166,6 +171,7 @@ struct Batch {
 impl Inspection {
     async fn read(&mut self, path: &Path) -> Result<(), InspectError> {
         let mut connection = reading(path).connect().await?;
+        // One transaction, so that writes of the agent meanwhile do not look like damage.
         sqlx::query("BEGIN").execute(&mut connection).await?;
         let is_spool = refuse_others(&mut connection).await;
         if is_spool.is_ok() {
@@ -210,6 +216,7 @@ impl Inspection {
             if !follows {
                 holes.push(batch.number);
             }
+            // A batch after a missing one cannot be checked, because the hash before it is unknown.
             if stored.is_none() || (follows && before.1.is_some_and(|before| batch.after(before) != stored)) {
                 altered.push(batch.number);
             }
@@ -233,7 +240,7 @@ impl Inspection {
 }
 
 impl Batch {
-    /// Its hash where the one before it has this one.
+    /// Returns the hash that the batch has if the previous one has the hash `before`.
     fn after(&self, before: Chain) -> Option<Chain> {
         Some(before.then(u32::try_from(self.events).unwrap_or(u32::MAX), &self.body))
     }
@@ -243,7 +250,7 @@ fn chain(bytes: &[u8]) -> Option<Chain> {
     bytes.try_into().ok().map(Chain::from_bytes)
 }
 
-/// Refuses what is no spool, by what is written in its header, and by its tables.
+/// Refuses a file that is not a spool, by its application id; the tables decide which error is returned.
 async fn refuse_others(connection: &mut SqliteConnection) -> Result<(), InspectError> {
     let id: i32 = sqlx::query_scalar("PRAGMA application_id").fetch_one(&mut *connection).await?;
     if id == APPLICATION_ID {

@@ -1,15 +1,18 @@
-//! The spool: batches on this host's disk until the aggregator has them.
+//! The spool: batches on this host's disk until the aggregator has stored them.
 //!
-//! An SQLite file of its own (`migrations/spool`). One task owns the connection and does what the state machine asks
-//! for, in order; answers come back over a channel, so that nothing waits for the disk. Each append is one
-//! transaction. A crash of the process loses nothing that was appended; a power cut loses at most what was appended
-//! since the log was last synced, which is done every sync interval.
+//! It is a separate SQLite file (`migrations/spool`). One task owns the connection and executes the orders of the
+//! state machine one after the other; results come back over a channel, so that nothing else waits for the disk. Each
+//! append is one transaction, which also updates the totals, so that both agree whenever the process is killed.
+//!
+//! A crash of the process loses nothing that was appended. A power cut loses at most the appends since the log was
+//! last synced: it is synced every sync interval and not at each batch, because the flash of a robot is not made for
+//! five syncs per second.
 
 mod aside;
 mod error;
 mod file;
+mod file_kind;
 mod inspect;
-mod look;
 mod open;
 mod reserve;
 mod statements;
@@ -21,9 +24,9 @@ mod task;
 #[cfg(test)]
 mod tests;
 
-pub(in crate::outbox) use aside::PutAside;
+pub(in crate::outbox) use aside::QuarantinedSpool;
 pub use error::{SpoolDefect, SpoolError};
+pub(crate) use file_kind::FileKind;
 pub use inspect::{InspectError, Inspection, SpoolDamage, SpoolReadError, inspect, waiting_events};
-pub(crate) use look::Look;
 pub(crate) use open::OpenSpool;
 pub(in crate::outbox) use task::{Done, Order, SpoolTask, SpoolTaskError};

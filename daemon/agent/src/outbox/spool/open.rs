@@ -1,4 +1,4 @@
-//! Opening the file: settings, migrations, and what it knows.
+//! Opens the spool: settings, migrations, and the state in the file.
 
 use std::fs::{self, File};
 use std::path::Path;
@@ -6,48 +6,48 @@ use std::time::Duration;
 
 use peernet_clock::{SharedClock, WallTime};
 use peernet_logger::HostId;
-use peernet_stream::{Chain, HandedIn, Reached, SpoolState, StreamId, Totals, Usage};
+use peernet_stream::{Chain, HandedInEvents, NewestSentBatch, SpoolState, StreamId, Totals, Usage};
 use sqlx::migrate::{MigrateError, Migrator};
 use sqlx::sqlite::{SqliteAutoVacuum, SqliteConnectOptions, SqliteJournalMode, SqliteSynchronous};
 use sqlx::{AssertSqlSafe, ConnectOptions, Connection, FromRow, SqliteConnection};
 
-use super::aside::{beside, condemned, put_aside};
+use super::aside::{beside, condemned, quarantine};
 use super::error::{SpoolDefect, is_full};
 use super::file::SpoolFile;
-use super::look::{APPLICATION_ID, Look};
+use super::file_kind::{APPLICATION_ID, FileKind};
 use super::reserve::Reserve;
-use super::statements::MOST_PROCESSES;
-use super::{PutAside, SpoolError, tail};
+use super::statements::MAX_PROCESSES;
+use super::{QuarantinedSpool, SpoolError, tail};
 use crate::event_queue::EventCounter;
 use crate::event_queue::counter::CountOwner;
 use crate::lock::FileLock;
 
 pub(super) static MIGRATIONS: Migrator = sqlx::migrate!("../../migrations/spool");
 
-/// How long it is waited for another program that looks into the file.
-const BUSY: Duration = Duration::from_secs(1);
-/// Pages in the log after which it is moved into the file: 1 MiB.
+/// Longest wait for another program that reads the file.
+const BUSY_TIMEOUT: Duration = Duration::from_secs(1);
+/// Number of pages in the log after which it is moved to the file: 1 MiB.
 const LOG_PAGES: &str = "256";
-/// What the log keeps of the disk after a large transaction.
+/// Length of the log that is kept after a large transaction, in bytes.
 const LOG_BYTES: &str = "8388608";
 
-/// A spool, ready for use.
+/// A spool that is ready for use.
 #[derive(Debug)]
 pub(crate) struct OpenSpool {
     pub(in crate::outbox) file: SpoolFile,
     pub(in crate::outbox) state: SpoolState,
-    /// Counts what is handed in.
+    /// Counter of the events that this process queues.
     pub(crate) counter: EventCounter,
-    /// The broken one whose place it took.
-    pub(in crate::outbox) aside: Option<PutAside>,
+    /// The broken spool that was moved aside, if there was one.
+    pub(in crate::outbox) aside: Option<QuarantinedSpool>,
 }
 
 impl OpenSpool {
-    /// Opens the spool of a host, making it when missing. A broken one is put aside; so is what cannot be told to be one
-    /// where the agent keeps its own files, but not elsewhere.
+    /// Opens the spool of a host, and creates it if missing. A broken spool is moved aside. So is a file that cannot
+    /// be recognised, but only at the agent's default path: elsewhere it may be somebody's data.
     ///
     /// # Errors
-    /// When it cannot be had, is none, or is not this host's.
+    /// When the spool cannot be opened, is not one, or belongs to another host.
     pub(crate) async fn open(
         path: &Path,
         host: HostId,
@@ -61,29 +61,34 @@ impl OpenSpool {
         let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty());
         let folder = folder.unwrap_or_else(|| Path::new("."));
         fs::create_dir_all(folder).map_err(io("make", folder))?;
+        // A separate file, because closing a second descriptor of the spool would release SQLite's locks on it.
         let lock_file = beside(path, "-lock");
         let lock = FileLock::take(&lock_file).map_err(io("lock", &lock_file))?;
         let lock = lock.ok_or_else(|| SpoolError::InUse(path.to_owned()))?;
 
-        let look = Look::at(path).map_err(io("read", path))?;
-        if !(kept_by_agent && look == Look::Other)
-            && let Some(objection) = look.objection()
+        // Recognised before SQLite opens the file, which may change it.
+        let file_kind = FileKind::at(path).map_err(io("read", path))?;
+        if !(kept_by_agent && file_kind == FileKind::Other)
+            && let Some(objection) = file_kind.objection()
         {
             return Err(SpoolError::NotASpool { path: path.to_owned(), objection });
         }
         let mut reserve = Reserve::new(beside(path, "-reserve"));
         let mut aside = None;
         let opened = match connect_in_any_room(path, host, &mut reserve).await {
+            // A broken spool must not keep the robot from measuring. The file is kept, because its events may be
+            // recovered by hand.
             Err(error) if error.is_damage() => {
-                let put = put_aside(path, error.to_string(), clock.wall());
+                let put = quarantine(path, error.to_string(), clock.wall());
                 aside = Some(put.map_err(io("put aside the damaged spool", path))?);
                 connect_in_any_room(path, host, &mut reserve).await
             }
             opened => opened,
         };
         let (connection, state, counter) = opened?;
-        // A new name must be on the disk before what the file holds counts.
+        // A new directory entry must be on the disk before the content counts as safe.
         File::open(folder).and_then(|folder| folder.sync_all()).map_err(io("write", folder))?;
+        // After the spool is open, because opening it may need that room.
         reserve.take();
         let file = SpoolFile::new(path.to_owned(), connection, reserve, counter.name().is_some(), lock)
             .map_err(io("look at", path))?;
@@ -91,10 +96,10 @@ impl OpenSpool {
     }
 }
 
-/// Settings of the connection.
+/// Returns the settings of the connection.
 ///
-/// With WAL and `synchronous=NORMAL` SQLite syncs only when it moves the log into the file: a crash of the process
-/// loses nothing, and a power cut what came since the log was last synced, which the spool's task does.
+/// With WAL and `synchronous=NORMAL` SQLite syncs only when it moves the log to the file. A crash of the process
+/// loses nothing. A power cut loses what came since the log was last synced, which the spool's task does.
 fn settings(path: &Path) -> SqliteConnectOptions {
     SqliteConnectOptions::new()
         .filename(path)
@@ -104,15 +109,15 @@ fn settings(path: &Path) -> SqliteConnectOptions {
         .synchronous(SqliteSynchronous::Normal)
         .pragma("journal_size_limit", LOG_BYTES)
         .pragma("wal_autocheckpoint", LOG_PAGES)
-        .busy_timeout(BUSY)
+        .busy_timeout(BUSY_TIMEOUT)
         .disable_statement_logging()
 }
 
-/// A connection, what the file knows, and the counter of this process.
+/// A connection, the state in the file, and the counter of this process.
 type Connected = (SqliteConnection, SpoolState, EventCounter);
 
-/// On a full disk even opening may need the reserve. Without any room, what the process before lost is found out by a later
-/// start, and this process does not count.
+/// Connects, with the room of the reserve if the disk is full. Without any room this process does not count events,
+/// and the losses of the previous process are found by a later start.
 async fn connect_in_any_room(
     path: &Path,
     host: HostId,
@@ -141,7 +146,7 @@ async fn connect(path: &Path, host: HostId, counts: bool) -> Result<Connected, S
     match prepare(path, host, &mut connection, counts).await {
         Ok((state, counter)) => Ok((connection, state, counter)),
         Err(error) => {
-            // Closed before anybody moves the file: closing deletes the log, by its name.
+            // Closed before the file is moved, because closing deletes the log by its name.
             if let Err(error) = connection.close().await {
                 tracing::debug!(%error, "the spool that could not be used was not closed cleanly");
             }
@@ -157,7 +162,7 @@ async fn prepare(
     counts: bool,
 ) -> Result<(SpoolState, EventCounter), SpoolError> {
     let cannot_open = |source| SpoolError::Open { path: path.to_owned(), source };
-    // A read-only file opens without complaint: find out now.
+    // SQLite opens a read-only file without an error: starting a write transaction reveals it.
     sqlx::raw_sql("BEGIN IMMEDIATE; ROLLBACK").execute(&mut *connection).await.map_err(cannot_open)?;
     claim(path, connection).await?;
     MIGRATIONS.run_direct(None, connection, false).await.map_err(|source| match source {
@@ -169,6 +174,7 @@ async fn prepare(
         source => SpoolError::Migrate { path: path.to_owned(), source },
     })?;
     let row = stream(connection, host).await.map_err(cannot_open)?;
+    // Its batches are events of that host: this one would report them as its own.
     if row.host != host.to_string() {
         return Err(SpoolError::OtherHost { path: path.to_owned(), found: row.host, own: host });
     }
@@ -190,7 +196,8 @@ async fn prepare(
     Ok((state, counter))
 }
 
-/// Makes an empty database a spool, before it has a table: a disk that becomes full then leaves one that is recognised.
+/// Marks an empty database as a spool before it has tables. If the disk becomes full then, the file is still
+/// recognised.
 async fn claim(path: &Path, connection: &mut SqliteConnection) -> Result<(), SpoolError> {
     let cannot_open = |source| SpoolError::Open { path: path.to_owned(), source };
     let (id, tables): (i32, i64) = sqlx::query_as(
@@ -202,7 +209,7 @@ async fn claim(path: &Path, connection: &mut SqliteConnection) -> Result<(), Spo
     if id == APPLICATION_ID {
         return Ok(());
     }
-    if let (true, Some(objection)) = (id != 0 || tables != 0, Look::Database.objection()) {
+    if let (true, Some(objection)) = (id != 0 || tables != 0, FileKind::Database.objection()) {
         return Err(SpoolError::NotASpool { path: path.to_owned(), objection });
     }
     let mark = AssertSqlSafe(format!("PRAGMA application_id = {APPLICATION_ID}"));
@@ -224,7 +231,7 @@ struct StreamRow {
     told: i64,
 }
 
-/// The stream of the file; a new file begins one.
+/// Returns the stream of the file. A new file begins one.
 async fn stream(connection: &mut SqliteConnection, host: HostId) -> Result<StreamRow, sqlx::Error> {
     sqlx::query(
         "INSERT OR IGNORE INTO stream (id, uuid, host, first, events_before_first, acknowledged, chain) \
@@ -243,9 +250,9 @@ async fn stream(connection: &mut SqliteConnection, host: HostId) -> Result<Strea
     .await
 }
 
-/// What waits in the file.
+/// Totals of the waiting batches.
 #[derive(FromRow)]
-struct Held {
+struct WaitingTotals {
     batches: i64,
     events: i64,
     bytes: i64,
@@ -254,7 +261,7 @@ struct Held {
     chain: Option<Vec<u8>>,
 }
 
-async fn held(connection: &mut SqliteConnection) -> Result<Held, sqlx::Error> {
+async fn held(connection: &mut SqliteConnection) -> Result<WaitingTotals, sqlx::Error> {
     // length() of a blob reads its header only.
     sqlx::query_as(
         "SELECT COUNT(*) AS batches, COALESCE(SUM(events), 0) AS events, COALESCE(SUM(length(body)), 0) AS bytes,
@@ -266,14 +273,14 @@ async fn held(connection: &mut SqliteConnection) -> Result<Held, sqlx::Error> {
     .await
 }
 
-/// How far the newest processes came.
-async fn reached(connection: &mut SqliteConnection) -> Result<Vec<Reached>, sqlx::Error> {
+/// Returns the last batch numbers of the newest processes.
+async fn reached(connection: &mut SqliteConnection) -> Result<Vec<NewestSentBatch>, sqlx::Error> {
     let rows: Vec<(i64, i64)> =
         sqlx::query_as("SELECT process, number FROM reached ORDER BY number DESC LIMIT ?")
-            .bind(MOST_PROCESSES)
+            .bind(MAX_PROCESSES)
             .fetch_all(connection)
             .await?;
-    let reached = |(process, number): (i64, i64)| Reached {
+    let reached = |(process, number): (i64, i64)| NewestSentBatch {
         process: process.cast_unsigned(),
         number: number.cast_unsigned(),
     };
@@ -281,7 +288,7 @@ async fn reached(connection: &mut SqliteConnection) -> Result<Vec<Reached>, sqlx
 }
 
 impl StreamRow {
-    fn state(self, held: Held, reached: Vec<Reached>) -> Result<SpoolState, SpoolDefect> {
+    fn state(self, held: WaitingTotals, reached: Vec<NewestSentBatch>) -> Result<SpoolState, SpoolDefect> {
         let id = |text: &str| text.parse().map_err(|_| SpoolDefect::StreamId(text.to_owned()));
         let before = chain(&self.chain)?;
         let acknowledged = self.acknowledged.cast_unsigned();
@@ -315,7 +322,7 @@ impl StreamRow {
                 dropped: self.dropped.cast_unsigned(),
                 gaps: self.gaps.cast_unsigned(),
                 told: self.told.cast_unsigned(),
-                handed_in: HandedIn::default(),
+                handed_in: HandedInEvents::default(),
                 reached: None,
                 unreported: None,
             },
@@ -326,7 +333,7 @@ impl StreamRow {
     }
 }
 
-/// A chain as it stands in a row.
+/// Reads a chain from a column.
 pub(super) fn chain(bytes: &[u8]) -> Result<Chain, SpoolDefect> {
     let bytes = <[u8; 16]>::try_from(bytes).map_err(|_| SpoolDefect::ChainLength(bytes.len()))?;
     Ok(Chain::from_bytes(bytes))

@@ -1,8 +1,9 @@
-//! Room on the disk that is kept for deleting.
+//! Disk space that is reserved for deleting.
 //!
-//! SQLite writes before it deletes: into the log, and from there into the file. A spool that filled its disk could
-//! never be emptied, nor say how much did not fit. So a file beside it holds some room, which is given free for a deletion
-//! or such a count, and taken again after it. It stays when the process ends: on a full disk the next one needs it.
+//! SQLite writes before it deletes: first to the log, then to the file. A spool that filled its disk could neither be
+//! emptied nor record how many events did not fit. So a file beside it occupies some space, which is released for a
+//! deletion or such a record and allocated again afterwards. The file stays when the process ends, because on a full
+//! disk the next process could not allocate it.
 
 use std::fs::{self, File};
 use std::io;
@@ -12,31 +13,32 @@ use std::path::PathBuf;
 use rustix::fs::{FallocateFlags, fallocate};
 use rustix::io::Errno;
 
-/// What the log may hold when the disk becomes full (256 pages and the largest transaction), and what deleting adds.
+/// Size of the reserve in bytes: the log when the disk becomes full (256 pages and the largest transaction), and what
+/// deleting adds.
 const BYTES: u64 = 6 << 20;
-/// On a disk that has less, it is taken in such steps.
+/// Step in which the reserve is allocated on a disk with less room, in bytes.
 const STEP: u64 = 128 << 10;
-/// Unit of the blocks that the system counts (POSIX leaves it open; Linux's is this one).
+/// Unit of `st_blocks` in bytes (undefined in POSIX; 512 in Linux).
 const BLOCK: u64 = 512;
 
-/// The room.
+/// The reserved space.
 #[derive(Debug)]
 pub(super) struct Reserve {
     file: PathBuf,
-    /// Bytes that it holds; below [`BYTES`] nothing but deletions and counts may be written before there is more.
+    /// Bytes that are allocated. Below [`BYTES`] nothing but deletions and totals may be written.
     held: u64,
-    /// The file system cannot hold room.
+    /// `true` if the file system cannot allocate space.
     impossible: bool,
 }
 
 impl Reserve {
-    /// Goes on with what an earlier process held.
+    /// Takes over the reserve of an earlier process.
     pub(super) fn new(file: PathBuf) -> Self {
         let held = fs::metadata(&file).map_or(0, |held| BYTES.min(held.blocks() * BLOCK));
         Self { file, held, impossible: false }
     }
 
-    /// Gives the room free; returns whether there was any.
+    /// Releases the space. Returns whether there was any.
     pub(super) fn release(&mut self) -> bool {
         if self.held == 0 {
             return false;
@@ -53,7 +55,8 @@ impl Reserve {
         }
     }
 
-    /// Takes the room, or what there is of it; returns whether it is whole, if it can be held at all.
+    /// Allocates the space, or as much as there is. Returns whether the reserve is complete, or cannot exist on this
+    /// file system.
     pub(super) fn take(&mut self) -> bool {
         if self.impossible || self.held == BYTES {
             return true;

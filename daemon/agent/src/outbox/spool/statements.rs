@@ -1,4 +1,4 @@
-//! The statements that change the file.
+//! The SQL statements that change the file.
 
 use peernet_clock::WallTime;
 use peernet_stream::{Chain, SpooledBatch, Totals};
@@ -6,13 +6,14 @@ use sqlx::SqliteConnection;
 
 use super::tail;
 
-/// Processes that are remembered, the newest: one, and one more for each start.
-pub(super) const MOST_PROCESSES: i64 = 64;
+/// Number of processes whose last batch is kept, the newest ones. Each start of the agent is a process.
+pub(super) const MAX_PROCESSES: i64 = 64;
 
-/// Pages that stay free for the next batches: 8 MiB.
+/// Number of unused pages that are kept for the next batches: 8 MiB.
 const SPARE_PAGES: i64 = 2048;
 
-/// Begins a transaction with these batches in it; `counts` says whether the process counts what is handed in. They replace themselves where a commit went well that seemed to fail.
+/// Begins a transaction that inserts these batches; `counts` is `true` if the process counts the events that are
+/// queued. A batch replaces itself if a commit succeeded that seemed to fail.
 pub(super) async fn insert(
     connection: &mut SqliteConnection,
     batches: &[SpooledBatch],
@@ -62,7 +63,7 @@ pub(super) async fn insert(
         .map(drop)
 }
 
-/// Begins a transaction without these batches in it.
+/// Begins a transaction that deletes the batches up to number `through`.
 pub(super) async fn delete(
     connection: &mut SqliteConnection,
     through: u64,
@@ -81,7 +82,7 @@ pub(super) async fn delete(
     sqlx::query(
         "DELETE FROM reached WHERE process NOT IN (SELECT process FROM reached ORDER BY number DESC LIMIT ?)",
     )
-    .bind(MOST_PROCESSES)
+    .bind(MAX_PROCESSES)
     .execute(connection)
     .await
     .map(drop)
@@ -91,9 +92,11 @@ async fn begin(connection: &mut SqliteConnection) -> Result<(), sqlx::Error> {
     sqlx::query("BEGIN IMMEDIATE").execute(connection).await.map(drop)
 }
 
-/// Gives back some free pages when more than half of the file is free; returns whether that goes on.
+/// Returns some unused pages to the file system if more than half of the file is unused. Returns whether there may be
+/// more.
 ///
-/// Not at less: the pages at the end of the file would have to be moved, and the next batches need the room anyway.
+/// Below that share the pages at the end of the file would have to be moved, and the next batches need the room
+/// anyway.
 pub(super) async fn vacuum(connection: &mut SqliteConnection) -> Result<bool, sqlx::Error> {
     let (free, all) = pages(connection).await?;
     if free <= all - free + SPARE_PAGES {
@@ -103,7 +106,7 @@ pub(super) async fn vacuum(connection: &mut SqliteConnection) -> Result<bool, sq
     Ok(true)
 }
 
-/// Gives back all free pages and the log.
+/// Returns all unused pages and the log to the file system.
 pub(super) async fn give_all_back(connection: &mut SqliteConnection) -> Result<(), sqlx::Error> {
     while pages(connection).await?.0 > 0 {
         vacuum_step(connection).await?;
@@ -112,19 +115,19 @@ pub(super) async fn give_all_back(connection: &mut SqliteConnection) -> Result<(
     checkpoint(connection).await
 }
 
-/// Moves the log into the file, and leaves none.
+/// Moves the log to the file, and truncates it.
 pub(super) async fn checkpoint(connection: &mut SqliteConnection) -> Result<(), sqlx::Error> {
     sqlx::query("PRAGMA wal_checkpoint(TRUNCATE)").execute(connection).await.map(drop)
 }
 
-/// Free pages, and all.
+/// Returns the numbers of unused pages and of all pages.
 async fn pages(connection: &mut SqliteConnection) -> Result<(i64, i64), sqlx::Error> {
     sqlx::query_as("SELECT freelist_count, page_count FROM pragma_freelist_count(), pragma_page_count()")
         .fetch_one(connection)
         .await
 }
 
-/// Gives back 1024 pages, which are 4 MiB, at most: nothing waits long behind it.
+/// Returns at most 1024 pages (4 MiB) to the file system, so that nothing waits long.
 async fn vacuum_step(connection: &mut SqliteConnection) -> Result<(), sqlx::Error> {
     sqlx::query("PRAGMA incremental_vacuum(1024)").execute(connection).await.map(drop)
 }

@@ -1,4 +1,4 @@
-//! Syncing the log beside the work that fills it.
+//! Syncs the log in the background, while it is written.
 
 use std::io;
 
@@ -6,11 +6,11 @@ use tokio::task::JoinHandle;
 
 use super::file::Log;
 
-/// Whether the log is on the disk, and who brings it there.
+/// State of syncing the log.
 #[derive(Debug)]
 pub(super) struct Syncing {
     log: Log,
-    /// Something was written since the last sync began.
+    /// `true` if something was written since the last sync began.
     dirty: bool,
     running: Option<JoinHandle<io::Result<()>>>,
 }
@@ -20,12 +20,12 @@ impl Syncing {
         Self { log, dirty: false, running: None }
     }
 
-    /// Something was written.
+    /// Records that something was written.
     pub(super) const fn written(&mut self) {
         self.dirty = true;
     }
 
-    /// Begins to sync what was written, unless that is under way.
+    /// Begins to sync what was written, unless a sync is in progress.
     pub(super) fn begin(&mut self) {
         if self.dirty && self.running.is_none() {
             self.dirty = false;
@@ -33,12 +33,12 @@ impl Syncing {
         }
     }
 
-    /// Whether [`ended`](Self::ended) has something to wait for.
+    /// Returns whether [`ended`](Self::ended) has something to wait for.
     pub(super) const fn is_running(&self) -> bool {
         self.running.is_some()
     }
 
-    /// Waits for the end of the sync under way. One that failed is repeated at the next [`begin`](Self::begin).
+    /// Waits for the end of the sync in progress. A failed one is repeated at the next [`begin`](Self::begin).
     /// Dropping the future loses nothing.
     pub(super) async fn ended(&mut self) -> io::Result<()> {
         let Some(running) = &mut self.running else { return Ok(()) };
@@ -48,7 +48,7 @@ impl Syncing {
         synced
     }
 
-    /// Syncs what was written, now.
+    /// Syncs everything that was written, and waits for it.
     pub(super) async fn finish(&mut self) -> io::Result<()> {
         self.ended().await?;
         self.begin();
@@ -56,7 +56,7 @@ impl Syncing {
     }
 }
 
-/// How a sync ended.
+/// Waits for a sync and returns its result.
 pub(super) async fn ended(sync: &mut JoinHandle<io::Result<()>>) -> io::Result<()> {
     sync.await.unwrap_or_else(|died| Err(io::Error::other(died)))
 }

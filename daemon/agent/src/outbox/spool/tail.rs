@@ -1,13 +1,13 @@
-//! What an earlier process took with it when it was killed: found when the spool is opened, told by the next process.
+//! Losses of an earlier process that was killed: found when the spool is opened, reported by this process.
 
 use peernet_clock::WallTime;
 use peernet_logger::RunId;
-use peernet_stream::{Gap, KILLED, RunCounts, Settled, SpoolState, Unresolved};
+use peernet_stream::{Gap, KILLED, RunCounts, SettledEvents, SpoolState, UnresolvedBatches};
 use sqlx::{FromRow, SqliteConnection};
 
 use crate::event_queue::counter::{self, CountOwner, EventCounter};
 
-/// What the file says of the process before.
+/// State that the previous process left in the file.
 #[derive(FromRow)]
 struct Before {
     counter: Option<String>,
@@ -26,7 +26,7 @@ struct UnresolvedRow {
     events: i64,
 }
 
-/// A loss that no gap reports yet.
+/// A loss that no gap has reported yet.
 #[derive(FromRow)]
 struct Unreported {
     pipeline: Option<String>,
@@ -37,7 +37,7 @@ struct Unreported {
     reason: String,
 }
 
-/// Counts as they stand in a row.
+/// Encodes counts for a column.
 pub(super) fn encoded(counts: &RunCounts) -> Vec<u8> {
     let mut bytes = counts.all.to_be_bytes().to_vec();
     for (run, events) in &counts.runs {
@@ -57,7 +57,7 @@ fn decoded(bytes: &[u8]) -> Option<RunCounts> {
     Some(counts)
 }
 
-/// The losses that no gap reports yet, in the order in which they are told.
+/// Returns the losses that no gap has reported yet, in the order in which they will be reported.
 pub(super) async fn unreported(connection: &mut SqliteConnection) -> Result<Vec<Gap>, sqlx::Error> {
     let rows: Vec<Unreported> = sqlx::query_as(
         "SELECT pipeline, run, from_ns, to_ns, count, reason FROM unreported ORDER BY told_through",
@@ -75,20 +75,20 @@ pub(super) async fn unreported(connection: &mut SqliteConnection) -> Result<Vec<
     Ok(rows.into_iter().map(gap).collect())
 }
 
-/// The end of an earlier process that the aggregator has to judge; none where what it counted is gone, after a restart of the
-/// machine, or belongs to the spool of which `own` is a copy.
+/// Returns the end of an earlier process whose losses only the aggregator can determine. `None` if its file of counts
+/// is gone, after a restart of the machine, or belongs to the spool of which `own` is a copy.
 pub(super) async fn unresolved(
     connection: &mut SqliteConnection,
     own: &CountOwner,
-) -> Result<Option<Unresolved>, sqlx::Error> {
+) -> Result<Option<UnresolvedBatches>, sqlx::Error> {
     let row: Option<UnresolvedRow> =
         sqlx::query_as("SELECT counter, counted, taken, counted_ns, told, events FROM unresolved")
             .fetch_optional(connection)
             .await?;
     Ok(row.and_then(|row| {
-        Some(Unresolved {
+        Some(UnresolvedBatches {
             counted: counter::read(&row.counter, own)?,
-            settled: Settled {
+            settled: SettledEvents {
                 events: decoded(&row.counted).unwrap_or_default(),
                 taken: row.taken.cast_unsigned(),
                 last: row.counted_ns.map(WallTime::from_unix_nanos),
@@ -99,16 +99,16 @@ pub(super) async fn unresolved(
     }))
 }
 
-/// The name of the file in which that process counted.
+/// Returns the name of the file in which that process counted.
 pub(super) async fn unresolved_counter(
     connection: &mut SqliteConnection,
 ) -> Result<Option<String>, sqlx::Error> {
     sqlx::query_scalar("SELECT counter FROM unresolved").fetch_optional(connection).await
 }
 
-/// Finds out what the process before lost, writes it down, and begins to count anew: one transaction, so that each loss is
-/// told once whoever is killed when. Without shared memory nothing is counted. The copy of a spool leaves alone what was counted for the
-/// other, which tells of it.
+/// Determines what the previous process lost, records it, and starts a new counter. This is one transaction, so that
+/// each loss is reported once, whenever a process is killed. Without shared memory nothing is counted. The copy of a
+/// spool does not use the counts of the original, which reports its losses itself.
 pub(super) async fn begin(
     connection: &mut SqliteConnection,
     state: &mut SpoolState,
@@ -124,13 +124,14 @@ pub(super) async fn begin(
              spool lost is reported by the other one"
         );
     }
+    // `None` means that only the aggregator knows how many events were lost.
     let mut lost = Some(0);
     let counted = before.counter.as_deref().and_then(|name| counter::read(name, own));
     if let Some(counted) = counted {
         let events = before.counted.as_deref().and_then(decoded).unwrap_or_default();
         let taken = before.taken.unwrap_or_default().cast_unsigned();
         let last = before.counted_ns.map(WallTime::from_unix_nanos);
-        lost = state.lose_tail(counted, Settled { events, taken, last });
+        lost = state.lose_tail(counted, SettledEvents { events, taken, last });
     }
     let counter = EventCounter::create(own).unwrap_or_else(|error| {
         tracing::warn!(%error, "there is no shared memory to count events in: what is lost when the agent is killed is not reported");
@@ -154,6 +155,7 @@ pub(super) async fn begin(
              are stored, and a gap reports the others"
         ),
         (Some(lost), Some(name)) => {
+            // After the commit: if this process is killed before it, the next one needs the file again.
             counter::remove(name);
             if lost > 0 {
                 tracing::warn!(
@@ -164,13 +166,14 @@ pub(super) async fn begin(
         }
         (Some(_), None) => {}
     }
+    // Files of counts whose spool was deleted would stay in shared memory until the machine restarts.
     let (unresolved, current) = (unresolved_counter(connection).await?, counter.name());
     let needed: Vec<&str> = [&unresolved, &current].into_iter().filter_map(Option::as_deref).collect();
     counter::remove_abandoned(own, &needed);
     Ok(counter)
 }
 
-/// `leaves_doubt` says that the process before has become [`SpoolState::unresolved`].
+/// Writes the state. `leaves_doubt` is `true` if the previous process has become [`SpoolState::unresolved`].
 async fn write(
     connection: &mut SqliteConnection,
     state: &SpoolState,
@@ -210,7 +213,7 @@ async fn write_unreported(
     mut told: u64,
     unreported: &[Gap],
 ) -> Result<(), sqlx::Error> {
-    // What the table has already was counted when it was written.
+    // Losses that are in the table already were added when they were written.
     let killed: u64 = unreported.iter().filter(|gap| gap.reason == KILLED).map(|gap| gap.count).sum();
     sqlx::query(
         "UPDATE stream SET lost_when_killed = lost_when_killed + ? - \
@@ -240,7 +243,8 @@ async fn write_unreported(
     Ok(())
 }
 
-/// In the transaction at hand: the end of the earlier process is no longer unresolved, and these losses are to be reported.
+/// Records in the current transaction that the earlier process is no longer unresolved, and which losses are to be
+/// reported.
 pub(super) async fn resolve(
     connection: &mut SqliteConnection,
     told: u64,
@@ -255,7 +259,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn counts_are_read_as_they_were_written() {
+    fn counts_read_back_as_written() {
         let mut counts = RunCounts::default();
         counts.add(Some(RunId::random()), 7);
         counts.add(Some(RunId::random()), 1 << 40);

@@ -1,4 +1,4 @@
-//! Says in the log which iterations are safe: what a test compares with the aggregator after a crash.
+//! Logs which iterations are in the spool. Tests compare this with the aggregator after a crash.
 
 use std::collections::BTreeMap;
 
@@ -6,12 +6,11 @@ use peernet_logger::RunId;
 use peernet_stream::{Event, SpooledBatch, codec};
 use tracing::Level;
 
-/// The log's name for it.
+/// Target of these log lines.
 const TARGET: &str = "peernet_agent::outbox::spool";
 
-/// Logs the iterations of batches that are in the spool: per batch and run a line for every range of numbers without
-/// holes.
-pub(super) fn tell(batches: &[SpooledBatch]) {
+/// Logs the iterations of batches that are in the spool: one line per batch, run and contiguous range of numbers.
+pub(super) fn log_ranges(batches: &[SpooledBatch]) {
     if !tracing::enabled!(target: TARGET, Level::DEBUG) {
         return;
     }
@@ -23,7 +22,7 @@ pub(super) fn tell(batches: &[SpooledBatch]) {
     }
 }
 
-/// The iterations of a batch, as ranges by run.
+/// Returns the iterations of a batch as ranges by run.
 pub(super) fn ranges(batch: &SpooledBatch) -> Vec<(RunId, u64, u64)> {
     let events = match codec::events(&batch.body, batch.events) {
         Ok(events) => events,

@@ -1,4 +1,4 @@
-//! The task that owns the file: orders in, answers out.
+//! The task that owns the spool file. It receives orders and sends results.
 
 use std::io;
 use std::time::Duration;
@@ -10,28 +10,28 @@ use tokio::time::MissedTickBehavior;
 use tokio_util::task::AbortOnDropHandle;
 
 use super::aside::condemn;
-use super::error::Trouble;
+use super::error::SpoolFileError;
 use super::file::{Loaded, SpoolFile};
 use super::sync::Syncing;
 use super::tally;
 
-/// The state machine has at most one order of each of the four kinds under way.
-const ORDERS: usize = 8;
+/// Capacity of the channels. The state machine has at most one order of each of the four kinds in progress.
+const MAX_ORDERS: usize = 8;
 
-/// What the task is to do.
+/// An operation that the task is asked to do.
 #[derive(Clone, Debug)]
 pub(in crate::outbox) enum Order {
-    /// Answered by [`Done::Appended`].
+    /// Appends batches; answered by [`Done::Appended`].
     Append { batches: Vec<SpooledBatch>, totals: Totals },
-    /// Answered by [`Done::Loaded`].
+    /// Reads batches; answered by [`Done::Loaded`].
     Load { from: u64, bytes: usize },
-    /// Answered by [`Done::Deleted`].
+    /// Deletes batches; answered by [`Done::Deleted`].
     Delete { through: u64, chain: Chain },
-    /// Answered by [`Done::Renewed`].
+    /// Begins another stream; answered by [`Done::Renewed`].
     Renew { stream: StreamId, previous: StreamId, first: u64, events_before_first: u64 },
 }
 
-/// What became of an order.
+/// Result of an order.
 #[derive(Debug)]
 pub(in crate::outbox) enum Done {
     Appended(Result<(), SpoolTaskError>),
@@ -40,16 +40,16 @@ pub(in crate::outbox) enum Done {
     Renewed(Result<(), SpoolTaskError>),
 }
 
-/// The reason why the task has not done what it is to do.
+/// Reason why an order failed.
 #[derive(Debug, thiserror::Error)]
 pub(in crate::outbox) enum SpoolTaskError {
     /// The file cannot be read or written.
     #[error(transparent)]
-    File(#[from] Trouble),
-    /// The task is not there any more.
+    File(#[from] SpoolFileError),
+    /// The task has ended.
     #[error("the spool's task ended")]
     Ended,
-    /// The task has more orders than the state machine ever gives.
+    /// The channel is full, which the state machine never causes.
     #[error("the spool was given more orders than it can have: {0:?}")]
     Overloaded(Box<Order>),
     /// The disk does not answer in time.
@@ -60,27 +60,27 @@ pub(in crate::outbox) enum SpoolTaskError {
     Panicked(#[from] JoinError),
 }
 
-/// The other end of the task; it ends with this.
+/// Handle of the task. Dropping it aborts the task.
 #[derive(Debug)]
 pub(in crate::outbox) struct SpoolTask {
     orders: mpsc::Sender<Order>,
     done: mpsc::Receiver<Done>,
-    task: AbortOnDropHandle<Result<(), Trouble>>,
+    task: AbortOnDropHandle<Result<(), SpoolFileError>>,
 }
 
 impl SpoolTask {
     /// Starts the task.
     pub(in crate::outbox) fn start(file: SpoolFile, sync_interval: Duration) -> Self {
-        let (orders, ordered) = mpsc::channel(ORDERS);
-        let (answers, done) = mpsc::channel(ORDERS);
+        let (orders, ordered) = mpsc::channel(MAX_ORDERS);
+        let (answers, done) = mpsc::channel(MAX_ORDERS);
         let task = AbortOnDropHandle::new(tokio::spawn(work(file, sync_interval, ordered, answers)));
         Self { orders, done, task }
     }
 
-    /// Hands over an order, without waiting.
+    /// Sends an order to the task, without waiting.
     ///
     /// # Errors
-    /// When the task is not there any more or has too many orders, which must not happen.
+    /// When the task has ended, or its channel is full, which must not happen.
     pub(in crate::outbox) fn order(&self, order: Order) -> Result<(), SpoolTaskError> {
         self.orders.try_send(order).map_err(|error| match error {
             TrySendError::Closed(_) => SpoolTaskError::Ended,
@@ -88,12 +88,12 @@ impl SpoolTask {
         })
     }
 
-    /// The next answer; `None` when the task is not there any more.
+    /// Waits for the next result; `None` if the task has ended.
     pub(in crate::outbox) async fn done(&mut self) -> Option<Done> {
         self.done.recv().await
     }
 
-    /// Ends the task when it has done what it was given, and the file with it.
+    /// Waits until all orders are done, closes the file, and ends the task.
     pub(in crate::outbox) async fn close(self) -> Result<(), SpoolTaskError> {
         let Self { orders, done, task } = self;
         drop((orders, done));
@@ -106,7 +106,7 @@ async fn work(
     sync_interval: Duration,
     mut orders: mpsc::Receiver<Order>,
     answers: mpsc::Sender<Done>,
-) -> Result<(), Trouble> {
+) -> Result<(), SpoolFileError> {
     let mut ticks = tokio::time::interval(sync_interval);
     ticks.set_missed_tick_behavior(MissedTickBehavior::Delay);
     let mut syncing = Syncing::new(file.log());
@@ -116,12 +116,14 @@ async fn work(
             synced = syncing.ended(), if syncing.is_running() => report(&file, synced),
             _ = ticks.tick() => {
                 syncing.begin();
+                // In steps between orders, because a vacuum of the whole file would delay the orders that come
+                // meanwhile.
                 shrink(&mut file, &orders).await;
             }
             order = orders.recv() => {
                 let Some(order) = order else { break };
-                let done = obey(&mut file, &mut syncing, order).await;
-                // Nobody is there when the outbox has left; the order is done all the same.
+                let done = execute(&mut file, &mut syncing, order).await;
+                // The outbox may have ended; the order is done all the same.
                 let _ = answers.send(done).await;
             }
         }
@@ -131,13 +133,13 @@ async fn work(
     file.close().await
 }
 
-async fn obey(file: &mut SpoolFile, syncing: &mut Syncing, order: Order) -> Done {
+async fn execute(file: &mut SpoolFile, syncing: &mut Syncing, order: Order) -> Done {
     match order {
         Order::Append { batches, totals } => {
             let appended = file.append(&batches, &totals).await;
             if appended.is_ok() {
                 syncing.written();
-                tally::tell(&batches);
+                tally::log_ranges(&batches);
             }
             Done::Appended(condemn_if_corrupt(file, appended))
         }
@@ -153,22 +155,22 @@ async fn obey(file: &mut SpoolFile, syncing: &mut Syncing, order: Order) -> Done
     }
 }
 
-/// A file that cannot be written because it is broken is not opened again.
-fn condemn_if_corrupt(file: &SpoolFile, result: Result<(), Trouble>) -> Result<(), SpoolTaskError> {
-    if let Err(trouble @ Trouble::Corrupt { .. }) = &result {
-        condemn(file.path(), &trouble.to_string());
+/// Marks a file that turned out to be broken, so that the next start moves it aside.
+fn condemn_if_corrupt(file: &SpoolFile, result: Result<(), SpoolFileError>) -> Result<(), SpoolTaskError> {
+    if let Err(file_error @ SpoolFileError::Corrupt { .. }) = &result {
+        condemn(file.path(), &file_error.to_string());
     }
     Ok(result?)
 }
 
-/// A step at a time: what is to be written goes first.
+/// Shrinks the file step by step, until an order comes.
 async fn shrink(file: &mut SpoolFile, orders: &mpsc::Receiver<Order>) {
     while orders.is_empty() {
         match file.shrink().await {
             Ok(true) => {}
             Ok(false) => return,
-            Err(trouble) => {
-                tracing::debug!(%trouble, "the spool keeps its size");
+            Err(file_error) => {
+                tracing::debug!(trouble = %file_error, "the spool keeps its size");
                 return;
             }
         }

@@ -2,24 +2,24 @@
 
 use peernet_clock::{MonoTime, Span};
 
-/// What the arrivals of a topic's messages were like so far.
+/// Arrival times of a topic's latest messages.
 #[derive(Debug, Default)]
 pub(super) struct Arrivals {
     last: Option<MonoTime>,
     last_period: Option<Span>,
 }
 
-/// What one more message says of its topic.
+/// Period and jitter at the arrival of one message.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) struct Arrival {
-    /// Time since the message before it.
+    /// Time since the previous message.
     pub(super) period: Option<Span>,
-    /// Difference between this period and the one before, without its sign.
+    /// Absolute difference between this period and the previous one.
     pub(super) jitter: Option<Span>,
 }
 
 impl Arrivals {
-    /// Takes in a message.
+    /// Records the arrival of a message.
     pub(super) fn record(&mut self, at: MonoTime) -> Arrival {
         let period = self.last.replace(at).map(|last| at - last);
         let last_period = std::mem::replace(&mut self.last_period, period);
@@ -33,7 +33,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn periods_and_their_differences_are_told() {
+    fn periods_and_their_differences_are_recorded() {
         let mut arrivals = Arrivals::default();
         let mut record = |millis: i64| arrivals.record(MonoTime::from_nanos(millis * 1_000_000));
         assert_eq!(record(0), Arrival::default());

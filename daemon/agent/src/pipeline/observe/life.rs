@@ -1,11 +1,11 @@
-//! The life of a pipeline that observes: connecting, waiting for publishers, running, finished.
+//! The life of a pipeline that observes: connect, wait for publishers, run, end.
 
 use std::time::Duration;
 
 use peernet_logger::RunId;
 use peernet_stream::{EndReason, IncidentKind, PipelineState};
 
-use super::peer::{PeerStamps, PeerTold};
+use super::peer::{PeerDescription, PeerStamps};
 use super::session::{Observation, SessionEnded};
 use super::source::{Source, SourceError, node_name};
 use super::topic::{PublisherPlace, Topic};
@@ -15,14 +15,14 @@ use crate::pipeline::run::Run;
 use crate::pipeline::runner::{PipelineError, Runner};
 use crate::reconnect_backoff::ReconnectBackoff;
 
-/// How long a topic may be without a publisher before that is reported.
-const QUIET: Duration = Duration::from_secs(10);
+/// Time without a publisher after which a topic is reported.
+const PUBLISHER_TIMEOUT: Duration = Duration::from_secs(10);
 
-/// Observes until the run reaches its limit or the agent stops. What ends the node, such as a master that is away, is
-/// waited for.
+/// Observes until the run reaches its limit or the agent stops. If the node ends, for example because the ROS master
+/// is away, this waits for it to come back.
 ///
 /// # Errors
-/// The configuration or the types of the topics must be changed first.
+/// When the configuration or the types of the topics have to be changed first.
 pub(in crate::pipeline) async fn live(runner: &Runner, config: &ObserveConfig) -> Result<(), PipelineError> {
     config.check_peer().map_err(SourceError::from)?;
     let mut underway: Option<(Run, Observation<'_>)> = None;
@@ -42,7 +42,7 @@ pub(in crate::pipeline) async fn live(runner: &Runner, config: &ObserveConfig) -
             None => {
                 let peer = PeerStamps::open(runner, config).await;
                 if peer.is_none() && config.peer.is_some() {
-                    // The agent stops.
+                    // `open` gives up only if the agent stops.
                     source.close().await;
                     return Ok(());
                 }
@@ -61,7 +61,7 @@ pub(in crate::pipeline) async fn live(runner: &Runner, config: &ObserveConfig) -
                 SessionEnded::Stopped => break Some(EndReason::Stopped),
                 SessionEnded::SourceLost(error) => {
                     report_trouble(runner, run.id(), Some(&error.to_string()));
-                    // The run goes on with the next source.
+                    // The run continues with the next source.
                     break None;
                 }
             }
@@ -84,15 +84,21 @@ async fn begin(
     peer: Option<&PeerStamps>,
     warm: bool,
 ) -> Run {
-    let told = peer.map(PeerStamps::told);
-    let conditions = conditions(told.map(|told| &*told.conditions), &runner.context, warm).await;
-    let description = observed(config, told.map(|told| told.name.clone()));
+    let peer_description = peer.map(PeerStamps::peer_description);
+    let conditions = conditions(
+        peer_description.map(|peer_description| &*peer_description.conditions),
+        &runner.context,
+        warm,
+    )
+    .await;
+    let description =
+        observed(config, peer_description.map(|peer_description| peer_description.name.clone()));
     runner.display.set_placement(description.clone());
-    runner.begin_run(facts(config, source, told), description, conditions, warm)
+    runner.begin_run(facts(config, source, peer_description), description, conditions, warm)
 }
 
-/// What the run's page says of the observed system.
-fn facts(config: &ObserveConfig, source: &Source, peer: Option<&PeerTold>) -> Vec<(String, String)> {
+/// Returns the facts about the observed system for the run's page.
+fn facts(config: &ObserveConfig, source: &Source, peer: Option<&PeerDescription>) -> Vec<(String, String)> {
     let mut facts = vec![("Observed".to_owned(), source.describe())];
     for (role, topic) in [("Input", &source.input), ("Output", &source.output)] {
         let kind = topic.kind().map_or_else(String::new, |kind| format!(" ({})", kind.name));
@@ -104,15 +110,15 @@ fn facts(config: &ObserveConfig, source: &Source, peer: Option<&PeerTold>) -> Ve
     facts
 }
 
-fn publishers(topic: &Topic, peer: Option<&PeerTold>) -> String {
+fn publishers(topic: &Topic, peer: Option<&PeerDescription>) -> String {
     let places = topic.publishers();
     let is_peer = |place: &PublisherPlace| peer.is_some_and(|peer| peer.is_at(place.host.as_deref()));
     let places: Vec<String> = places.iter().map(|place| place.describe(is_peer(place))).collect();
     places.join(", ")
 }
 
-/// Subscribes to both topics, however long that takes, and waits before a run for publishers of both. `None` when the
-/// agent stops.
+/// Subscribes to both topics, with as many attempts as it takes, and before a run waits for publishers of both.
+/// Returns `None` if the agent stops.
 async fn connect(
     runner: &Runner,
     config: &ObserveConfig,
@@ -121,7 +127,7 @@ async fn connect(
     let host = &runner.context.host;
     let name = node_name(&host.name, &runner.config.name);
     let mut reconnect_backoff = ReconnectBackoff::new(host.id);
-    let mut said = String::new();
+    let mut reported = String::new();
     loop {
         let opening = runner.stop.run_until_cancelled(Source::open(config, &name, &host.clock));
         let Some(opened) = opening.await else { return Ok(None) };
@@ -143,9 +149,9 @@ async fn connect(
             return Err(error);
         }
         let text = error.to_string();
-        if said != text {
+        if reported != text {
             runner.report(IncidentKind::Disconnected, run, format!("{text} (trying again)"));
-            said.clone_from(&text);
+            reported.clone_from(&text);
         }
         runner.display.set_state(PipelineState::Waiting(text));
         if runner.stop.run_until_cancelled(tokio::time::sleep(reconnect_backoff.grow())).await.is_none() {
@@ -154,19 +160,18 @@ async fn connect(
     }
 }
 
-/// Waits until both topics have publishers, unless a run is under way already. Returns whether it goes on: not when the
-/// agent stops.
+/// Waits until both topics have publishers, unless a run is in progress. Returns `false` if the agent stops.
 async fn await_publishers(
     runner: &Runner,
     config: &ObserveConfig,
     source: &mut Source,
     run: Option<RunId>,
 ) -> Result<bool, SourceError> {
-    let mut quiet = std::pin::pin!(tokio::time::sleep(QUIET));
+    let mut quiet = std::pin::pin!(tokio::time::sleep(PUBLISHER_TIMEOUT));
     let mut is_reported = false;
     loop {
         source.follow_publishers()?;
-        // Made before looking, so that nothing that happens in between is missed.
+        // Created before the check, so that no change in between is missed.
         let (input, output) = (source.input.publishers_changed(), source.output.publishers_changed());
         source.check_types(config.pair_by)?;
         let Some(trouble) = source.trouble().filter(|_| run.is_none()) else { return Ok(true) };
@@ -178,7 +183,7 @@ async fn await_publishers(
             () = runner.stop.cancelled() => return Ok(false),
             () = &mut quiet, if !is_reported => {
                 is_reported = true;
-                let since = format!("{trouble} since {} s", QUIET.as_secs());
+                let since = format!("{trouble} since {} s", PUBLISHER_TIMEOUT.as_secs());
                 let text = format!("{}; the run begins when one does", source.advised(&since));
                 runner.report(IncidentKind::Disconnected, None, text);
             }
@@ -186,7 +191,7 @@ async fn await_publishers(
     }
 }
 
-/// Reports what keeps a topic silent during a run, or that it is over.
+/// Reports the reason why topics are silent during a run, or with `None` that they no longer are.
 pub(super) fn report_trouble(runner: &Runner, run: RunId, trouble: Option<&str>) {
     match trouble {
         Some(trouble) => {

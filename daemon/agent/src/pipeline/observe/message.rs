@@ -1,4 +1,4 @@
-//! What is kept of a message.
+//! A message as it is kept: without its content.
 
 use bytes::Bytes;
 use peernet_clock::Stamp;
@@ -9,21 +9,21 @@ use crate::config::PairBy;
 /// A message of an observed topic, without its content.
 #[derive(Clone, Debug)]
 pub(super) struct TopicMessage {
-    /// When the agent had its last byte.
+    /// Time at which the agent had its last byte.
     pub(super) received: Stamp,
-    /// Bytes of the serialised message.
+    /// Length of the serialised message in bytes.
     pub(super) length: usize,
-    /// `header.stamp` in nanoseconds since the epoch of the publisher's clock; `None` without a header, and where the
-    /// publisher left it at 0.
+    /// `header.stamp` in nanoseconds since the epoch of the publisher's clock; `None` if there is no header, or the
+    /// stamp is 0.
     pub(super) stamp: Option<i64>,
-    /// `header.seq`: number that its publisher gave it, one more than that of the message before.
+    /// `header.seq`: the publisher's number of the message, one more than that of the previous message.
     pub(super) sequence: Option<i64>,
-    /// Messages of the same publisher that should have come before it, by their sequence numbers.
+    /// Number of messages of the same publisher that should have come before it, by their sequence numbers.
     pub(super) missing: u64,
 }
 
 impl TopicMessage {
-    /// Returns what the message is paired by, or why it cannot be paired.
+    /// Returns the key by which the message is paired, or the reason why it cannot be paired.
     pub(super) fn key(&self, pair_by: PairBy) -> Result<Option<i64>, &'static str> {
         match pair_by {
             PairBy::Stamp => self
@@ -39,16 +39,17 @@ impl TopicMessage {
 /// Returns whether messages of a type begin with a `std_msgs/Header`, by the text of its definition.
 pub(super) fn begins_with_header(definition: &str) -> bool {
     let lines = definition.lines().map(|line| line.split('#').next().unwrap_or_default().trim());
-    // A constant is no field.
+    // A line with `=` defines a constant, which is not a field.
     let first = lines.into_iter().find(|line| !line.is_empty() && !line.contains('='));
     let kind = first.and_then(|line| line.split_whitespace().next());
     kind.is_some_and(|kind| ["Header", "std_msgs/Header", "roslib/Header"].contains(&kind))
 }
 
-/// Reads the header that a message begins with; `None` where its first bytes cannot be one.
+/// Reads the header at the beginning of a message; `None` if its first bytes cannot be one.
 pub(super) fn read_header(form: WireForm, message: &Bytes) -> Option<Header> {
     let mut reader = Reader::new(form, message.clone()).ok()?;
-    // Of ROS 2 the fields of a type are not known: other values than a time rarely have a second part below a second.
+    // In ROS 2 the fields of a type are unknown here. Values other than a time rarely have a second part below 1e9,
+    // the number of nanoseconds in a second.
     Header::read(&mut reader).ok().filter(|header| header.stamp.nanosec < 1_000_000_000)
 }
 
@@ -70,7 +71,7 @@ mod tests {
 
     #[test]
     fn header_of_any_type_is_read() {
-        // seq 7, 3 s + 5 ns, frame "a", then a field of a type that nobody here knows.
+        // seq 7, 3 s + 5 ns, frame "a", then a field of an unknown type.
         let message = [7, 0, 0, 0, 3, 0, 0, 0, 5, 0, 0, 0, 1, 0, 0, 0, b'a', 9, 9, 9];
         let header = read_header(WireForm::Ros1, &Bytes::copy_from_slice(&message)).expect("a header");
         assert_eq!((header.seq, header.stamp.as_nanos()), (7, 3_000_000_005));
@@ -82,7 +83,7 @@ mod tests {
         let header = |body: &[u8]| {
             read_header(WireForm::Cdr, &[&[0, 1, 0, 0][..], body].concat().into()).map(|header| header.stamp)
         };
-        // 3 s + 5 ns, frame "a", then a field of a type that nobody here knows.
+        // 3 s + 5 ns, frame "a", then a field of an unknown type.
         let stamped = [3, 0, 0, 0, 5, 0, 0, 0, 2, 0, 0, 0, b'a', 0, 9, 9];
         assert_eq!(header(&stamped).map(|stamp| stamp.as_nanos()), Some(3_000_000_005));
         // A text, and the velocities 0.5, 0 and 0 m/s.

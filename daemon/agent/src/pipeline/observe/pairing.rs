@@ -1,4 +1,4 @@
-//! Which output message belongs to which input message. No I/O.
+//! Assigns output messages to input messages, in bounded memory. No I/O.
 
 use std::collections::VecDeque;
 
@@ -9,19 +9,20 @@ mod tests;
 
 /// Pairs the messages of two topics.
 ///
-/// Messages with a key are paired with the oldest message of the other topic that has the same key, whichever comes first:
-/// the observed node may have had the input before the agent. Messages without a key are paired in the order of arrival.
+/// Messages with a key are paired with the oldest message of the other topic that has the same key, in whichever
+/// order they arrive: the observed node may receive the input before the agent does. Messages without a key are
+/// paired in the order of arrival.
 #[derive(Debug)]
 pub(super) struct Pairing<I, O> {
-    /// How long an input message waits for its output message, and the other way round.
+    /// Longest time that a message waits for its counterpart.
     timeout: Span,
-    /// Messages of each topic that may wait.
+    /// Largest number of messages of each topic that wait.
     capacity: usize,
     inputs: VecDeque<Waiting<I>>,
     outputs: VecDeque<Waiting<O>>,
 }
 
-/// A message that waits for one of the other topic.
+/// A message that waits for its counterpart of the other topic.
 #[derive(Debug)]
 struct Waiting<T> {
     key: Option<i64>,
@@ -29,10 +30,10 @@ struct Waiting<T> {
     message: T,
 }
 
-/// What became of a message.
+/// Result for one message or a pair.
 #[derive(Debug, PartialEq, Eq)]
 pub(super) enum Resolution<I, O> {
-    /// The two belong together.
+    /// The two messages belong together.
     Paired { input: I, output: O },
     /// The input message has no output message.
     Unanswered { input: I, cause: Unanswered },
@@ -40,10 +41,10 @@ pub(super) enum Resolution<I, O> {
     Unmatched(O),
 }
 
-/// Why an input message has no output message.
+/// Reason why an input message has no output message.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Unanswered {
-    /// None came in time.
+    /// No output message came in time.
     Expired,
     /// Too many input messages came after it.
     Displaced,
@@ -55,14 +56,14 @@ impl<I, O> Pairing<I, O> {
         Self { timeout, capacity, inputs: VecDeque::new(), outputs: VecDeque::new() }
     }
 
-    /// Takes in an input message that was received at `at`.
+    /// Adds an input message that was received at `at`.
     pub(super) fn take_input(
         &mut self,
         key: Option<i64>,
         at: MonoTime,
         input: I,
     ) -> Option<Resolution<I, O>> {
-        // An output message without a key never waits: it would be taken for that of a later input message.
+        // An output message without a key never waits, because it would be paired with a later input message.
         if let Some(output) = remove(&mut self.outputs, key) {
             return Some(Resolution::Paired { input, output });
         }
@@ -71,7 +72,7 @@ impl<I, O> Pairing<I, O> {
         Some(Resolution::Unanswered { input: displaced.message, cause: Unanswered::Displaced })
     }
 
-    /// Takes in an output message that was received at `at`.
+    /// Adds an output message that was received at `at`.
     pub(super) fn take_output(
         &mut self,
         key: Option<i64>,
@@ -79,6 +80,7 @@ impl<I, O> Pairing<I, O> {
         output: O,
     ) -> Option<Resolution<I, O>> {
         if key.is_none() {
+            // An input message that was received later cannot be the cause of this output message.
             let oldest = self.inputs.pop_front_if(|oldest| oldest.since <= at);
             return Some(match oldest {
                 Some(Waiting { message: input, .. }) => Resolution::Paired { input, output },
@@ -93,7 +95,7 @@ impl<I, O> Pairing<I, O> {
         Some(Resolution::Unmatched(displaced.message))
     }
 
-    /// Gives up the next message that has waited for too long by `now`; to be called until there is none.
+    /// Removes the next message that has waited for too long by `now`. Call it until it returns `None`.
     pub(super) fn expire(&mut self, now: MonoTime) -> Option<Resolution<I, O>> {
         let timeout = self.timeout;
         if let Some(oldest) = self.inputs.pop_front_if(|oldest| now - oldest.since >= timeout) {
@@ -103,7 +105,7 @@ impl<I, O> Pairing<I, O> {
         Some(Resolution::Unmatched(oldest.message))
     }
 
-    /// Returns when the next message will have waited for too long.
+    /// Returns the time at which the next message will have waited for too long.
     pub(super) fn next_deadline(&self) -> Option<MonoTime> {
         let input = self.inputs.front().map(|oldest| oldest.since);
         let output = self.outputs.front().map(|oldest| oldest.since);

@@ -1,4 +1,6 @@
 //! The tree of one iteration of an observed system.
+//!
+//! Age and period of a message are values, not stages, because `header.stamp` may be of another clock.
 
 mod peer;
 
@@ -13,23 +15,24 @@ use crate::pipeline::iteration;
 use crate::pipeline::load::Start;
 use crate::pipeline::progress::Position;
 
-/// Largest difference between a `header.stamp` and this host's clock that is taken for the age of a message. Beyond it the
-/// stamp is that of another clock, as that of a simulation.
+/// Largest difference between `header.stamp` and this host's clock that is recorded as the age of a message. Beyond
+/// it the stamp is that of another clock, for example of a simulation.
 const MAX_AGE: Span = Span::from_seconds(3600);
 
-/// Output messages without an input message since the iteration before. Absent when there were none.
+/// Name of the number of output messages without an input message since the previous iteration. Absent if there were
+/// none.
 const OUTPUT_UNMATCHED: Name = Name::from_static("output-unmatched");
 
-/// A message with what its arrival says of its topic.
+/// A message with period and jitter of its topic.
 #[derive(Debug)]
 pub(super) struct Received {
     pub(super) message: TopicMessage,
     pub(super) arrival: Arrival,
-    /// When it was received, for the judgement of its delay.
+    /// Stamp of its reception, for the judgement of its delay.
     pub(super) at: HostStamp,
 }
 
-/// An input message with its place in the run.
+/// An input message with its position in the run.
 #[derive(Debug)]
 pub(super) struct Input {
     pub(super) position: Position,
@@ -44,17 +47,18 @@ pub(super) struct Uncounted {
     pub(super) output_unmatched: u64,
 }
 
-/// Names of the values of a topic; age and period are the terms of the topic statistics of ROS 2.
+/// Names of the values of a topic. Age and period are the terms of the topic statistics of ROS 2.
 struct TopicNames {
-    /// Reception by the agent, less `header.stamp`: holds the offset between the clocks of two hosts.
+    /// Reception by the agent minus `header.stamp`; contains the offset of the clocks if the publisher is on another
+    /// host.
     age: Name,
-    /// Time since the topic's message before.
+    /// Time since the previous message of the topic.
     period: Name,
     /// Difference between two periods in a row.
     jitter: Name,
     /// Size of the serialised message.
     bytes: Name,
-    /// Messages that should have come since the answered iteration before, by their sequence numbers.
+    /// Number of messages that should have come since the previous answered iteration, by their sequence numbers.
     missing: Name,
 }
 
@@ -76,7 +80,7 @@ const OUTPUT: TopicNames = TopicNames {
 
 pub(super) use peer::{answered_by_peer, answered_without_peer};
 
-/// Returns the tree of an input message with its output message, and when the iteration ended.
+/// Returns the tree of an input message with its output message, and the time at which the iteration ended.
 pub(super) fn answered(
     clock: &SharedClock,
     host: HostId,
@@ -91,10 +95,11 @@ pub(super) fn answered(
     (iteration::close(log, &pending(input.position, begun), ended.mono, true, None), ended)
 }
 
-/// Returns when the iteration of a pair began and ended.
+/// Returns the times at which the iteration of a pair began and ended.
 fn ends(input: &Input, output: &Received) -> (Stamp, Stamp) {
     let (begun, seen) = (input.received.message.received, output.message.received);
-    // The observed node may have had the input before the agent: then it took less time than can be seen here.
+    // The observed node may receive the input before the agent does. Then the latency is shorter than can be observed
+    // here, and is recorded as 0.
     (begun, if seen.mono < begun.mono { begun } else { seen })
 }
 
@@ -106,7 +111,7 @@ fn add_topics(tree: &mut Tree, input: &Input, output: &Received, at: Span, uncou
     }
 }
 
-/// Returns the tree of an input message that has no output message at `ended`.
+/// Returns the tree of an input message that has no output message by `ended`.
 pub(super) fn unanswered(
     clock: &SharedClock,
     host: HostId,
@@ -143,6 +148,7 @@ fn count(tree: &mut Tree, name: Name, at: Span, count: u64) {
 
 fn age(message: &TopicMessage) -> Option<Span> {
     let age = message.received.wall - WallTime::from_unix_nanos(message.stamp?);
+    // A stamp of a simulation or of a stopped clock would make the age meaningless.
     (age.abs() <= MAX_AGE).then_some(age)
 }
 

@@ -1,4 +1,4 @@
-//! Makes iterations of the messages of two topics, until something ends the run.
+//! The loop of an observed run: makes iterations of the messages of two topics.
 
 use std::pin::pin;
 use std::time::Duration;
@@ -21,12 +21,13 @@ use crate::pipeline::context::PipelineContext;
 use crate::pipeline::run::Run;
 use crate::pipeline::runner::Runner;
 
-/// Messages of each topic that wait for one of the other at most: a topic of 1 kHz for four seconds.
+/// Largest number of messages of each topic that wait for one of the other: those of a topic of 1 kHz in four
+/// seconds.
 const MAX_WAITING: usize = 4096;
-/// Longest time between two looks at the publishers and at the end of the run.
-const LOOK: Span = Span::from_seconds(1);
+/// Longest time between two checks of the publishers and of the end of the run.
+const CHECK_INTERVAL: Span = Span::from_seconds(1);
 
-/// Why a session ended.
+/// Reason why a session ended.
 #[derive(Debug)]
 pub(super) enum SessionEnded {
     /// The run reached its limit.
@@ -35,11 +36,11 @@ pub(super) enum SessionEnded {
     Midnight,
     /// The agent stops.
     Stopped,
-    /// The node has ended.
+    /// The node of the subscriptions has ended.
     SourceLost(SourceError),
 }
 
-/// What was observed so far, over all connections and runs.
+/// State of the observation, over all connections and runs.
 pub(super) struct Observation<'a> {
     config: &'a ObserveConfig,
     timeout: Span,
@@ -47,9 +48,9 @@ pub(super) struct Observation<'a> {
     input: Arrivals,
     output: Arrivals,
     uncounted: Uncounted,
-    /// Messages from before are not taken in: nobody waited for them.
+    /// Messages received before this time are ignored: they belong to no run.
     since: MonoTime,
-    /// Output messages without a key were reported.
+    /// `true` once output messages without a key have been reported.
     has_reported_output: bool,
     stamps: MessageStamps,
     /// The agent that observes the same messages on its host, if there is one.
@@ -57,7 +58,7 @@ pub(super) struct Observation<'a> {
 }
 
 impl<'a> Observation<'a> {
-    /// Begins now.
+    /// Starts the observation now.
     pub(super) fn new(config: &'a ObserveConfig, runner: &Runner, peer: Option<PeerStamps>) -> Self {
         let PipelineContext { host, observed, .. } = &runner.context;
         let timeout = Span::from(runner.config.timeout());
@@ -81,8 +82,8 @@ impl<'a> Observation<'a> {
         self.peer.as_ref()
     }
 
-    /// Makes iterations of `run` until one of the ends; all that had begun has been recorded by then, unless the node
-    /// has ended.
+    /// Makes iterations of `run` until the session ends. All iterations that had begun are recorded by then, unless
+    /// the node has ended.
     pub(super) async fn run(&mut self, source: &mut Source, run: &mut Run, runner: &Runner) -> SessionEnded {
         let clock = &runner.context.host.clock;
         let mut stopping = pin!(runner.stop.cancelled());
@@ -97,7 +98,7 @@ impl<'a> Observation<'a> {
                 self.settle(resolution, run, runner);
             }
             if now >= look_at {
-                look_at = now + LOOK;
+                look_at = now + CHECK_INTERVAL;
                 let current = source.trouble();
                 if current != trouble {
                     let reported = current.as_ref().map(|trouble| source.advised(trouble));
@@ -113,6 +114,7 @@ impl<'a> Observation<'a> {
                     ending = Some(SessionEnded::Midnight);
                 }
             }
+            // Iterations that have begun are completed first, so that the end of a run cuts off no pair.
             if self.pairing.is_settled()
                 && self.peer.as_ref().is_none_or(PeerStamps::is_settled)
                 && let Some(ending) = ending.take()
@@ -129,13 +131,13 @@ impl<'a> Observation<'a> {
                 }
                 message = source.input.next() => match message {
                     Ok(message) if ending.is_none() => self.take_input(message, run, runner),
-                    // The run is over; those that it has are still waited for.
+                    // The run is over; only messages that belong to its open iterations still count.
                     Ok(_) => {}
                     Err(error) => return SessionEnded::SourceLost(error.into()),
                 },
                 message = source.output.next() => match message {
                     Ok(message) => {
-                        // What is there already may have come before it.
+                        // Input messages that have been received already may have arrived before this output message.
                         if ending.is_none() {
                             self.take_arrived(&mut source.input, run, runner);
                         }
@@ -153,7 +155,8 @@ impl<'a> Observation<'a> {
         }
     }
 
-    /// Records the input messages that wait as lost, and the pairs that wait for the peer with what it told of them.
+    /// Records the waiting input messages as lost, and the pairs that wait for the peer with the stamps that it has
+    /// sent.
     pub(super) async fn give_up(&mut self, reason: &str, run: &mut Run, runner: &Runner) {
         for input in self.pairing.take_waiting() {
             record_lost(&input, reason.to_owned(), run, runner);
@@ -163,16 +166,16 @@ impl<'a> Observation<'a> {
         }
     }
 
-    /// Takes leave of the peer.
+    /// Ends the session with the peer.
     pub(super) async fn close(self) {
         if let Some(peer) = self.peer {
             peer.close().await;
         }
     }
 
-    /// Takes in the input messages that have been received.
+    /// Adds the input messages that have been received already.
     fn take_arrived(&mut self, input: &mut Topic, run: &mut Run, runner: &Runner) {
-        // An error shows again when the next message is waited for.
+        // An error is returned again when the next message is waited for.
         while let Some(Ok(message)) = input.next().now_or_never() {
             if !run.is_over(message.received.mono) {
                 self.take_input(message, run, runner);
@@ -187,6 +190,7 @@ impl<'a> Observation<'a> {
         }
         let arrival = self.input.record(at);
         self.uncounted.input_missing += message.missing;
+        // The input message numbers the iteration, so that an input without an output is counted as well.
         let position = run.place(at);
         let key = message.key(self.config.pair_by);
         let at_host = self.stamps.take(Side::Input, &message, key.ok().flatten());
@@ -233,9 +237,10 @@ impl<'a> Observation<'a> {
         }
     }
 
-    fn settle(&mut self, resolution: Resolution<Input, Received>, run: &Run, runner: &Runner) {
+    fn settle(&mut self, resolution: Resolution<Input, Received>, run: &mut Run, runner: &Runner) {
         match resolution {
             Resolution::Paired { input, output } => {
+                // Missing messages have no iteration. The next complete one carries their numbers.
                 let uncounted = std::mem::take(&mut self.uncounted);
                 let host = &runner.context.host;
                 if let Some(peer) = &mut self.peer {
@@ -267,7 +272,7 @@ impl<'a> Observation<'a> {
                 record_lost(&input, reason, run, runner);
             }
             Resolution::Unmatched(output) => {
-                // The first may belong to input messages from before the run.
+                // The first output messages may belong to input messages from before the run.
                 if output.message.received.mono - self.since >= self.timeout {
                     self.uncounted.output_unmatched += 1;
                 }
@@ -276,7 +281,7 @@ impl<'a> Observation<'a> {
     }
 }
 
-/// Waits for the next pair that the peer told of.
+/// Waits for the next pair that the peer has answered.
 async fn next_settled(peer: &mut Option<PeerStamps>) -> SettledPair {
     match peer {
         Some(peer) => peer.next().await,
@@ -284,18 +289,18 @@ async fn next_settled(peer: &mut Option<PeerStamps>) -> SettledPair {
     }
 }
 
-fn record(SettledPair { position, tree, ended }: SettledPair, run: &Run, runner: &Runner) {
+fn record(SettledPair { position, tree, ended }: SettledPair, run: &mut Run, runner: &Runner) {
     run.record(position, Outcome::Ok, tree, ended, &runner.context, &runner.display);
 }
 
-fn record_lost(input: &Input, reason: String, run: &Run, runner: &Runner) {
+fn record_lost(input: &Input, reason: String, run: &mut Run, runner: &Runner) {
     let host = &runner.context.host;
     let ended = host.clock.stamp();
     let tree = trees::unanswered(&host.clock, host.id, input.position, &input.received, ended);
     run.record(input.position, Outcome::Lost(reason), tree, ended, &runner.context, &runner.display);
 }
 
-/// Says that messages were dropped here, which is no fault of the observed nodes.
+/// Logs that this agent dropped messages, because that is not a fault of the observed nodes.
 fn report_dropped(source: &Source, reported: &mut u64) {
     let dropped = source.input.dropped() + source.output.dropped();
     if dropped > *reported {

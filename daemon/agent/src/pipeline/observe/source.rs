@@ -11,21 +11,21 @@ use peernet_ros::topics::{RosVersion, TopicError, shared_ros2_node};
 use super::topic::{Ros1Topic, Ros2Topic, Topic};
 use crate::config::{ObserveConfig, ObserveError, PairBy};
 
-/// Why topics cannot be observed.
+/// Reason why topics cannot be observed.
 #[derive(Debug, thiserror::Error)]
 pub(in crate::pipeline) enum SourceError {
-    /// The configuration cannot be followed.
+    /// The configuration cannot be used.
     #[error(transparent)]
     Config(#[from] ObserveError),
-    /// The client of ROS failed.
+    /// The ROS client failed.
     #[error(transparent)]
     Topic(#[from] TopicError),
-    /// The messages of a topic have nothing to be paired by.
+    /// The messages of a topic have no header to be paired by.
     #[error(
         "topic {topic} has the type {kind}, which does not begin with a std_msgs/Header; write pair_by = \"order\""
     )]
     WithoutHeader {
-        /// The topic.
+        /// Name of the topic.
         topic: String,
         /// Type of its messages.
         kind: String,
@@ -33,7 +33,7 @@ pub(in crate::pipeline) enum SourceError {
 }
 
 impl SourceError {
-    /// Whether it may pass without a change of the configuration.
+    /// Returns whether the error may pass without a change of the configuration.
     pub(super) fn may_pass(&self) -> bool {
         match self {
             Self::Config(_) | Self::WithoutHeader { .. } => false,
@@ -61,9 +61,9 @@ impl From<NodeError> for SourceError {
     }
 }
 
-/// A node that only subscribes, to the two observed topics.
+/// A node that subscribes to the two observed topics, and does nothing else.
 pub(super) struct Source {
-    // The topics go before their node.
+    // Fields are dropped in this order: the topics before their node.
     pub(super) input: Topic,
     pub(super) output: Topic,
     node: SourceNode,
@@ -71,19 +71,20 @@ pub(super) struct Source {
 
 /// The node of the subscriptions.
 enum SourceNode {
-    /// One of its own.
+    /// A separate node for each pipeline.
     Ros1 { node: Node, master: String },
-    /// The one of this process: each further node would make the publishers send every message once more.
+    /// The node of this process, which is shared: each further participant would make publishers send every message
+    /// once more.
     Ros2(Arc<Ros2Node>),
 }
 
 impl Source {
-    /// Subscribes to the topics. The environment variables of ROS name the master and the own address, or the domain.
-    /// A node of ROS 1 has the name `name`.
+    /// Subscribes to the topics. The environment variables of ROS name the master and this host's address, or the
+    /// domain. A node of ROS 1 gets the name `name`.
     ///
     /// # Errors
-    /// The version of ROS cannot be observed, a variable cannot be used, no master answers, the domain cannot be joined, or
-    /// a name is not allowed.
+    /// When the version of ROS cannot be observed, a variable or name is invalid, no master answers, or the domain
+    /// cannot be joined.
     pub(super) async fn open(
         config: &ObserveConfig,
         name: &str,
@@ -108,7 +109,7 @@ impl Source {
         }
     }
 
-    /// Where it subscribes, for people.
+    /// Returns version and master or domain, for people.
     pub(super) fn describe(&self) -> String {
         match &self.node {
             SourceNode::Ros1 { master, .. } => format!("{}, master {master}", RosVersion::Ros1),
@@ -119,18 +120,19 @@ impl Source {
     /// Subscribes with the types that the publishers of both topics have now.
     ///
     /// # Errors
-    /// A type has a name that ROS does not allow, or the client fails.
+    /// When a type has a name that ROS does not allow, or the client fails.
     pub(super) fn follow_publishers(&mut self) -> Result<(), SourceError> {
         self.input.follow_publishers()?;
         Ok(self.output.follow_publishers()?)
     }
 
-    /// Checks that the messages of both topics have what they are paired by, as far as their publishers have told.
+    /// Checks that the messages of both topics have a key to be paired by, as far as their publishers' types are
+    /// known.
     ///
     /// # Errors
-    /// A topic's type has no header.
+    /// When a topic's type has no header.
     pub(super) fn check_types(&self, pair_by: PairBy) -> Result<(), SourceError> {
-        // The sequence number is a part of the header, too.
+        // The sequence number is in the header as well.
         if pair_by == PairBy::Order {
             return Ok(());
         }
@@ -142,14 +144,14 @@ impl Source {
         Ok(())
     }
 
-    /// Returns why a topic has no messages at the moment; `None` while both have a publisher.
+    /// Returns the reason why a topic has no messages at the moment; `None` while both have a publisher.
     pub(super) fn trouble(&self) -> Option<String> {
         let troubles: Vec<String> =
             [&self.input, &self.output].into_iter().filter_map(Topic::trouble).collect();
         (!troubles.is_empty()).then(|| troubles.join("; "))
     }
 
-    /// Returns a trouble with what was seen instead and what to do, where the version of ROS does not say it by itself.
+    /// Returns a trouble together with an observation and advice, for ROS 2, whose own text lacks them.
     pub(super) fn advised(&self, trouble: &str) -> String {
         match &self.node {
             SourceNode::Ros1 { .. } => trouble.to_owned(),
@@ -161,7 +163,7 @@ impl Source {
     pub(super) async fn ended(&self) -> SourceError {
         match &self.node {
             SourceNode::Ros1 { node, .. } => node.ended().await.into(),
-            // It lives as long as this process uses it.
+            // The shared node lives as long as this process uses it.
             SourceNode::Ros2(_) => std::future::pending().await,
         }
     }
@@ -175,7 +177,8 @@ impl Source {
     }
 }
 
-/// Returns the name of the node of a pipeline: another node of that name would end it, or be ended by it.
+/// Returns the name of a pipeline's node, unique per host and pipeline: a second node of the same name would end the
+/// first one.
 pub(super) fn node_name(host: &Slug, pipeline: &Slug) -> String {
     let words = ["peernet", host.as_str(), pipeline.as_str()];
     let parts =
@@ -188,7 +191,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn node_name_is_one_that_ros_allows() {
+    fn node_name_is_valid_in_ros() {
         let name = |host: &str, pipeline: &str| {
             node_name(&host.parse().expect("a name"), &pipeline.parse().expect("a name"))
         };

@@ -1,4 +1,4 @@
-//! Stamps of the received messages, for this host and for agents that ask.
+//! Stamps of received messages, for this host and for agents that ask.
 
 use std::sync::Arc;
 
@@ -8,7 +8,7 @@ use super::message::TopicMessage;
 use crate::link::{EpochWatch, HostStamp};
 use crate::observed::{ObservedPipeline, Side};
 
-/// Stamps received messages, and keeps them for peers where there may be some.
+/// Stamps received messages, and keeps the stamps if peers may ask for them.
 #[derive(Debug)]
 pub(super) struct MessageStamps {
     clock: SharedClock,
@@ -21,7 +21,7 @@ impl MessageStamps {
         Self { epochs: EpochWatch::new(&*clock), clock, kept }
     }
 
-    /// Takes in a message that was received a moment ago, with what it is paired by.
+    /// Returns the stamp of a message that was received a moment ago, and keeps it under `key`.
     pub(super) fn take(&mut self, side: Side, message: &TopicMessage, key: Option<i64>) -> HostStamp {
         let stamp = self.epochs.stamp(&*self.clock, message.received);
         if let (Some(kept), Some(key)) = (&self.kept, key) {

@@ -1,4 +1,4 @@
-//! Pipelines of which a part panics.
+//! Tests of pipelines of which a part panics.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread;
@@ -18,17 +18,17 @@ use super::super::pipeline_loop::{PendingSample, PipelineLoop};
 use super::super::sensing::SensorOutput;
 use super::*;
 use crate::config::{AgentConfig, HostConfig};
-use crate::event_queue::{EventCounter, Exit};
+use crate::event_queue::{EventCounter, QueueReceiver};
 use crate::host::{EventSinks, Host};
 use crate::incidents::Incidents;
-use crate::link::{Links, Near, ProbeSettings};
+use crate::link::{LinkContext, Links, ProbeSettings};
 use crate::runs::Runs;
 
 const PIPELINE: &str = "line";
 
-/// A clock that breaks once, when it is told to, for who reads it.
+/// A clock that panics once, when it is broken, for one kind of reader.
 #[derive(Debug)]
-struct Fragile {
+struct PanickingClock {
     clock: SystemClock,
     broken: AtomicBool,
     reader: Reader,
@@ -37,11 +37,11 @@ struct Fragile {
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Reader {
     Any,
-    /// The thread of the sensor, which is named after the pipeline.
+    /// The thread of the sensor, which has the name of the pipeline.
     Sensor,
 }
 
-impl Clock for Fragile {
+impl Clock for PanickingClock {
     fn wall(&self) -> WallTime {
         self.clock.wall()
     }
@@ -61,8 +61,11 @@ impl Clock for Fragile {
     }
 }
 
-/// A host with one pipeline, and where its events come out.
-fn context(sensor: &str, clock: SharedClock) -> (PipelineContext, Arc<PipelineConfig>, Arc<Display>, Exit) {
+/// Returns a host with one pipeline, and the exit of its event queue.
+fn context(
+    sensor: &str,
+    clock: SharedClock,
+) -> (PipelineContext, Arc<PipelineConfig>, Arc<Display>, QueueReceiver) {
     let tables = format!(
         "[[model]]\nname = 'echo'\nkind = 'echo'\n\
          [[pipeline]]\nname = '{PIPELINE}'\nsensor = {sensor}\n\
@@ -71,10 +74,10 @@ fn context(sensor: &str, clock: SharedClock) -> (PipelineContext, Arc<PipelineCo
     let config: AgentConfig = toml::from_str(&tables).expect("reads");
     let aggregator = Some("tcp://127.0.0.1:1".parse().expect("an address"));
     let of_host = HostConfig { aggregator, ..HostConfig::default() };
-    let (event_queue, exit) = crate::event_queue::entrance(&of_host, &clock, EventCounter::default());
+    let (event_queue, receiver) = crate::event_queue::create(&of_host, &clock, EventCounter::default());
     let incidents = Incidents::new(Arc::clone(&clock), event_queue.clone());
     let (_own, own) = watch::channel(PeerClock::default());
-    let near = Near {
+    let link_context = LinkContext {
         name: "edge".parse().expect("a name"),
         clock: Arc::clone(&clock),
         own,
@@ -85,35 +88,35 @@ fn context(sensor: &str, clock: SharedClock) -> (PipelineContext, Arc<PipelineCo
     let context = PipelineContext {
         host: Host {
             id: HostId::random(),
-            name: near.name.clone(),
+            name: link_context.name.clone(),
             version: "0.0.0",
             clock: Arc::clone(&clock),
         },
         events: EventSinks { event_queue, incidents, runs: Runs::default() },
         bank: Arc::new(Bank::new(config.models, config.onnxruntime, clock)),
         fingerprints: FingerprintKey::new([0; 32]),
-        links: Links::new(near, &config.clock, probes),
+        links: Links::new(link_context, &config.clock, probes),
         observed: crate::observed::ObservedPipelines::default(),
         inspection: Arc::default(),
     };
     let pipeline = Arc::new(config.pipelines.into_iter().next().expect("one"));
     let placement = crate::pipeline::intended(&pipeline.placement);
     let display = Arc::new(Display::new(pipeline.name.clone(), pipeline.load.describe(), placement));
-    (context, pipeline, display, exit.expect("there is an aggregator"))
+    (context, pipeline, display, receiver.expect("there is an aggregator"))
 }
 
-/// Runs a pipeline until the clock breaks for one who reads it. Returns why the run ended, which is what is shown and
-/// reported, too.
+/// Runs a pipeline until the clock panics for this reader. Returns the reason of the run's end, after checking that
+/// it is shown and reported as well.
 async fn broken(sensor: &str, reader: Reader) -> String {
     let system = SystemClock::new(ClockIdentity::new("boot", "system"));
-    let fragile = Arc::new(Fragile { clock: system, broken: AtomicBool::new(false), reader });
-    let clock: SharedClock = Arc::<Fragile>::clone(&fragile);
-    let (context, pipeline, display, mut exit) = context(sensor, clock);
+    let fragile = Arc::new(PanickingClock { clock: system, broken: AtomicBool::new(false), reader });
+    let clock: SharedClock = Arc::<PanickingClock>::clone(&fragile);
+    let (context, pipeline, display, mut receiver) = context(sensor, clock);
     let running =
         run(pipeline, Arc::clone(&display), context, CancellationToken::new(), Duration::from_secs(1));
     let running = tokio::spawn(running);
     let mut started = None;
-    while let Some(event) = exit.next().await {
+    while let Some(event) = receiver.next().await {
         match event {
             Event::RunStarted(run) => started = Some(run.run),
             Event::Iteration(_) => break,
@@ -125,7 +128,7 @@ async fn broken(sensor: &str, reader: Reader) -> String {
 
     let (mut ended, mut incident) = (None, None);
     while ended.is_none() || incident.is_none() {
-        match exit.next().await.expect("the run ends and the failure is reported") {
+        match receiver.next().await.expect("the run ends and the failure is reported") {
             Event::RunEnded(end) => ended = Some(end),
             Event::Incident(what) if what.kind == IncidentKind::PipelineFailed => incident = Some(what),
             _ => {}
@@ -135,29 +138,29 @@ async fn broken(sensor: &str, reader: Reader) -> String {
     assert_eq!(Some(ended.run), started);
     let reason = ended.reason.failure().expect("it broke off").to_owned();
     assert_eq!(incident.expect("seen").text, reason);
-    let (shown, _) = crate::live::LiveStatistics::new(vec![display]).look();
+    let (shown, _) = crate::live::LiveStatistics::new(vec![display]).snapshot();
     assert_eq!(shown[0].state, PipelineState::Failed(reason.clone()));
     reason
 }
 
 #[tokio::test]
-async fn a_panic_fails_its_pipeline_with_the_reason_and_ends_its_run() {
+async fn panic_fails_pipeline_with_reason_and_ends_run() {
     let reason = broken("{ kind = 'synthetic', size_bytes = 1 }", Reader::Any).await;
     assert!(reason.contains("panicked: as planned"), "{reason}");
 }
 
 #[tokio::test]
-async fn a_sensor_whose_thread_dies_ends_its_pipeline_and_is_named() {
+async fn dead_sensor_thread_ends_pipeline_and_is_named() {
     let reason = broken("{ kind = 'text', length = 5000 }", Reader::Sensor).await;
     assert!(reason.contains("the sensor's thread has died"), "{reason}");
 }
 
-/// A pipeline in a run, whose sensor has just given a sample that `asked` had asked for; the connection was away.
-/// Returns the iterations that are recorded by the time the sample has been taken up.
-async fn taken_up(asked: impl FnOnce(RunId) -> RunId) -> Vec<Outcome> {
+/// Returns the outcomes recorded after a connection came back, when the sensor gave a sample meanwhile that the run
+/// `requesting_run` had requested.
+async fn taken_up(requesting_run: impl FnOnce(RunId) -> RunId) -> Vec<Outcome> {
     let clock: SharedClock = Arc::new(SystemClock::new(ClockIdentity::new("boot", "system")));
     let sensor = "{ kind = 'synthetic', size_bytes = 1 }";
-    let (context, pipeline, display, mut exit) = context(sensor, Arc::clone(&clock));
+    let (context, pipeline, display, mut receiver) = context(sensor, Arc::clone(&clock));
     let mut resources = PipelineResources::assemble(
         Arc::clone(&pipeline),
         Arc::clone(&display),
@@ -173,13 +176,13 @@ async fn taken_up(asked: impl FnOnce(RunId) -> RunId) -> Vec<Outcome> {
     let (tell, sample) = oneshot::channel();
     let came = Sample::of(Description::bytes(), "x".into());
     assert!(tell.send(SensorOutput { log, sample: Ok(Some(came)) }).is_ok(), "before the connection is back");
-    resources.sensing = Some(PendingSample { run: asked(run.id()), start, began_at, sample });
+    resources.sensing = Some(PendingSample { run: requesting_run(run.id()), start, began_at, sample });
     drop(PipelineLoop::new(&mut resources, &mut run, &context));
     assert!(resources.sensing.is_none());
     run.end(EndReason::Stopped, &context);
     let mut outcomes = Vec::new();
     loop {
-        match exit.next().await.expect("the end is recorded") {
+        match receiver.next().await.expect("the end is recorded") {
             Event::Iteration(iteration) => outcomes.push(iteration.outcome),
             Event::RunEnded(_) => return outcomes,
             _ => {}
@@ -188,7 +191,7 @@ async fn taken_up(asked: impl FnOnce(RunId) -> RunId) -> Vec<Outcome> {
 }
 
 #[tokio::test]
-async fn a_sample_that_came_while_nobody_was_there_is_lost_and_said_to_be() {
+async fn sample_without_connection_is_recorded_as_lost() {
     let outcomes = taken_up(|current| current).await;
     assert!(
         matches!(outcomes.as_slice(), [Outcome::Lost(reason)] if reason.contains("no connection")),
@@ -197,6 +200,6 @@ async fn a_sample_that_came_while_nobody_was_there_is_lost_and_said_to_be() {
 }
 
 #[tokio::test]
-async fn a_sample_that_an_earlier_run_asked_for_is_no_iteration_of_this_one() {
+async fn sample_requested_by_earlier_run_is_no_iteration() {
     assert_eq!(taken_up(|_| RunId::random()).await, []);
 }

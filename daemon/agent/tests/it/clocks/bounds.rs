@@ -1,12 +1,12 @@
-//! Every delay has an interval, and the truth lies in it.
+//! Tests that every delay has an interval that contains the truth.
 
-use peernet_clock::{DelaySource, RehearsalDescription, Span, Verdict};
+use peernet_clock::{ClockFaults, DelaySource, Span, Verdict};
 
 use super::{CLOUD, FIRST, WAYS, assert_holds, delay, line, transit, truth, wrong};
 use crate::harness::{Aggregator, TestAgent, assert_adds_up, clock, config, rehearsed, value};
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn two_clocks_bound_every_delay_from_the_first_exchange_on() {
+async fn every_delay_is_bounded_from_first_exchange_on() {
     let aggregator = Aggregator::start().await;
     let cloud = TestAgent::start_with("cloud", None, config(CLOUD), "cloud").await;
     let load = "load = { mode = 'rate', hz = 100.0 }\nmax_in_flight = 4\nlimit = { iterations = 250 }";
@@ -51,7 +51,7 @@ async fn two_clocks_bound_every_delay_from_the_first_exchange_on() {
             assert!(median.bits_per_second > Some(0.0));
         }
     }
-    // The live lane told the same: every verdict is counted, and each has its error bar.
+    // The live lane has the same data: every verdict is counted, and each has its error bar.
     let mut seconds = std::collections::BTreeMap::new();
     for second in seen.lives.iter().flat_map(|live| &live.pipelines).flat_map(|line| &line.seconds) {
         seconds.insert(second.at, second.clone());
@@ -67,12 +67,11 @@ async fn two_clocks_bound_every_delay_from_the_first_exchange_on() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn a_wrong_clock_does_not_move_the_delays() {
+async fn wrong_clock_does_not_change_delays() {
     let right = |name| async move { (None, clock(name)) };
     let ahead = wrong(Span::from_seconds(1), 40.0);
     let behind = wrong(Span::from_seconds(-1), -40.0);
-    let wrong =
-        |name: &'static str, how: &RehearsalDescription| (Some(how.clone()), rehearsed(name, how.clone()));
+    let wrong = |name: &'static str, how: &ClockFaults| (Some(how.clone()), rehearsed(name, how.clone()));
     for ((edge_wrong, edge_clock), (cloud_wrong, cloud_clock)) in
         [(right("edge").await, wrong("cloud", &ahead)), (wrong("edge", &behind), right("cloud").await)]
     {
@@ -84,9 +83,8 @@ async fn a_wrong_clock_does_not_move_the_delays() {
         let seen = aggregator.until(|seen| !seen.ended().is_empty()).await;
 
         assert_eq!(seen.iterations().len(), 200);
-        let right = |wrong: &Option<RehearsalDescription>, shown| {
-            wrong.as_ref().map_or(shown, |wrong| truth(wrong, shown))
-        };
+        let right =
+            |wrong: &Option<ClockFaults>, shown| wrong.as_ref().map_or(shown, |wrong| truth(wrong, shown));
         for iteration in seen.iterations() {
             let (sent, received, delay) = transit(iteration, "upload");
             assert_holds(&delay, right(&cloud_wrong, received) - right(&edge_wrong, sent));

@@ -1,4 +1,4 @@
-//! Somebody on the path who sees and alters probes, but not the session.
+//! Test of an attacker on the path who can read and change probes, but not the session.
 
 use std::io;
 use std::net::SocketAddr;
@@ -14,12 +14,12 @@ use tokio::net::{TcpListener, TcpStream, UdpSocket};
 use super::{CLOUD, WAYS, assert_holds, delay, line};
 use crate::harness::{Aggregator, TestAgent, config};
 
-/// How long data takes each way: so wide is what honest exchanges leave open.
+/// Delay of data in each direction, which determines the width of the interval from honest exchanges.
 const WAY: Duration = Duration::from_millis(20);
-/// What is added to the cloud's stamps: less than anything but the probes could contradict.
+/// Amount added to the cloud's stamps: so little that only the probes could be contradicted.
 const ADDED: Span = Span::from_millis(13);
 
-/// Passes the bytes of a connection on, later.
+/// Forwards the bytes of a connection with a delay.
 async fn pass(mut from: impl AsyncReadExt + Unpin, mut to: impl AsyncWriteExt + Unpin) -> io::Result<()> {
     let (queue, mut queued) = tokio::sync::mpsc::channel(1024);
     let reading = async move {
@@ -42,7 +42,7 @@ async fn pass(mut from: impl AsyncReadExt + Unpin, mut to: impl AsyncWriteExt + 
     tokio::try_join!(reading, writing).map(|_| ())
 }
 
-/// Passes on connections to `cloud`, each later by [`WAY`] in both directions.
+/// Forwards connections to `cloud`, delayed by [`WAY`] in both directions.
 async fn relay_data(listener: TcpListener, cloud: SocketAddr) {
     while let Ok((near, _)) = listener.accept().await {
         let far = TcpStream::connect(cloud).await.expect("the cloud listens");
@@ -52,16 +52,16 @@ async fn relay_data(listener: TcpListener, cloud: SocketAddr) {
     }
 }
 
-/// Passes probes on at once and forges each answer.
+/// Forwards probes at once and forges each answer.
 async fn relay_probes(near: UdpSocket, reflector: SocketAddr, forged: Arc<AtomicUsize>) {
     let far = UdpSocket::bind("127.0.0.2:0").await.expect("a port");
-    let (mut asked, mut answered) = ([0; 2048], [0; 2048]);
+    let (mut request, mut answered) = ([0; 2048], [0; 2048]);
     let mut edge = None;
     loop {
         tokio::select! {
-            Ok((length, from)) = near.recv_from(&mut asked) => {
+            Ok((length, from)) = near.recv_from(&mut request) => {
                 edge = Some(from);
-                far.send_to(&asked[..length], reflector).await.expect("loopback takes it");
+                far.send_to(&request[..length], reflector).await.expect("loopback takes it");
             }
             Ok((length, _)) = far.recv_from(&mut answered) => {
                 let answer = &mut answered[..length];
@@ -73,8 +73,8 @@ async fn relay_probes(near: UdpSocket, reflector: SocketAddr, forged: Arc<Atomic
     }
 }
 
-/// Makes the cloud's clocks seem to be ahead by [`ADDED`], in both layouts of a base packet and in the stamps of its free-running
-/// clock.
+/// Changes an answer so that the cloud's clocks seem to be ahead by [`ADDED`]: in both layouts of a base packet, and
+/// in the stamps of its free-running clock.
 fn forge(answer: &mut [u8]) {
     let ntp = (ADDED.nanos() << 32) / 1_000_000_000;
     let is_open = answer[4..12] != [0; 8];
@@ -109,8 +109,11 @@ async fn forged_answers_to_probes_reach_no_delay() {
     let load = "load = { mode = 'rate', hz = 50.0 }\nmax_in_flight = 16\nlimit = { iterations = 300 }";
     let table = line("line", &cloud, load).replace(&cloud.address(), &relayed);
     let edge = TestAgent::start_with("edge", Some(&aggregator.address), config(&table), "edge").await;
-    let said = |probing: &Probing| matches!(probing, Probing::Unanswered { reason: Some(reason), .. } if reason.contains("not authenticated by the key") && reason.ends_with(" refused)"));
-    edge.until(|live| live.links.iter().any(|link| said(&link.probing))).await;
+    let is_refused = |probing: &Probing| {
+        let Probing::Unanswered { reason: Some(reason), .. } = probing else { return false };
+        reason.contains("not authenticated by the key") && reason.ends_with(" refused)")
+    };
+    edge.until(|live| live.links.iter().any(|link| is_refused(&link.probing))).await;
     let seen = aggregator.until(|seen| !seen.ended().is_empty()).await;
     let mut judged = 0;
     for iteration in seen.iterations() {

@@ -1,4 +1,4 @@
-//! Whose clock it is: the process that serves the data is the one whose clock must be known.
+//! Tests of the identity of a cloud: the clock that matters is that of the process that serves the data.
 
 use peernet_clock::{ClockIdentity, SharedClock};
 use peernet_logger::HostId;
@@ -65,14 +65,14 @@ impl Cloud {
         }));
     }
 
-    /// Goes on for as long as the task is not aborted.
+    /// Keeps the session open until the task is aborted.
     fn stay(mut self) -> JoinHandle<()> {
         tokio::spawn(async move { while self.listener.next().await.is_some() {} })
     }
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn probes_that_reach_another_process_are_refused_and_that_is_said() {
+async fn probes_at_another_process_are_refused_and_reported() {
     let listen = "127.0.0.1:0".parse().expect("an address");
     let elsewhere = ReflectorConfig {
         listen,
@@ -93,10 +93,13 @@ async fn probes_that_reach_another_process_are_refused_and_that_is_said() {
     let open = cloud.next_open().await;
     cloud.accept(open);
     let cloud = cloud.stay();
-    let said = |probing: &Probing| matches!(probing, Probing::Unanswered { reason: Some(reason), .. } if reason.contains("another process"));
-    let live = edge.until(|live| live.links.iter().any(|link| said(&link.probing))).await;
+    let is_refused = |probing: &Probing| {
+        let Probing::Unanswered { reason: Some(reason), .. } = probing else { return false };
+        reason.contains("another process")
+    };
+    let live = edge.until(|live| live.links.iter().any(|link| is_refused(&link.probing))).await;
     assert!(answers.read().answered > 0, "they were answered");
-    // A session that brings no key, as those of earlier releases.
+    // This session has no key, as with clouds of earlier releases.
     let is_open = |basis: EstimateBasis| basis.probes_authenticated == Some(false);
     edge.until(|live| live.links.iter().any(|link| link.now.basis.is_some_and(is_open))).await;
     let now = &live.links[0].now;
@@ -109,7 +112,7 @@ async fn probes_that_reach_another_process_are_refused_and_that_is_said() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn a_cloud_that_was_started_anew_is_known_by_nothing_while_a_session_of_before_hangs() {
+async fn restarted_cloud_does_not_join_link_of_hanging_session() {
     let host = HostId::random();
     let mut before = Cloud::start(host, 1, None).await;
     let mut after = Cloud::start(host, 2, None).await;

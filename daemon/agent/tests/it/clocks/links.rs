@@ -1,4 +1,4 @@
-//! A link lives as long as there is a session.
+//! Tests of the lifetime of a link, which is that of its sessions.
 
 use std::fs::Permissions;
 use std::os::unix::fs::PermissionsExt;
@@ -11,7 +11,7 @@ use super::{CLOUD, line};
 use crate::harness::{Aggregator, TestAgent, config};
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn pipelines_to_one_cloud_share_a_link_that_goes_with_the_last_of_them() {
+async fn pipelines_to_one_cloud_share_link_until_last_ends() {
     let cloud = TestAgent::start_with("cloud", None, config(CLOUD), "cloud").await;
     let short = line("short", &cloud, "load = { mode = 'rate', hz = 50.0 }\nlimit = { iterations = 50 }");
     let long = line("long", &cloud, "load = { mode = 'rate', hz = 50.0 }\nlimit = { iterations = 150 }");
@@ -40,7 +40,7 @@ async fn pipelines_to_one_cloud_share_a_link_that_goes_with_the_last_of_them() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn one_clock_is_known_to_be_one_and_probed_at_leisure() {
+async fn same_clock_is_recognised_and_probed_rarely() {
     let cloud = TestAgent::start("cloud", None, CLOUD).await;
     let tables = line("line", &cloud, "load = { mode = 'rate', hz = 50.0 }");
     let edge = TestAgent::start("edge", None, &tables).await;
@@ -56,7 +56,7 @@ async fn one_clock_is_known_to_be_one_and_probed_at_leisure() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn each_network_of_a_pair_has_the_results_of_all_its_probes() {
+async fn each_network_of_pair_has_all_probe_results() {
     let aggregator = Aggregator::start().await;
     let listen = "[serve]\nlisten = ['tcp://127.0.0.1:0', 'udp://127.0.0.1:0']\n[[model]]\nname = 'echo'\nkind = 'echo'\n";
     let cloud = TestAgent::start_with("cloud", None, config(listen), "cloud").await;
@@ -68,7 +68,7 @@ async fn each_network_of_a_pair_has_the_results_of_all_its_probes() {
              load = {{ mode = 'rate', hz = 50.0 }}\n"
         )
     };
-    // No probe is answered without the key, so that many are under way when a session ends.
+    // No probe is answered without the key, so that many are in flight when a session ends.
     let folder = tempfile::tempdir().expect("a folder");
     let key = folder.path().join("key");
     std::fs::write(&key, "0123456789abcdef0123456789abcdef\n").expect("written");
@@ -77,7 +77,7 @@ async fn each_network_of_a_pair_has_the_results_of_all_its_probes() {
     let tables = format!("{probes}{}{}", pipeline("first", tcp), pipeline("second", udp));
     let edge = TestAgent::start_with("edge", Some(&aggregator.address), config(&tables), "edge").await;
     edge.until(|live| live.links.len() == 2 && live.links.iter().all(|link| link.now.probes.lost > 0)).await;
-    // Both end, one a little earlier.
+    // Both sessions end, one a little earlier.
     edge.stop().await.expect("stops well");
     let seen = aggregator.until(|seen| !seen.goodbyes.is_empty()).await;
     for network in ["zmq-tcp", "zmq-udp"] {
@@ -86,7 +86,7 @@ async fn each_network_of_a_pair_has_the_results_of_all_its_probes() {
             sent += sample.probes.sent;
             ended += sample.probes.answered + sample.probes.lost;
         }
-        // A hundred are under way at the end. A few were sent in the second before one of the sessions began.
+        // A hundred probes are in flight at the end. A few were sent in the second before one of the sessions began.
         assert!(sent > 100 && sent.abs_diff(ended) < 10, "{network}: {sent} sent, {ended} answered or lost");
     }
     cloud.stop().await.expect("stops well");

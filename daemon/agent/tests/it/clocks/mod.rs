@@ -1,7 +1,7 @@
-//! Two hosts, two clocks: what is known of every delay.
+//! Tests with two hosts and two clocks: the intervals of delays.
 //!
-//! The agents share this machine's clock under different names, so that the truth is known and the estimator cannot
-//! tell: the raw difference, less what a rehearsal adds, is the delay.
+//! The agents share this machine's clock under different names, so that the truth is known but the estimator does not
+//! use it: the raw difference, minus the injected error of a clock, is the delay.
 
 mod bounds;
 mod forged;
@@ -11,18 +11,19 @@ mod probes;
 mod reflectors;
 mod steps;
 
-use peernet_clock::{OneWayDelay, RehearsalDescription, Span, WallTime};
+use peernet_clock::{ClockFaults, OneWayDelay, Span, WallTime};
 use peernet_logger::Measure;
 use peernet_stream::Iteration;
 
 use crate::harness::TestAgent;
 
 const CLOUD: &str = "[serve]\nlisten = 'tcp://127.0.0.1:0'\n[[model]]\nname = 'echo'\nkind = 'echo'\n";
-/// So many exchanges at the beginning of a link are too few to trust, though bounded.
+/// Number of exchanges at the beginning of a link that may be too few for a good verdict, although their delays have
+/// bounds.
 const FIRST: u64 = 5;
 const WAYS: [&str; 2] = ["upload", "download"];
 
-/// A pipeline to the model `echo` of a cloud.
+/// Returns a pipeline that uses the model `echo` of a cloud.
 fn line(name: &str, cloud: &TestAgent, keys: &str) -> String {
     format!(
         "[[pipeline]]\nname = '{name}'\nsensor = {{ kind = 'synthetic', size_bytes = 20000 }}\n\
@@ -32,12 +33,12 @@ fn line(name: &str, cloud: &TestAgent, keys: &str) -> String {
     )
 }
 
-/// What was said of a message's way.
+/// Returns the judged delay in one direction.
 fn delay(iteration: &Iteration, way: &str) -> OneWayDelay {
     transit(iteration, way).2
 }
 
-/// The stamps of a message's way, and what was said of it.
+/// Returns the stamps of a message in one direction, and its judged delay.
 fn transit(iteration: &Iteration, way: &str) -> (WallTime, WallTime, OneWayDelay) {
     let (_, node) = iteration.tree.find(&[way]).unwrap_or_else(|| panic!("{way} in {:?}", iteration.tree));
     match &node.measure {
@@ -49,22 +50,22 @@ fn transit(iteration: &Iteration, way: &str) -> (WallTime, WallTime, OneWayDelay
     }
 }
 
-/// A clock that is wrong from now on.
-fn wrong(offset: Span, drift_ppm: f64) -> RehearsalDescription {
-    RehearsalDescription { offset, drift_ppm, steps: Vec::new(), since: crate::harness::clock("now").wall() }
+/// Returns the description of a clock that is wrong from now on.
+fn wrong(offset: Span, drift_ppm: f64) -> ClockFaults {
+    ClockFaults { offset, drift_ppm, steps: Vec::new(), since: crate::harness::clock("now").wall() }
 }
 
-/// When a clock that is wrong showed `shown`, to a nanosecond or so.
-fn truth(wrong: &RehearsalDescription, shown: WallTime) -> WallTime {
-    // The error changes little over the error itself: three rounds are plenty.
+/// Returns the true time at which a wrong clock showed `shown`, to about a nanosecond.
+fn truth(wrong: &ClockFaults, shown: WallTime) -> WallTime {
+    // The error changes little within the time of the error itself: three rounds are enough.
     (0..3).fold(shown, |truth, _| shown - wrong.error_at(truth))
 }
 
-/// Delays are judged by stamps of the free-running clocks, and the truth is known by those of the wall clocks, which are read at
-/// most so much later.
+/// Tolerance of [`assert_holds`]: delays are judged by stamps of the free-running clocks, while the truth is computed
+/// from those of the wall clocks, which are read at most this much later.
 const APART: Span = Span::from_micros(3);
 
-/// Asserts that a delay has a value, and that its interval holds the truth.
+/// Asserts that a delay has a value, and that its interval contains the truth.
 #[track_caller]
 fn assert_holds(delay: &OneWayDelay, truth: Span) {
     let (Some(value), Some(bounds)) = (delay.value, delay.bounds) else { panic!("{delay:?}") };

@@ -1,4 +1,4 @@
-//! Networks that let no probes through, and ports that cannot be had.
+//! Tests of networks that block probes, and of ports that are taken.
 
 use std::fs::Permissions;
 use std::net::UdpSocket;
@@ -15,7 +15,7 @@ use crate::harness::{Aggregator, TestAgent, VERSION, clock, config};
 const LOAD: &str = "load = { mode = 'rate', hz = 50.0 }\nmax_in_flight = 4\nlimit = { iterations = 60 }";
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn without_probes_the_data_bounds_the_delays() {
+async fn data_bounds_delays_without_probes() {
     let silent = "[probes]\nsend = false\n";
     let deaf = "[probes]\nreflect = false\n";
     for (edge_keys, cloud_keys, why) in [(silent, "", "send = false"), ("", deaf, "cloud answers no probes")]
@@ -51,13 +51,13 @@ async fn without_probes_the_data_bounds_the_delays() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn probes_are_answered_if_the_key_is_shared_and_shown_as_unanswered_if_not() {
+async fn probes_are_answered_only_with_shared_key() {
     let folder = tempfile::tempdir().expect("a folder");
     let key = folder.path().join("key");
     std::fs::write(&key, "0123456789abcdef0123456789abcdef\n").expect("written");
     std::fs::set_permissions(&key, Permissions::from_mode(0o600)).expect("mine");
     let keyed = format!("[probes]\nkey_file = '{}'\n", key.display());
-    // Without the key the reflector is as good as a firewall.
+    // Without the key an edge gets no answer, as with a firewall.
     let cloud = TestAgent::start_with("cloud", None, config(&format!("{CLOUD}{keyed}")), "cloud").await;
     let load = "load = { mode = 'rate', hz = 20.0 }";
     let tables = |keys: &str| config(&format!("{keys}{}", line("line", &cloud, load)));
@@ -79,7 +79,7 @@ async fn probes_are_answered_if_the_key_is_shared_and_shown_as_unanswered_if_not
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn a_key_that_only_the_edge_has_is_named_as_the_reason() {
+async fn key_only_at_edge_is_named_as_reason() {
     let folder = tempfile::tempdir().expect("a folder");
     let key = folder.path().join("key");
     std::fs::write(&key, "0123456789abcdef0123456789abcdef\n").expect("written");
@@ -93,7 +93,7 @@ async fn a_key_that_only_the_edge_has_is_named_as_the_reason() {
     edge.until(|live| live.links.iter().any(|link| named(&link.probing))).await;
     edge.stop().await.expect("stops well");
     let seen = aggregator.until(|seen| !seen.goodbyes.is_empty()).await;
-    // Those under way when the edge stopped are lost as well.
+    // Probes that were in flight when the edge stopped are lost as well.
     let (mut sent, mut lost) = (0, 0);
     for sample in seen.clocks() {
         (sent, lost) = (sent + sample.probes.sent, lost + sample.probes.lost);
@@ -104,7 +104,7 @@ async fn a_key_that_only_the_edge_has_is_named_as_the_reason() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn a_port_for_probes_that_is_taken_is_an_error_only_if_it_was_asked_for() {
+async fn occupied_probe_port_is_error_only_if_configured() {
     let taken = UdpSocket::bind("127.0.0.1:0").expect("a port");
     let port = taken.local_addr().expect("bound").port();
     let state = tempfile::tempdir().expect("a folder");
@@ -119,7 +119,7 @@ async fn a_port_for_probes_that_is_taken_is_an_error_only_if_it_was_asked_for() 
     };
     assert!(error.contains(&port.to_string()) && error.contains("[probes] port"), "{error}");
 
-    // Two clouds on one address: one of them, or both if a third program is there, takes another port.
+    // Two clouds on one address: at least one of them takes a port other than the default.
     let clouds = [
         TestAgent::start_with("first", None, config(CLOUD), "first").await,
         TestAgent::start_with("second", None, config(CLOUD), "second").await,

@@ -1,4 +1,5 @@
-//! Reflectors of others that the configuration names: accepted, and believed of their own clock alone.
+//! Tests of foreign reflectors that the configuration names: they are accepted, and their answers count for their own
+//! clock only.
 
 use std::net::SocketAddr;
 use std::process::{Child, Command, Stdio};
@@ -10,19 +11,19 @@ use tokio::net::UdpSocket;
 use super::{CLOUD, line};
 use crate::harness::{TestAgent, config};
 
-/// A process that ends with the test.
-struct Foreign(Child);
+/// A process that is killed at the end of the test.
+struct ForeignReflector(Child);
 
-impl Drop for Foreign {
+impl Drop for ForeignReflector {
     fn drop(&mut self) {
-        // It may have ended by itself.
+        // It may have ended already.
         let _ = self.0.kill();
         let _ = self.0.wait();
     }
 }
 
-/// stamp-suite's reflector at an address. Its clock is this machine's.
-fn stamp_suite(address: SocketAddr) -> Foreign {
+/// Starts the reflector of stamp-suite at an address. Its clock is this machine's.
+fn stamp_suite(address: SocketAddr) -> ForeignReflector {
     let program = std::env::var_os("PEERNET_STAMP_SUITE").unwrap_or_else(|| "stamp-suite".into());
     let mut command = Command::new(&program);
     command
@@ -33,12 +34,12 @@ fn stamp_suite(address: SocketAddr) -> Foreign {
         .stdin(Stdio::null())
         .stdout(Stdio::null());
     let child = command.spawn();
-    Foreign(child.unwrap_or_else(|error| {
+    ForeignReflector(child.unwrap_or_else(|error| {
         panic!("{} does not run: {error}; deploy/install-tools.sh test installs it", program.display())
     }))
 }
 
-/// An edge that names a reflector for its cloud, and the cloud.
+/// Starts a cloud, and an edge that names a reflector for it.
 async fn naming(reflector: SocketAddr) -> (TestAgent, TestAgent) {
     let cloud = TestAgent::start_with("cloud", None, config(CLOUD), "cloud").await;
     let load = "load = { mode = 'rate', hz = 20.0 }\nlimit = { iterations = 100000 }";
@@ -54,7 +55,7 @@ fn of_reflector(wanted: impl Fn(&ReflectorLive) -> bool) -> impl Fn(&LiveUpdate)
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn named_foreign_reflector_gets_relation_of_its_own() {
-    // Out of the range from which the system gives ports away, on an address that only this test uses.
+    // Outside the range of ephemeral ports, on an address that only this test uses.
     let address: SocketAddr = "127.86.21.1:18620".parse().expect("an address");
     let _foreign = stamp_suite(address);
     let (edge, cloud) = naming(address).await;
@@ -70,13 +71,13 @@ async fn named_foreign_reflector_gets_relation_of_its_own() {
         matches!(&reflector.probing, Probing::On { address: to, .. } if *to == reflector.address),
         "{reflector:?}"
     );
-    // It reads the wall clock that the edge reads.
+    // The reflector reads the same wall clock as the edge.
     let offset = reflector.offset.as_ref().expect("known");
     assert!(offset.bounds.contains(Span::ZERO), "{offset:?}");
     assert!(offset.bounds.width() < Span::from_millis(100), "{offset:?}");
     assert!(reflector.round_trip.is_some_and(|trip| trip.min > Span::ZERO), "{reflector:?}");
     assert_eq!(reflector.probes.refused, 0, "{reflector:?}");
-    // The relation of the data's two hosts is another one, and is of their own clocks.
+    // The relation of the data's two hosts is a separate one, between their own clocks.
     assert_eq!(link.now.clocks(), RelatedClocks::Raw);
     assert!(matches!(&link.probing, Probing::On { address: to, .. } if *to != reflector.address), "{link:?}");
     edge.stop().await.expect("stops well");
@@ -90,7 +91,7 @@ async fn garbage_of_named_reflector_is_counted_and_not_believed() {
     let garbage = tokio::spawn(async move {
         let mut buffer = [0; 2048];
         while let Ok((length, from)) = socket.recv_from(&mut buffer).await {
-            // Too short, the request itself, and noise as long as a reply.
+            // Too short; the request itself; and noise as long as a reply.
             for answer in [&buffer[..3], &buffer[..length], &[0x5A; 200][..]] {
                 socket.send_to(answer, from).await.expect("loopback takes it");
             }
@@ -103,7 +104,7 @@ async fn garbage_of_named_reflector_is_counted_and_not_believed() {
     let reflector = link.reflector.as_ref().expect("it is named");
     assert!(reflector.probes.refused > 0 && reflector.probes.lost > 0, "{reflector:?}");
     assert_eq!((reflector.probes.answered, &reflector.offset), (0, &None));
-    // Beside it the cloud's own reflector is probed as ever.
+    // The cloud's own reflector is still probed.
     assert!(link.now.offset.is_some() && matches!(link.probing, Probing::On { .. }), "{link:?}");
     assert_eq!(link.now.probes.refused, 0);
     edge.stop().await.expect("stops well");

@@ -1,46 +1,41 @@
-//! A wall clock is set in mid-run.
+//! Tests of a wall clock that is set during a run.
 
 use std::collections::BTreeSet;
 use std::sync::Arc;
 
-use peernet_clock::{RehearsalDescription, RehearsedStep, SharedClock, Span, Verdict, WallTime};
+use peernet_clock::{ClockFaultStep, ClockFaults, SharedClock, Span, Verdict, WallTime};
 use peernet_stream::{IncidentKind, LiveUpdate};
 
 use super::{CLOUD, assert_holds, line, transit, wrong};
-use crate::harness::{Aggregator, Late, Seen, TestAgent, assert_adds_up, clock, config, value};
+use crate::harness::{
+    Aggregator, ReceivedEvents, SwitchableClock, TestAgent, assert_adds_up, clock, config, value,
+};
 
 const LOAD: &str = "load = { mode = 'rate', hz = 100.0 }\nmax_in_flight = 8";
 
-fn stepping(by: Span) -> RehearsalDescription {
-    let step = RehearsedStep::of_wall(Span::from_millis(300), by);
-    RehearsalDescription { steps: vec![step], ..wrong(Span::ZERO, 0.0) }
+fn stepping(by: Span) -> ClockFaults {
+    let step = ClockFaultStep::of_wall(Span::from_millis(300), by);
+    ClockFaults { steps: vec![step], ..wrong(Span::ZERO, 0.0) }
 }
 
-/// When a clock that is set by whole seconds showed `shown`, a moment before or after the other showed `near`: one that is
-/// set back shows the same time twice.
-fn right(wrong: Option<&RehearsalDescription>, shown: WallTime, near: WallTime) -> WallTime {
+/// Returns the true time at which a clock that is set by whole seconds showed `shown`, shortly before or after the
+/// other clock showed `near`. A clock that is set back shows the same time twice.
+fn right(wrong: Option<&ClockFaults>, shown: WallTime, near: WallTime) -> WallTime {
     let Some(wrong) = wrong else { return shown };
     let moment = Span::from_millis(400);
     let candidates = [near - moment, near + moment].map(|at| shown - wrong.error_at(at));
     candidates.into_iter().min_by_key(|at| (*at - near).abs()).expect("two")
 }
 
-/// How many iterations were good after the step.
-fn good_after(
-    seen: &Seen,
-    edge: Option<&RehearsalDescription>,
-    cloud: Option<&RehearsalDescription>,
-) -> usize {
+/// Returns the number of good delays after the step.
+fn good_after(seen: &ReceivedEvents, edge: Option<&ClockFaults>, cloud: Option<&ClockFaults>) -> usize {
     let mut good = 0;
     for iteration in seen.iterations() {
         let moved = Span::from_seconds(1);
         let (sent, received, up) = transit(iteration, "upload");
         let (left, back, down) = transit(iteration, "download");
         // One of the two clocks is right, and so is its stamp.
-        let way = |from: WallTime,
-                   of: Option<&RehearsalDescription>,
-                   to: WallTime,
-                   by: Option<&RehearsalDescription>| {
+        let way = |from: WallTime, of: Option<&ClockFaults>, to: WallTime, by: Option<&ClockFaults>| {
             let (near_from, near_to) = if of.is_some() { (to, to) } else { (from, from) };
             right(by, to, near_to) - right(of, from, near_from)
         };
@@ -61,9 +56,13 @@ fn good_after(
 async fn wall_clock_set_in_mid_run_reaches_no_delay() {
     for (on_edge, by) in [(false, Span::from_seconds(3)), (true, Span::from_seconds(-3))] {
         let aggregator = Aggregator::start().await;
-        let late = Arc::new(Late::new(clock(if on_edge { "edge" } else { "cloud" })));
+        let switchable_clock = Arc::new(SwitchableClock::new(clock(if on_edge { "edge" } else { "cloud" })));
         let pair = |named: &str, is_late: bool| {
-            if is_late { Arc::<Late>::clone(&late) as SharedClock } else { clock(named) }
+            if is_late {
+                Arc::<SwitchableClock>::clone(&switchable_clock) as SharedClock
+            } else {
+                clock(named)
+            }
         };
         let cloud = TestAgent::start_on(pair("cloud", !on_edge), "cloud", None, config(CLOUD)).await;
         let tables = config(&line("line", &cloud, LOAD));
@@ -71,24 +70,28 @@ async fn wall_clock_set_in_mid_run_reaches_no_delay() {
             TestAgent::start_on(pair("edge", on_edge), "edge", Some(&aggregator.address), tables).await;
         aggregator.until(|seen| seen.iterations().len() >= 50 && !seen.clocks().is_empty()).await;
         let wrong = stepping(by);
-        late.go_wrong(wrong.clone());
+        switchable_clock.go_wrong(wrong.clone());
         let (edge_wrong, cloud_wrong) = if on_edge { (Some(&wrong), None) } else { (None, Some(&wrong)) };
         let seen = aggregator.until(|seen| good_after(seen, edge_wrong, cloud_wrong) >= 200).await;
 
-        let of_link = |seen: &Seen| {
+        let of_link = |seen: &ReceivedEvents| {
             let steps = seen.incidents(IncidentKind::ClockStep).into_iter().cloned();
             steps.filter(|incident| incident.peer.is_some()).collect::<Vec<_>>()
         };
-        // The edge's own clock is told of without a peer.
-        let set = |seen: &Seen| {
+        // Incidents about the edge's own clock have no peer.
+        let set = |seen: &ReceivedEvents| {
             let all = seen.incidents(IncidentKind::ClockStep).into_iter();
             all.filter(|incident| incident.text.contains("wall clock was set back by 3.000 s")).count()
         };
         if on_edge {
             assert_eq!((of_link(&seen).len(), set(&seen)), (0, 1));
         } else {
-            let [told] = &of_link(&seen)[..] else { panic!("{:?}", of_link(&seen)) };
-            assert!(told.text.starts_with("the wall clock of cloud was stepped or ran off"), "{}", told.text);
+            let [reported] = &of_link(&seen)[..] else { panic!("{:?}", of_link(&seen)) };
+            assert!(
+                reported.text.starts_with("the wall clock of cloud was stepped or ran off"),
+                "{}",
+                reported.text
+            );
         }
 
         edge.stop().await.expect("stops well");
@@ -101,16 +104,18 @@ async fn wall_clock_set_in_mid_run_reaches_no_delay() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn a_step_is_announced_to_peers_that_send_nothing() {
-    let late = Arc::new(Late::new(clock("cloud")));
-    let cloud = TestAgent::start_on(Arc::<Late>::clone(&late), "cloud", None, config(CLOUD)).await;
+async fn step_is_announced_to_idle_peers() {
+    let switchable_clock = Arc::new(SwitchableClock::new(clock("cloud")));
+    let cloud =
+        TestAgent::start_on(Arc::<SwitchableClock>::clone(&switchable_clock), "cloud", None, config(CLOUD))
+            .await;
     // One sample now and the next in an hour, and no probes.
     let rare = "load = { mode = 'rate', hz = 0.0003 }\n[probes]\nsend = false";
     let edge = TestAgent::start_with("edge", None, config(&line("line", &cloud, rare)), "edge").await;
     let epoch = |live: &LiveUpdate| live.links.first().and_then(|link| Some(link.cloud.as_ref()?.epoch));
     let live = edge.until(|live| live.links.iter().any(|link| link.now.offset.is_some())).await;
     assert_eq!(epoch(&live), Some(0));
-    late.go_wrong(stepping(Span::from_seconds(3)));
+    switchable_clock.go_wrong(stepping(Span::from_seconds(3)));
     let live = edge.until(|live| epoch(live) == Some(1)).await;
     assert!(live.links[0].now.offset.is_some(), "what was learnt of the free-running clocks holds");
     edge.stop().await.expect("stops well");

@@ -1,41 +1,41 @@
-//! An agent in this process.
+//! An agent in the test's process.
 
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Duration;
 
 use peernet_agent::{Agent, AgentConfig, Failure, Running, StartError};
-use peernet_clock::{ClockIdentity, RehearsalDescription, RehearsedClock, SharedClock, SystemClock};
+use peernet_clock::{ClockFaults, ClockIdentity, FaultyClock, SharedClock, SystemClock};
 use peernet_stream::{LiveUpdate, PipelineLive, PipelineState};
 use tempfile::TempDir;
 use tokio_util::sync::CancellationToken;
 
 use super::{PATIENCE, VERSION};
 
-/// An agent and what it needs.
+/// A running agent with its token and folder.
 pub(crate) struct TestAgent {
     pub(crate) running: Running,
     stop: CancellationToken,
-    /// Goes with the agents that use it.
+    /// Folder that is deleted after the last agent that uses it.
     state: State,
 }
 
-/// The folder that outlives an agent.
+/// State directory, which may outlive an agent.
 pub(crate) type State = Arc<TempDir>;
 
-/// This machine's clock under a name.
+/// Returns this machine's clock under a name.
 pub(crate) fn clock(name: &str) -> SharedClock {
     Arc::new(SystemClock::new(ClockIdentity::of_this_machine(name).expect("linux has a boot id")))
 }
 
-/// This machine's clock under a name of its own, made wrong.
-pub(crate) fn rehearsed(name: &str, wrong: RehearsalDescription) -> SharedClock {
+/// Returns this machine's clock under another name, with injected faults.
+pub(crate) fn rehearsed(name: &str, wrong: ClockFaults) -> SharedClock {
     let system = clock(name);
     let identity = system.identity().clone();
-    Arc::new(RehearsedClock::new(system, identity, wrong))
+    Arc::new(FaultyClock::new(system, identity, wrong))
 }
 
-/// A configuration of these tables, without `[agent]`.
+/// Returns the configuration of these tables, without `[agent]`.
 pub(crate) fn config(tables: &str) -> AgentConfig {
     toml::from_str(tables).unwrap_or_else(|error| panic!("{error}\n{tables}"))
 }
@@ -67,12 +67,12 @@ impl TestAgent {
         Self::try_start(clock, name, aggregator, config, state).await.expect("starts")
     }
 
-    /// Starts an agent on the system's clock in a folder that another one may have left.
+    /// Starts an agent on the system's clock in the folder of an earlier agent.
     pub(crate) async fn start_in(state: State, aggregator: &str, config: AgentConfig) -> Self {
         Self::try_start(clock("system"), "edge", Some(aggregator), config, state).await.expect("starts")
     }
 
-    /// As [`start_in`](Self::start_in), where it may be refused.
+    /// Starts an agent as [`start_in`](Self::start_in) does, where the start may fail.
     pub(crate) async fn try_start(
         clock: SharedClock,
         name: &str,
@@ -88,28 +88,28 @@ impl TestAgent {
         Ok(Self { running, stop, state })
     }
 
-    /// Its spool's file.
+    /// Returns the path of its spool.
     pub(crate) fn spool(&self) -> PathBuf {
         self.state.path().join("spool.sqlite")
     }
 
-    /// Where it serves.
+    /// Returns the address at which it serves.
     pub(crate) fn address(&self) -> String {
         self.running.serves().first().expect("it serves").to_string()
     }
 
-    /// Its only pipeline.
+    /// Returns the live state of its only pipeline.
     pub(crate) fn pipeline(&self) -> PipelineLive {
         self.running.live().pipelines.pop().expect("it has a pipeline")
     }
 
-    /// Waits until its only pipeline is in such a state.
+    /// Waits until its only pipeline is in a wanted state.
     pub(crate) async fn until_state(&self, wanted: impl Fn(&PipelineState) -> bool) -> PipelineState {
         let live = self.until(|live| wanted(&live.pipelines[0].state)).await;
         live.pipelines.into_iter().map(|pipeline| pipeline.state).next().expect("it has a pipeline")
     }
 
-    /// Waits until it shows itself so. It is looked at again and again: nothing tells of a change.
+    /// Waits until its live update is as wanted. It is polled, because changes are not announced.
     pub(crate) async fn until(&self, wanted: impl Fn(&LiveUpdate) -> bool) -> LiveUpdate {
         let looks = async {
             loop {
@@ -126,25 +126,25 @@ impl TestAgent {
         }
     }
 
-    /// Stops it as the process would.
+    /// Stops it like a regular end of the process.
     pub(crate) async fn stop(self) -> Result<(), Failure> {
         self.stop_and_keep().await.map(drop)
     }
 
-    /// The same; what it leaves behind stays.
+    /// Stops it like a regular end of the process, and returns its folder.
     pub(crate) async fn stop_and_keep(self) -> Result<State, Failure> {
         self.stop.cancel();
         tokio::time::timeout(PATIENCE, self.running.join()).await.expect("stops in time")?;
         Ok(self.state)
     }
 
-    /// Ends it as a crash would: nothing is said, nothing finished.
+    /// Ends it like a crash: without a goodbye and without completing anything.
     pub(crate) fn kill(self) {
         drop(self.running);
     }
 
-    /// The same, and waits until its folder and its spool are free: a child that is being started, such as `chronyc`,
-    /// holds the locks of its parent until it becomes another program.
+    /// Ends it like a crash, and waits until its folder and its spool are unlocked: a child process that is just
+    /// being started, such as `chronyc`, holds the locks of its parent until it has executed its program.
     pub(crate) async fn crash(self) -> State {
         let locks = ["lock", "spool.sqlite-lock"].map(|name| self.state.path().join(name));
         drop(self.running);

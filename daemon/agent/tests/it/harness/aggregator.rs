@@ -1,4 +1,4 @@
-//! The other end of the event stream, as simple as it can be: it accepts, remembers and acknowledges.
+//! A minimal aggregator: it accepts, stores and acknowledges.
 
 use std::collections::HashMap;
 use std::sync::Arc;
@@ -8,9 +8,9 @@ use bytes::Bytes;
 use peernet_clock::{MonoTime, SharedClock};
 use peernet_logger::HostId;
 use peernet_stream::{
-    Arrival, BatchHead, ClockSample, Event, Gap, Greeting, Hello, Incident, IncidentKind, Iteration, Known,
-    LiveUpdate, Mark, Missing, Receiving, ReceivingConfig, RunDescription, RunEnded, StreamId, ToAgent,
-    ToAggregator, codec,
+    Arrival, BatchHead, ClockSample, Event, Gap, Greeting, Hello, Incident, IncidentKind, Iteration,
+    LiveUpdate, Mark, MissingBatches, Receiving, ReceivingConfig, RunDescription, RunEnded, StreamId,
+    StreamRecord, ToAgent, ToAggregator, codec,
 };
 use tokio::sync::watch;
 use tokio::task::JoinHandle;
@@ -19,84 +19,88 @@ use zeromq::{IdentitySocket, Message, Options, Socket, SocketType};
 
 use super::{PATIENCE, clock};
 
-/// What it has seen, over all its lives.
+/// Everything that an aggregator has received, over restarts.
 #[derive(Clone, Debug, Default)]
-pub(crate) struct Seen {
+pub(crate) struct ReceivedEvents {
     pub(crate) hellos: usize,
     pub(crate) goodbyes: Vec<HostId>,
-    /// Each once, in order.
+    /// All events, each once, in order.
     pub(crate) events: Vec<Event>,
     pub(crate) lives: Vec<LiveUpdate>,
-    /// How far each stream is stored.
+    /// Mark up to which each stream is stored.
     marks: HashMap<StreamId, Mark>,
-    /// The streams that hosts said hello with, in this order.
+    /// Streams of the hellos, in this order.
     pub(crate) streams: Vec<StreamId>,
-    /// Batches that nobody has.
-    pub(crate) missing: Vec<Missing>,
+    /// Batches that were reported as missing.
+    pub(crate) missing: Vec<MissingBatches>,
     /// Streams that ended because the spool was another one at the next hello.
     pub(crate) replaced: Vec<StreamId>,
-    /// Batches that came although they were stored.
+    /// Number of batches that arrived although they were stored.
     pub(crate) repeated: usize,
 }
 
-/// Listens until it is dropped.
+/// A running aggregator, which listens until it is dropped.
 pub(crate) struct Aggregator {
     pub(crate) address: String,
-    seen: Arc<watch::Sender<Seen>>,
+    seen: Arc<watch::Sender<ReceivedEvents>>,
     stop: CancellationToken,
     task: JoinHandle<()>,
 }
 
-/// How it behaves.
+/// Behaviour of an aggregator.
 #[derive(Clone, Debug, Default)]
-pub(crate) struct Manners {
-    /// Refuse hellos with this reason.
+pub(crate) struct AggregatorBehaviour {
+    /// Reason with which hellos are refused.
     pub(crate) refuse: Option<String>,
-    /// Store batches, but go down before acknowledging this one.
+    /// Number of a batch after whose storage the aggregator ends without acknowledging it.
     pub(crate) die_before_ack: Option<u64>,
-    /// Take everything and answer nothing.
+    /// `true` if nothing is answered.
     pub(crate) mute: bool,
-    /// Take so long for each batch.
+    /// Time that each batch takes.
     pub(crate) slow: Option<Duration>,
 }
 
 impl Aggregator {
     pub(crate) async fn start() -> Self {
-        Self::start_at("tcp://127.0.0.1:0", Arc::default(), Manners::default()).await
+        Self::start_at("tcp://127.0.0.1:0", Arc::default(), AggregatorBehaviour::default()).await
     }
 
-    pub(crate) async fn start_at(address: &str, seen: Arc<watch::Sender<Seen>>, manners: Manners) -> Self {
+    pub(crate) async fn start_at(
+        address: &str,
+        seen: Arc<watch::Sender<ReceivedEvents>>,
+        behaviour: AggregatorBehaviour,
+    ) -> Self {
         let socket = Socket::new(SocketType::Router, Options::default());
         let address = bind(&socket, address).await;
         let socket = socket.identity_routing().expect("a router");
         let stop = CancellationToken::new();
-        let (told, memory) = (stop.clone(), Arc::clone(&seen));
+        let (stopped, memory) = (stop.clone(), Arc::clone(&seen));
         let task = tokio::spawn(async move {
-            told.run_until_cancelled(serve(&socket, &memory, manners)).await;
+            stopped.run_until_cancelled(serve(&socket, &memory, behaviour)).await;
             socket.into_inner().close().await.expect("closes");
         });
         Self { address, seen, stop, task }
     }
 
-    /// Waits until it has gone down by itself; the memory survives.
-    pub(crate) async fn fell(self) -> (String, Arc<watch::Sender<Seen>>) {
+    /// Waits until it has ended by itself. What it received is kept.
+    pub(crate) async fn fell(self) -> (String, Arc<watch::Sender<ReceivedEvents>>) {
         tokio::time::timeout(PATIENCE, self.task).await.expect("in time").expect("no panic");
         (self.address, self.seen)
     }
 
-    /// Goes down without a word; the memory survives.
-    pub(crate) async fn down(self) -> (String, Arc<watch::Sender<Seen>>) {
+    /// Ends without a message to the agents. What it received is kept.
+    pub(crate) async fn down(self) -> (String, Arc<watch::Sender<ReceivedEvents>>) {
         self.stop.cancel();
         self.fell().await
     }
 
-    /// Comes back at the same address with what it remembers.
-    pub(crate) async fn up((address, seen): (String, Arc<watch::Sender<Seen>>)) -> Self {
-        Self::start_at(&address, seen, Manners::default()).await
+    /// Starts again at the same address with what was kept.
+    pub(crate) async fn up((address, seen): (String, Arc<watch::Sender<ReceivedEvents>>)) -> Self {
+        Self::start_at(&address, seen, AggregatorBehaviour::default()).await
     }
 
-    /// Waits until it has seen enough.
-    pub(crate) async fn until(&self, enough: impl FnMut(&Seen) -> bool) -> Seen {
+    /// Waits until what it has received is enough.
+    pub(crate) async fn until(&self, enough: impl FnMut(&ReceivedEvents) -> bool) -> ReceivedEvents {
         let mut changes = self.seen.subscribe();
         match tokio::time::timeout(PATIENCE, changes.wait_for(enough)).await {
             Ok(seen) => seen.expect("the sender is here").clone(),
@@ -105,7 +109,7 @@ impl Aggregator {
     }
 }
 
-impl Seen {
+impl ReceivedEvents {
     pub(crate) fn runs(&self) -> Vec<&RunDescription> {
         self.pick(|event| if let Event::RunStarted(run) = event { Some(run) } else { None })
     }
@@ -147,7 +151,8 @@ impl Seen {
     }
 }
 
-/// The library gives a port back a moment after the socket on it was closed: a successor may have to wait.
+/// Binds to an address. The library frees a port a moment after its socket was closed, so that this may have to be
+/// repeated.
 async fn bind(socket: &Socket, address: &str) -> String {
     let binding = async {
         loop {
@@ -163,23 +168,29 @@ async fn bind(socket: &Socket, address: &str) -> String {
     tokio::time::timeout(PATIENCE, binding).await.expect("the port becomes free")
 }
 
-async fn serve(socket: &IdentitySocket, seen: &watch::Sender<Seen>, manners: Manners) {
+async fn serve(
+    socket: &IdentitySocket,
+    seen: &watch::Sender<ReceivedEvents>,
+    behaviour: AggregatorBehaviour,
+) {
     let clock = clock("system");
-    let mut desk = Desk { receiving: receiving(), clock, manners };
+    let mut aggregator_state = AggregatorState { receiving: receiving(), clock, behaviour };
     loop {
         let Ok((peer, message)) = socket.recv_from().await else { return };
         let mut frame = message.part_bytes(0).expect("one frame");
         if let Some(part) = codec::part(&frame) {
-            let Some(whole) = desk.receiving.part(&part, desk.clock.mono()) else { continue };
+            let Some(whole) = aggregator_state.receiving.part(&part, aggregator_state.clock.mono()) else {
+                continue;
+            };
             frame = whole;
         }
         let head = codec::batch_head(&frame);
-        if let (Some(pause), Some(_)) = (desk.manners.slow, head) {
+        if let (Some(pause), Some(_)) = (aggregator_state.behaviour.slow, head) {
             tokio::time::sleep(pause).await;
         }
         let mut replies = Vec::new();
-        seen.send_modify(|seen| replies = desk.answer(seen, head, &frame));
-        if head.is_some() && head.map(|head| head.number) == desk.manners.die_before_ack {
+        seen.send_modify(|seen| replies = aggregator_state.answer(seen, head, &frame));
+        if head.is_some() && head.map(|head| head.number) == aggregator_state.behaviour.die_before_ack {
             return;
         }
         for reply in replies {
@@ -193,22 +204,22 @@ fn receiving() -> Receiving {
     Receiving::new(ReceivingConfig::new("test".parse().expect("a name")))
 }
 
-struct Desk {
+struct AggregatorState {
     receiving: Receiving,
     clock: SharedClock,
-    manners: Manners,
+    behaviour: AggregatorBehaviour,
 }
 
-impl Desk {
-    fn answer(&mut self, seen: &mut Seen, head: Option<BatchHead>, frame: &Bytes) -> Vec<ToAgent> {
-        if self.manners.mute {
+impl AggregatorState {
+    fn answer(&mut self, seen: &mut ReceivedEvents, head: Option<BatchHead>, frame: &Bytes) -> Vec<ToAgent> {
+        if self.behaviour.mute {
             return Vec::new();
         }
         let now = self.clock.mono();
         match head {
             Some(head) => self.batch(seen, head, frame, now),
             None => match codec::decode(frame).expect("the agent sends sense") {
-                // Whoever says hello is believed here.
+                // This aggregator accepts every hello without a proof.
                 ToAggregator::Hello(hello) => self.hello(seen, &hello, now),
                 ToAggregator::Proof(proof) => panic!("nobody asked for {proof:?}"),
                 ToAggregator::Live(update) => {
@@ -226,13 +237,13 @@ impl Desk {
         }
     }
 
-    fn hello(&mut self, seen: &mut Seen, hello: &Hello, now: MonoTime) -> Vec<ToAgent> {
+    fn hello(&mut self, seen: &mut ReceivedEvents, hello: &Hello, now: MonoTime) -> Vec<ToAgent> {
         seen.hellos += 1;
-        if let Some(reason) = &self.manners.refuse {
+        if let Some(reason) = &self.behaviour.refuse {
             return vec![ToAgent::Refused { reason: reason.clone() }];
         }
         let mark_of = |stream| seen.marks.get(&stream).copied();
-        let known = Known {
+        let known = StreamRecord {
             mark: mark_of(hello.stream),
             came: seen.streams.contains(&hello.stream),
             last: seen.streams.last().copied(),
@@ -254,7 +265,13 @@ impl Desk {
         }
     }
 
-    fn batch(&mut self, seen: &mut Seen, head: BatchHead, frame: &Bytes, now: MonoTime) -> Vec<ToAgent> {
+    fn batch(
+        &mut self,
+        seen: &mut ReceivedEvents,
+        head: BatchHead,
+        frame: &Bytes,
+        now: MonoTime,
+    ) -> Vec<ToAgent> {
         let body = codec::batch_body(Bytes::clone(frame)).expect("whole");
         match self.receiving.batch(&head, true, now) {
             Arrival::Accept => {
@@ -271,7 +288,7 @@ impl Desk {
         }
     }
 
-    fn store(&mut self, seen: &mut Seen, stream: StreamId, mark: Mark) -> Option<ToAgent> {
+    fn store(&mut self, seen: &mut ReceivedEvents, stream: StreamId, mark: Mark) -> Option<ToAgent> {
         seen.marks.insert(stream, mark);
         self.receiving.stored(stream, mark).map(|(_, reply)| reply)
     }

@@ -1,29 +1,29 @@
-//! Agents and an aggregator to test with.
+//! Agents and an aggregator for tests.
 
 mod agent;
 mod aggregator;
-mod late;
+mod switchable_clock;
 
 pub(crate) use agent::{State, TestAgent, clock, config, rehearsed};
-pub(crate) use aggregator::{Aggregator, Manners, Seen};
-pub(crate) use late::Late;
+pub(crate) use aggregator::{Aggregator, AggregatorBehaviour, ReceivedEvents};
+pub(crate) use switchable_clock::SwitchableClock;
 
 use std::time::Duration;
 
 use peernet_logger::Tree;
 use peernet_stream::Iteration;
 
-/// What the agents of tests say of the program that they belong to.
+/// Version that the agents of tests report.
 pub(crate) const VERSION: &str = "1.2.3 (a commit)";
-/// How long anything may take before a test gives up: no test waits this long unless something is broken.
+/// Longest wait before a test fails. No test waits this long unless something is broken.
 pub(crate) const PATIENCE: Duration = Duration::from_secs(60);
 
-/// The value of a node directly below the root.
+/// Returns the value of a node directly below the root.
 pub(crate) fn value(tree: &Tree, name: &str) -> Option<f64> {
     tree.find(&[name])?.1.measure.value()
 }
 
-/// Asserts that the stages and what lies beside them are the total.
+/// Asserts that the stages and the unattributed time add up to the total.
 pub(crate) fn assert_adds_up(iteration: &Iteration) {
     let tree = &iteration.tree;
     let all = ["total", "stages-total", "unattributed"].map(|name| value(tree, name));
@@ -32,7 +32,7 @@ pub(crate) fn assert_adds_up(iteration: &Iteration) {
     assert!(stages > 0.0 && rest >= 0.0, "{stages} + {rest}");
 }
 
-/// Asserts that iterations are numbered without holes from 1, in whatever order they ended.
+/// Asserts that iterations are numbered from 1 without gaps, in whatever order they ended.
 pub(crate) fn assert_contiguous(iterations: &[&Iteration]) {
     let mut numbers: Vec<u64> = iterations.iter().map(|iteration| iteration.number).collect();
     numbers.sort_unstable();

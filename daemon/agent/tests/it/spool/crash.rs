@@ -1,14 +1,14 @@
-//! Agents that die, and others that take over what they left.
+//! Tests of agents that die, and of their successors that deliver what they left.
 
 use std::time::Duration;
 
 use peernet_stream::{EndReason, Event, PipelineState};
 
 use super::{idle, line, nobody, spooled, state};
-use crate::harness::{Aggregator, Manners, TestAgent, assert_contiguous};
+use crate::harness::{Aggregator, AggregatorBehaviour, TestAgent, assert_contiguous};
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn what_was_in_the_spool_of_an_agent_that_died_is_delivered_by_the_next_exactly_once() {
+async fn spool_of_killed_agent_is_delivered_exactly_once() {
     let (address, seen) = nobody().await;
     let keys = "load = { mode = 'rate', hz = 500.0 }\nmax_in_flight = 64";
     let agent = TestAgent::start("edge", Some(&address), "").await;
@@ -38,7 +38,7 @@ async fn what_was_in_the_spool_of_an_agent_that_died_is_delivered_by_the_next_ex
     assert_eq!(seen.events[..left.len()], left);
     assert_contiguous(&seen.iterations());
     let account = agent.until(|live| live.accounting.waiting == 0).await.accounting;
-    // What had not reached the spool is counted as lost.
+    // Events that had not reached the spool are counted as lost.
     assert_eq!(account.produced, account.stored + account.dropped);
 
     assert!(seen.streams.iter().all(|stream| *stream == seen.streams[0]), "one stream: {:?}", seen.streams);
@@ -48,7 +48,7 @@ async fn what_was_in_the_spool_of_an_agent_that_died_is_delivered_by_the_next_ex
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn stopping_without_an_aggregator_leaves_everything_in_the_spool() {
+async fn stop_without_aggregator_keeps_events_in_spool() {
     let (address, seen) = nobody().await;
     let keys = "load = { mode = 'rate', hz = 500.0 }\nmax_in_flight = 64";
     let mut config = line(keys);
@@ -57,7 +57,7 @@ async fn stopping_without_an_aggregator_leaves_everything_in_the_spool() {
     agent.until_state(|state| *state == PipelineState::Running).await;
     agent.until(|live| live.accounting.produced >= 100).await;
     let file = agent.spool();
-    // At once: there is nothing to wait for.
+    // It stops at once, because there is nothing to wait for.
     let stopping = tokio::time::timeout(Duration::from_secs(20), agent.stop_and_keep()).await;
     let state = stopping.expect("does not wait for the aggregator").expect("stops well");
     let left = spooled(&file).await;
@@ -77,13 +77,13 @@ async fn stopping_without_an_aggregator_leaves_everything_in_the_spool() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn what_an_aggregator_does_not_take_in_time_goes_out_after_the_next_start() {
-    let manners = Manners { slow: Some(Duration::from_millis(40)), ..Default::default() };
-    let aggregator = Aggregator::start_at("tcp://127.0.0.1:0", Default::default(), manners).await;
+async fn undelivered_events_are_sent_after_next_start() {
+    let behaviour = AggregatorBehaviour { slow: Some(Duration::from_millis(40)), ..Default::default() };
+    let aggregator = Aggregator::start_at("tcp://127.0.0.1:0", Default::default(), behaviour).await;
     let mut config = line("load = { mode = 'rate', hz = 1000.0 }\nmax_in_flight = 64");
     config.agent.stop_timeout_ms = 1000;
     config.agent.batch_nodes = std::num::NonZeroUsize::new(50).expect("not zero");
-    // Few are under way, or the aggregator would take them all while the goodbye waits behind them.
+    // Few events are in flight; otherwise the aggregator would store them all while the goodbye waits behind them.
     config.agent.batch_bytes = std::num::NonZeroUsize::new(4096).expect("not zero");
     config.agent.batch_delay_ms = 10;
     let agent = TestAgent::start_in(state(), &aggregator.address, config).await;

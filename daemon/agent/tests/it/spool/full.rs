@@ -1,4 +1,4 @@
-//! A spool that is full.
+//! Test of a full spool.
 
 use std::num::NonZeroU64;
 
@@ -9,7 +9,7 @@ use super::{line, nobody, state};
 use crate::harness::{Aggregator, TestAgent};
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn the_newest_are_dropped_and_counted_and_a_gap_stands_in_their_place() {
+async fn newest_events_are_dropped_counted_and_replaced_by_gap() {
     let (address, seen) = nobody().await;
     let mut config = line("load = { mode = 'rate', hz = 2000.0 }\nmax_in_flight = 64");
     config.spool.limit_bytes = NonZeroU64::new(100_000).expect("not zero");
@@ -41,7 +41,7 @@ async fn the_newest_are_dropped_and_counted_and_a_gap_stands_in_their_place() {
         assert!(gap.from <= gap.to && !gap.reason.is_empty());
     }
 
-    // It remembers what was counted.
+    // The counts are kept over a restart.
     let agent = TestAgent::start_in(state, &aggregator.address, line("limit = { iterations = 50 }")).await;
     let seen = aggregator.until(|seen| seen.ended().len() == 2).await;
     let second = seen.ended()[1].run;

@@ -1,4 +1,4 @@
-//! Spools that are gone, broken, or somebody else's.
+//! Tests of spools that are gone, broken, or those of another host.
 
 use peernet_agent::StartError;
 use peernet_stream::IncidentKind;
@@ -7,7 +7,7 @@ use super::{idle, line, state};
 use crate::harness::{Aggregator, TestAgent, clock};
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn a_spool_that_was_deleted_begins_a_new_stream() {
+async fn deleted_spool_begins_new_stream() {
     let aggregator = Aggregator::start().await;
     let agent = TestAgent::start_in(state(), &aggregator.address, line("limit = { iterations = 20 }")).await;
     aggregator.until(|seen| !seen.ended().is_empty()).await;
@@ -23,16 +23,16 @@ async fn a_spool_that_was_deleted_begins_a_new_stream() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn a_broken_spool_is_put_aside_and_measuring_begins_all_the_same() {
+async fn broken_spool_is_quarantined_and_measuring_begins() {
     let (aggregator, state) = (Aggregator::start().await, state());
     let file = state.path().join("spool.sqlite");
     std::fs::write(&file, b"not a database".repeat(100)).expect("written");
     let agent = TestAgent::start_in(state, &aggregator.address, line("limit = { iterations = 20 }")).await;
     let seen = aggregator.until(|seen| !seen.ended().is_empty()).await;
     assert_eq!(seen.iterations().len(), 20);
-    let said = seen.incidents(IncidentKind::Gap);
-    assert_eq!(said.len(), 1, "{said:?}");
-    let (_, kept) = said[0].text.split_once("kept as ").expect("says where");
+    let reported = seen.incidents(IncidentKind::Gap);
+    assert_eq!(reported.len(), 1, "{reported:?}");
+    let (_, kept) = reported[0].text.split_once("kept as ").expect("says where");
     let (kept, _) = kept.split_once(',').expect("says more");
     assert!(std::fs::read(kept).expect("kept").starts_with(b"not a database"), "{kept}");
     agent.stop().await.expect("stops well");
@@ -50,13 +50,13 @@ async fn two_agents_cannot_use_one_spool() {
     assert!(matches!(&refused, StartError::Spool(_)), "{refused}");
     assert!(refused.to_string().contains("another agent uses the spool"), "{refused}");
     first.stop().await.expect("stops well");
-    // Another host than the one whose events it holds.
+    // The spool holds the events of another host.
     let refused = start(config).await.err().expect("it is not its own").to_string();
     assert!(refused.contains("holds events of the host"), "{refused}");
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn without_an_aggregator_there_is_no_spool() {
+async fn agent_without_aggregator_has_no_spool() {
     let agent = TestAgent::start("edge", None, "").await;
     assert!(!agent.spool().exists());
     agent.stop().await.expect("stops well");

@@ -1,4 +1,4 @@
-//! Events on the disk: they outlive the agent, its aggregator and its disk's troubles.
+//! Tests of events on the disk, which survive the agent, its aggregator and failures of the disk.
 
 mod crash;
 mod full;
@@ -14,7 +14,7 @@ use sqlx::{ConnectOptions, Connection};
 
 use crate::harness::{Aggregator, State, config};
 
-/// A pipeline that makes small iterations.
+/// Returns a pipeline with small iterations.
 fn line(keys: &str) -> AgentConfig {
     config(&format!(
         "[agent]\nbatch_delay_ms = 20\nbatch_nodes = 500\n[[model]]\nname = 'echo'\nkind = 'echo'\n\
@@ -23,17 +23,17 @@ fn line(keys: &str) -> AgentConfig {
     ))
 }
 
-/// An agent that measures nothing itself.
+/// Returns the configuration of an agent without a pipeline.
 fn idle() -> AgentConfig {
     config("")
 }
 
-/// An address at which nobody is now, for an aggregator that comes later.
-async fn nobody() -> (String, std::sync::Arc<tokio::sync::watch::Sender<crate::harness::Seen>>) {
+/// Returns a free address, for an aggregator that starts later.
+async fn nobody() -> (String, std::sync::Arc<tokio::sync::watch::Sender<crate::harness::ReceivedEvents>>) {
     Aggregator::start().await.down().await
 }
 
-/// All events in a spool that no agent uses, in order.
+/// Returns all events in a spool that no agent uses, in order.
 async fn spooled(file: &Path) -> Vec<Event> {
     let options = SqliteConnectOptions::new().filename(file).disable_statement_logging();
     let mut connection = options.connect().await.expect("opens");
@@ -46,7 +46,7 @@ async fn spooled(file: &Path) -> Vec<Event> {
     rows.iter().flat_map(events).collect()
 }
 
-/// A folder for an agent and those after it.
+/// Returns a folder for an agent and its successors.
 fn state() -> State {
     State::new(tempfile::tempdir().expect("a folder"))
 }

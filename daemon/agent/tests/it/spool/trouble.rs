@@ -1,4 +1,4 @@
-//! A spool that cannot be written while the agent runs.
+//! Tests of a spool that cannot be written while the agent runs.
 
 use std::num::NonZeroUsize;
 
@@ -10,7 +10,7 @@ use crate::harness::{Aggregator, TestAgent, assert_contiguous, value};
 const RATE: &str = "load = { mode = 'rate', hz = 500.0 }\nmax_in_flight = 64";
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn events_go_out_from_memory_while_the_file_is_gone_and_through_it_when_it_is_back() {
+async fn events_are_sent_from_memory_while_file_is_missing() {
     let aggregator = Aggregator::start().await;
     let agent = TestAgent::start_in(state(), &aggregator.address, line(RATE)).await;
     aggregator.until(|seen| seen.iterations().len() >= 50).await;
@@ -19,8 +19,8 @@ async fn events_go_out_from_memory_while_the_file_is_gone_and_through_it_when_it
     let trouble = agent.until(|live| live.accounting.trouble.is_some()).await.accounting.trouble;
     assert!(trouble.as_ref().is_some_and(|words| words.contains("moved")), "{trouble:?}");
     let seen = aggregator.until(|seen| !seen.incidents(IncidentKind::Gap).is_empty()).await;
-    let said = &seen.incidents(IncidentKind::Gap)[0].text;
-    assert!(said.contains("spool.sqlite") && said.contains("measuring goes on"), "{said}");
+    let reported = &seen.incidents(IncidentKind::Gap)[0].text;
+    assert!(reported.contains("spool.sqlite") && reported.contains("measuring goes on"), "{reported}");
     let before = seen.iterations().len();
     aggregator.until(|seen| seen.iterations().len() >= before + 100).await;
 
@@ -33,7 +33,7 @@ async fn events_go_out_from_memory_while_the_file_is_gone_and_through_it_when_it
     assert_contiguous(&seen.iterations());
     assert_eq!((seen.gaps().len(), seen.incidents(IncidentKind::Gap).len()), (0, 2), "failed, recovered");
 
-    // The file agrees with what went around it.
+    // The file is consistent with the batches that were sent from memory.
     let agent = TestAgent::start_in(state, &aggregator.address, line("limit = { iterations = 20 }")).await;
     let seen = aggregator.until(|seen| seen.ended().len() == 2).await;
     assert!(seen.missing.is_empty() && seen.replaced.is_empty());
@@ -44,7 +44,7 @@ async fn events_go_out_from_memory_while_the_file_is_gone_and_through_it_when_it
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn without_file_and_aggregator_memory_is_the_limit_and_what_does_not_fit_is_counted() {
+async fn events_beyond_memory_are_counted_without_file_and_aggregator() {
     let (address, seen) = nobody().await;
     let mut config =
         line("limit = { iterations = 5000 }\nload = { mode = 'rate', hz = 5000.0 }\nmax_in_flight = 64");
@@ -71,7 +71,7 @@ async fn without_file_and_aggregator_memory_is_the_limit_and_what_does_not_fit_i
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn stopping_with_nowhere_to_put_the_events_ends_at_the_deadline_and_loses_only_those() {
+async fn stop_without_file_and_aggregator_ends_at_deadline() {
     let (address, seen) = nobody().await;
     let mut config = line(RATE);
     config.agent.stop_timeout_ms = 600;

@@ -1,21 +1,21 @@
-//! How a host gets in: its hello, the proof that it is who it says, and what is noted when it is welcomed.
+//! The admission of a host: its hello, the proof of its identity, and the records that follow.
 
 use peernet_clock::Stamp;
 use peernet_logger::HostId;
 use peernet_networks::Peer;
-use peernet_stream::{Greeting, Hello, HostSecret, Nonce, Proof, Proven, Receiving, ToAgent};
+use peernet_stream::{Greeting, Hello, HostSecret, Nonce, Proof, ProofResult, Receiving, ToAgent};
 
 use super::IngestSession;
 use crate::ingest::queue::Incoming;
-use crate::live::{News, bounds};
-use crate::picture::RefusedHost;
+use crate::live::{LiveEvent, bounds};
+use crate::live_state::RefusedHost;
 use peernet_store::writing::{Introduction, Work};
 
 impl IngestSession {
-    /// Somebody says that it is a host. Nothing of that host changes before this is proven.
+    /// Processes a hello. Nothing about the host changes until its identity is proven.
     pub(super) fn hello(&mut self, from: &Peer, mut hello: Hello, now: Stamp) {
         let host = hello.host.id;
-        // It is kept before anybody knows whose it is: no more than is shown.
+        // Cut to the size that is displayed, because it is kept before the host has proven its identity.
         bounds::description(&mut hello.host, &mut 0);
         let reason = Receiving::refuses_version(&hello)
             .or_else(|| self.routes.too_many(from.connection, host))
@@ -24,48 +24,52 @@ impl IngestSession {
             self.refuse(from, &hello, reason, now);
             return;
         }
+        // A host without a known secret states it with the proof: trust on first use.
         let enrol = self.hosts.secret(host).is_none();
         let reply = self.challenges.challenge(from.connection, hello, enrol, Nonce::random(), now.mono);
         self.output.reply(from.connection, reply);
     }
 
+    /// Processes a proof of identity.
     pub(super) fn proof(&mut self, from: &Peer, proof: Proof, now: Stamp) {
         let known = self.hosts.secret(proof.host).cloned();
         match self.challenges.prove(&from.connection, proof, known.as_ref()) {
-            Proven::Yes { hello, enrolled } => {
+            ProofResult::Yes { hello, enrolled } => {
                 let secret = known.or(enrolled);
                 self.enter(from, *hello, secret, now);
             }
-            Proven::No(hello) => {
+            ProofResult::No(hello) => {
                 let host = hello.host.id;
-                // An operator may have cleared it since it was read.
-                if self.hosts.is_to_be_checked(host, now.mono)
-                    && let Some(place) = self.queue.place(0)
+                // An operator may have cleared the secret since it was read, so it is read again.
+                if self.hosts.needs_secret_check(host, now.mono)
+                    && let Some(slot) = self.queue.reserve(0)
                 {
-                    place.put(Incoming::Work(Work::Secret(host)), now.mono);
+                    slot.put(Incoming::Work(Work::Secret(host)), now.mono);
                 }
                 self.refuse(from, &hello, wrong_secret(host), now);
             }
-            Proven::Unasked => {
+            ProofResult::Unasked => {
                 self.output.reject_stranger(from.connection);
             }
         }
     }
 
-    /// A host has proven that it is who it says.
+    /// Gives a session to a host that has proven its identity.
     fn enter(&mut self, from: &Peer, hello: Hello, secret: Option<HostSecret>, now: Stamp) {
         let host = hello.host.id;
+        // Checked again, because other hosts may have been stored since the hello.
         if let Some(reason) = self.hosts.refuses(host) {
             self.refuse(from, &hello, reason, now);
             return;
         }
-        // Without room for what follows from it, a greeting counts as lost; the agent repeats it.
-        let (Some(greeting), Some(hole)) = (self.queue.place(0), self.queue.place(0)) else {
+        // Without room for the work that follows from it, the hello is treated as lost; the agent repeats it.
+        let (Some(greeting), Some(hole)) = (self.queue.reserve(0), self.queue.reserve(0)) else {
             self.output.defer_greeting();
             return;
         };
         let known = self.store.streams.known(&hello, self.hosts.seniority(host));
-        // A welcome acknowledges what the stream's mark says, and whether that will be there is not known now.
+        // A welcome acknowledges everything up to the stream's mark. While the database is closed, it is unknown
+        // whether that is still stored, so the agent has to wait.
         if !self.store.is_open() && known.mark.is_some_and(|mark| hello.oldest <= mark.stored) {
             return;
         }
@@ -87,7 +91,7 @@ impl IngestSession {
                     );
                 }
                 if let Some(missing) = missing {
-                    // An agent lets go of what was acknowledged only; nothing was lost on the way here.
+                    // Not a loss: an agent deletes only acknowledged batches, so these were stored in another database.
                     tracing::info!(
                         host = %name, from = missing.from, through = missing.through, events = missing.events,
                         "batches of this host are not in this database and will not come: they were acknowledged by \
@@ -111,26 +115,28 @@ impl IngestSession {
                     }
                     greeting.put(Incoming::Work(Work::Hello(Box::new(introduction))), now.mono);
                     match missing {
-                        Some(missing) => hole.put(Incoming::Work(Work::Missing(missing)), now.mono),
+                        Some(missing) => hole.put(Incoming::Work(Work::MissingBatches(missing)), now.mono),
                         None => drop(hole),
                     }
                     self.store.streams.came(host, stream);
                     None
                 } else {
+                    // A newcomer is stored with its first batch, so nothing is queued now.
                     drop((greeting, hole));
                     self.hosts.welcome(introduction, missing)
                 };
                 if let Some(gone) = gone {
-                    self.left(gone);
+                    self.end_dropped_newcomer(gone);
                 }
                 if let Some(displaced) = displaced {
                     tracing::warn!(host = %description.name, %displaced, "a host took back its name from another that used it");
+                    // The displaced host sends its hello again and is refused with the reason.
                     self.routes.leave(displaced);
                     self.forget_newcomer(displaced);
                 }
                 self.routes.enter(host, from.connection);
                 self.output.reply(from.connection, reply);
-                self.output.announce(News::Hello(Box::new(description), process));
+                self.output.announce(LiveEvent::Hello(Box::new(description), process));
             }
             Greeting::Refused { reason, .. } => {
                 drop((greeting, hole));
@@ -140,6 +146,7 @@ impl IngestSession {
         }
     }
 
+    /// Refuses a host, and shows the refusal in the log and in the live picture.
     fn refuse(&mut self, from: &Peer, hello: &Hello, reason: String, now: Stamp) {
         let ip = from.address.map(|address| address.ip());
         let address = from.address.map(|address| address.to_string());
@@ -149,11 +156,11 @@ impl IngestSession {
         }
         self.output.reply(from.connection, ToAgent::Refused { reason: reason.clone() });
         let refused = RefusedHost { name: hello.host.name.clone(), address, reason, at: now.wall };
-        self.output.announce(News::Refused(refused));
+        self.output.announce(LiveEvent::Refused(refused));
     }
 }
 
-/// What an agent is told that does not have the secret of its host id, and what to do.
+/// Returns the refusal of an agent that lacks the secret of its host id, with the remedy.
 fn wrong_secret(host: HostId) -> String {
     format!(
         "this agent does not have the secret that belongs to the host id {host}. If its state directory is a copy of another \

@@ -1,29 +1,29 @@
-//! What the session has to say: replies to connections, news for the live state, and counts of what was not taken.
+//! The outputs of the session: replies to connections, events for the live picture, and counts of rejected messages.
 
 use peernet_logger::HostId;
 use peernet_networks::ConnectionId;
 use peernet_stream::ToAgent;
 
-use crate::live::News;
+use crate::live::LiveEvent;
 
-/// What could not be taken, since the start.
+/// Numbers of rejected messages since the start.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) struct RejectedCounts {
-    /// Batches and greetings that found no room; batches are asked for again, greetings are repeated.
+    /// Batches and greetings without room. Batches are requested again; agents repeat greetings.
     pub(crate) deferred: u64,
-    /// Batches that do not match their hash; they are asked for again.
+    /// Batches that do not match their hash; they are requested again.
     pub(crate) damaged: u64,
-    /// Frames that are no message.
+    /// Frames that cannot be decoded.
     pub(crate) unreadable: u64,
-    /// Messages of hosts that did not say hello on that connection, or did not prove who they are.
+    /// Messages of hosts without a session on their connection.
     pub(crate) strangers: u64,
 }
 
-/// Replies and news that were not collected yet, and the counts since the start.
+/// Replies and events that were not collected yet, and the counts since the start.
 #[derive(Debug, Default)]
 pub(super) struct SessionOutput {
     replies: Vec<(ConnectionId, ToAgent)>,
-    news: Vec<News>,
+    live_events: Vec<LiveEvent>,
     rejected: RejectedCounts,
 }
 
@@ -33,52 +33,52 @@ impl SessionOutput {
         self.replies.push((to, message));
     }
 
-    /// Adds what the live state should know.
-    pub(super) fn announce(&mut self, news: News) {
-        self.news.push(news);
+    /// Adds an event for the live picture.
+    pub(super) fn announce(&mut self, event: LiveEvent) {
+        self.live_events.push(event);
     }
 
-    /// A greeting found no room.
+    /// Counts a greeting without room.
     pub(super) const fn defer_greeting(&mut self) {
         self.rejected.deferred += 1;
     }
 
-    /// A batch of the host found no room.
+    /// Counts a batch without room.
     pub(super) fn defer_batch(&mut self, host: HostId) {
         self.rejected.deferred += 1;
-        self.announce(News::Deferred(host));
+        self.announce(LiveEvent::Deferred(host));
     }
 
-    /// A batch of the host does not match its hash.
+    /// Counts a batch that does not match its hash.
     pub(super) fn reject_damaged(&mut self, host: HostId) {
         self.rejected.damaged += 1;
-        self.announce(News::Damaged(host));
+        self.announce(LiveEvent::Damaged(host));
     }
 
-    /// A frame is no message.
+    /// Counts a frame that cannot be decoded.
     pub(super) fn reject_unreadable(&mut self) {
         self.rejected.unreadable += 1;
-        self.announce(News::Unreadable);
+        self.announce(LiveEvent::Unreadable);
     }
 
-    /// A message came of a host that did not say hello on that connection, or did not prove who it is: it is asked to.
+    /// Counts a message of a host without a session on the connection, and asks its agent for a hello.
     pub(super) fn reject_stranger(&mut self, connection: ConnectionId) {
         self.rejected.strangers += 1;
-        self.announce(News::Stranger);
+        self.announce(LiveEvent::Stranger);
         self.reply(connection, ToAgent::Unknown);
     }
 
-    /// What is to be sent, and to whom.
+    /// Returns and clears the messages to be sent.
     pub(super) fn take_replies(&mut self) -> Vec<(ConnectionId, ToAgent)> {
         std::mem::take(&mut self.replies)
     }
 
-    /// What the live state should know.
-    pub(super) fn take_news(&mut self) -> Vec<News> {
-        std::mem::take(&mut self.news)
+    /// Returns and clears the events for the live picture.
+    pub(super) fn take_live_events(&mut self) -> Vec<LiveEvent> {
+        std::mem::take(&mut self.live_events)
     }
 
-    /// What could not be taken, since the start.
+    /// Returns the numbers of rejected messages since the start.
     pub(super) const fn rejected(&self) -> RejectedCounts {
         self.rejected
     }

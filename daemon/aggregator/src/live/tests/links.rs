@@ -1,15 +1,13 @@
-//! Links in the picture: bounded, on the edge's own clock, kept while the edge is away.
+//! Tests of links in the picture: bounded, with the edge's clock, kept while the edge is disconnected.
 
-use peernet_clock::{
-    DelaySource, ExchangeCounts, Interval, Offset, RehearsalDescription, RehearsedStep, Verdict,
-};
+use peernet_clock::{ClockFaultStep, ClockFaults, DelaySource, ExchangeCounts, Interval, Offset, Verdict};
 use peernet_stream::{ClockSample, DelayPoint, DelaySecond, LinkLive, NetworkName, ProbeCounts, Probing};
 
 use super::*;
 use crate::live::MOST_LINKS;
-use crate::picture::LinkPicture;
+use crate::live_state::LinkSnapshot;
 
-/// A report in the second that ends so many seconds after the start.
+/// Returns a report of the second that ends `ends` seconds after the start.
 fn link(peer: HostId, name: &str, ends: f64, lost: u32) -> LinkLive {
     LinkLive {
         peer,
@@ -42,29 +40,29 @@ fn link(peer: HostId, name: &str, ends: f64, lost: u32) -> LinkLive {
     }
 }
 
-fn report(bed: &mut Bed, at: f64, links: Vec<LinkLive>) {
-    let News::Update(mut news) = update(bed.host, wall(at), vec![]) else { panic!("an update") };
-    news.links = links;
-    assert!(bed.live.take(News::Update(news), now(at)));
+fn report(testbed: &mut Testbed, at: f64, links: Vec<LinkLive>) {
+    let LiveEvent::Update(mut event) = update(testbed.host, wall(at), vec![]) else { panic!("an update") };
+    event.links = links;
+    assert!(testbed.live.apply(LiveEvent::Update(event), now(at)));
 }
 
-fn seconds(link: &LinkPicture) -> Vec<(i64, u32)> {
+fn seconds(link: &LinkSnapshot) -> Vec<(i64, u32)> {
     link.history.iter().map(|point| (point.at.unix_seconds() - START, point.probes.lost)).collect()
 }
 
 #[test]
-fn a_second_is_one_point_replaced_while_it_is_under_way_and_ten_minutes_are_kept() {
-    let mut bed = Bed::new();
+fn repeated_report_replaces_point_and_history_is_bounded() {
+    let mut testbed = Testbed::new();
     let cloud = HostId::random();
     for second in 0..700 {
         for (part, lost) in [(0.3, 0), (0.9, 1)] {
             let at = f64::from(second) + part;
-            report(&mut bed, at, vec![link(cloud, "cloud", f64::from(second) + 1.0, lost)]);
+            report(&mut testbed, at, vec![link(cloud, "cloud", f64::from(second) + 1.0, lost)]);
         }
     }
-    let picture = bed.picture(699.9);
+    let picture = testbed.picture(699.9);
     let [shown] = &picture.links[..] else { panic!("one link") };
-    assert_eq!((shown.edge, shown.edge_name.as_str(), shown.connected), (bed.host, "edge", true));
+    assert_eq!((shown.edge, shown.edge_name.as_str(), shown.connected), (testbed.host, "edge", true));
     assert_eq!((shown.last_seen, shown.live.now.at), (wall(699.9), wall(700.0)));
     let history = seconds(shown);
     assert_eq!((history.len(), history[0], history[599]), (600, (101, 1), (700, 1)));
@@ -72,55 +70,55 @@ fn a_second_is_one_point_replaced_while_it_is_under_way_and_ten_minutes_are_kept
 }
 
 #[test]
-fn an_edge_that_is_away_keeps_its_links_and_one_that_names_them_no_longer_is_not_connected() {
-    let mut bed = Bed::new();
+fn links_are_disconnected_with_edge_or_when_unreported() {
+    let mut testbed = Testbed::new();
     let (one, two) = (HostId::random(), HostId::random());
-    report(&mut bed, 0.5, vec![link(two, "b", 1.0, 0), link(one, "a", 1.0, 0)]);
-    let names = |picture: &Picture| {
-        let name = |link: &Arc<LinkPicture>| (link.live.peer_name.to_string(), link.connected);
+    report(&mut testbed, 0.5, vec![link(two, "b", 1.0, 0), link(one, "a", 1.0, 0)]);
+    let names = |picture: &LiveState| {
+        let name = |link: &Arc<LinkSnapshot>| (link.live.peer_name.to_string(), link.connected);
         picture.links.iter().map(name).collect::<Vec<_>>()
     };
-    assert_eq!(names(&bed.picture(0.6)), [("a".to_owned(), true), ("b".to_owned(), true)]);
-    report(&mut bed, 1.5, vec![link(one, "a", 2.0, 0)]);
-    assert_eq!(names(&bed.picture(1.6)), [("a".to_owned(), true), ("b".to_owned(), false)]);
-    assert!(bed.live.age(now(6.0)));
-    assert_eq!(names(&bed.picture(6.0)), [("a".to_owned(), false), ("b".to_owned(), false)]);
-    report(&mut bed, 7.5, vec![link(one, "c", 8.0, 0), link(two, "b", 8.0, 0)]);
-    assert_eq!(names(&bed.picture(7.6)), [("b".to_owned(), true), ("c".to_owned(), true)]);
-    assert_eq!(seconds(&bed.picture(7.6).links[1]), [(1, 0), (2, 0), (8, 0)]);
-    assert!(bed.live.take(News::Goodbye(bed.host), now(8.0)));
-    assert!(bed.picture(8.0).links.iter().all(|link| !link.connected));
-    bed.live.age(now(3_700.0));
-    assert!(bed.picture(3_700.0).links.is_empty(), "forgotten after a long absence");
+    assert_eq!(names(&testbed.picture(0.6)), [("a".to_owned(), true), ("b".to_owned(), true)]);
+    report(&mut testbed, 1.5, vec![link(one, "a", 2.0, 0)]);
+    assert_eq!(names(&testbed.picture(1.6)), [("a".to_owned(), true), ("b".to_owned(), false)]);
+    assert!(testbed.live.age(now(6.0)));
+    assert_eq!(names(&testbed.picture(6.0)), [("a".to_owned(), false), ("b".to_owned(), false)]);
+    report(&mut testbed, 7.5, vec![link(one, "c", 8.0, 0), link(two, "b", 8.0, 0)]);
+    assert_eq!(names(&testbed.picture(7.6)), [("b".to_owned(), true), ("c".to_owned(), true)]);
+    assert_eq!(seconds(&testbed.picture(7.6).links[1]), [(1, 0), (2, 0), (8, 0)]);
+    assert!(testbed.live.apply(LiveEvent::Goodbye(testbed.host), now(8.0)));
+    assert!(testbed.picture(8.0).links.iter().all(|link| !link.connected));
+    testbed.live.age(now(3_700.0));
+    assert!(testbed.picture(3_700.0).links.is_empty(), "forgotten after a long absence");
 }
 
 #[test]
-fn an_edge_whose_clock_is_set_back_keeps_what_was_before_that_time() {
-    let mut bed = Bed::new();
+fn clock_set_back_keeps_earlier_link_history() {
+    let mut testbed = Testbed::new();
     let cloud = HostId::random();
     for second in 0..10 {
-        report(&mut bed, f64::from(second) + 0.5, vec![link(cloud, "cloud", f64::from(second) + 1.0, 0)]);
+        report(&mut testbed, f64::from(second) + 0.5, vec![link(cloud, "cloud", f64::from(second) + 1.0, 0)]);
     }
-    // Set back by 5 s.
-    let News::Update(mut news) = update(bed.host, wall(5.5), vec![]) else { panic!("an update") };
-    news.links = vec![link(cloud, "cloud", 6.0, 9)];
-    bed.live.take(News::Update(news), now(10.5));
-    let history = seconds(&bed.picture(10.5).links[0]);
+    // The clock is set back by 5 s.
+    let LiveEvent::Update(mut event) = update(testbed.host, wall(5.5), vec![]) else { panic!("an update") };
+    event.links = vec![link(cloud, "cloud", 6.0, 9)];
+    testbed.live.apply(LiveEvent::Update(event), now(10.5));
+    let history = seconds(&testbed.picture(10.5).links[0]);
     assert_eq!(history, [(1, 0), (2, 0), (3, 0), (4, 0), (5, 0), (6, 9)]);
 }
 
 #[test]
 fn two_networks_of_one_pair_are_two_links() {
-    let (mut bed, cloud) = (Bed::new(), HostId::random());
+    let (mut testbed, cloud) = (Testbed::new(), HostId::random());
     let over = |network: &str, lost| {
         let network: NetworkName = network.parse().expect("a name");
         let mut link = link(cloud, "cloud", 1.0, lost);
         link.now.network = network;
         link
     };
-    report(&mut bed, 0.5, vec![over("zmq-udp", 3), over("zmq-tcp", 1)]);
-    report(&mut bed, 0.6, vec![over("zmq-udp", 4)]);
-    let picture = bed.picture(0.6);
+    report(&mut testbed, 0.5, vec![over("zmq-udp", 3), over("zmq-tcp", 1)]);
+    report(&mut testbed, 0.6, vec![over("zmq-udp", 4)]);
+    let picture = testbed.picture(0.6);
     let shown = picture.links.iter().map(|link| {
         (link.live.network().to_string(), link.live.peer, link.live.now.probes.lost, link.connected)
     });
@@ -129,15 +127,15 @@ fn two_networks_of_one_pair_are_two_links() {
 }
 
 #[test]
-fn more_links_and_longer_texts_than_anyone_has_are_left_out_and_counted() {
-    let mut bed = Bed::new();
+fn excess_links_and_texts_are_cut_and_counted() {
+    let mut testbed = Testbed::new();
     let mut links: Vec<LinkLive> =
         (0..1_000).map(|n| link(HostId::random(), &format!("c{n}"), 1.0, 0)).collect();
     let long = "ä".repeat(100_000);
-    let steps = vec![RehearsedStep::of_wall(Span::ZERO, Span::ZERO); 1_000];
+    let steps = vec![ClockFaultStep::of_wall(Span::ZERO, Span::ZERO); 1_000];
     let clock = HostClock {
         text: long.clone(),
-        rehearsal: Some(RehearsalDescription { offset: Span::ZERO, drift_ppm: 0.0, steps, since: wall(0.0) }),
+        rehearsal: Some(ClockFaults { offset: Span::ZERO, drift_ppm: 0.0, steps, since: wall(0.0) }),
         ..HostClock::default()
     };
     let greedy = &mut links[0];
@@ -146,10 +144,10 @@ fn more_links_and_longer_texts_than_anyone_has_are_left_out_and_counted() {
     greedy.probing = Probing::On { address: long.clone(), rate_hz: f64::NAN, stamps: long };
     (greedy.edge, greedy.cloud) = (Some(clock.clone()), Some(clock.clone()));
     let peer = greedy.peer;
-    let News::Update(mut news) = update(bed.host, wall(0.5), vec![]) else { panic!("an update") };
-    (news.links, news.clock) = (links, clock);
-    bed.live.take(News::Update(news), now(0.5));
-    let picture = bed.picture(0.5);
+    let LiveEvent::Update(mut event) = update(testbed.host, wall(0.5), vec![]) else { panic!("an update") };
+    (event.links, event.clock) = (links, clock);
+    testbed.live.apply(LiveEvent::Update(event), now(0.5));
+    let picture = testbed.picture(0.5);
     assert_eq!(picture.links.len(), MOST_LINKS);
     let shown = picture.links.iter().find(|link| link.live.peer == peer).expect("the first");
     assert!(serde_json::to_string(&**shown).expect("serialises").len() < 64 * 1024);
@@ -160,8 +158,8 @@ fn more_links_and_longer_texts_than_anyone_has_are_left_out_and_counted() {
 }
 
 #[test]
-fn what_cannot_be_is_not_shown() {
-    let mut bed = Bed::new();
+fn impossible_clock_values_are_not_shown() {
+    let mut testbed = Testbed::new();
     let interval = |lo, hi| Interval { lo: Span::from_millis(lo), hi: Span::from_millis(hi) };
     let wild = |second: i64| {
         let mut link = link(HostId::random(), "cloud", 1.0, 0);
@@ -190,8 +188,8 @@ fn what_cannot_be_is_not_shown() {
         ..offset
     });
     links.extend([turned, crowded]);
-    report(&mut bed, 0.5, links);
-    let picture = bed.picture(0.5);
+    report(&mut testbed, 0.5, links);
+    let picture = testbed.picture(0.5);
     let shown = |name: &str| {
         picture.links.iter().filter(|link| link.live.peer_name.as_str() == name).cloned().collect::<Vec<_>>()
     };

@@ -1,4 +1,5 @@
-//! The picture against exact computation, under clocks that jump and agents that send nonsense.
+//! Tests of the picture: its figures compared with exact values, under clocks that jump and agents that send invalid
+//! data.
 
 mod durable;
 mod leaving;
@@ -16,18 +17,20 @@ use peernet_stream::{
 };
 use proptest::prelude::*;
 
-use super::{Live, MOST_NAMES, MOST_PIPELINES, MOST_RUNS, News};
-use crate::picture::{Picture, RefusedFrames, RefusedHost};
+use super::{LiveEvent, LiveTracker, MOST_NAMES, MOST_PIPELINES, MOST_RUNS};
+use crate::live_state::{LiveState, RefusedFrames, RefusedHost};
 use peernet_store::Stored;
 
+/// Wall time of the tests' start, Unix seconds.
 const START: i64 = 1_750_000_000;
 
-/// Our own clocks, so many seconds after the start.
+/// Returns the aggregator's clocks `seconds` after the start.
 fn now(seconds: f64) -> Stamp {
     let start = Stamp { wall: wall(0.0), mono: MonoTime::from_nanos(7), ..Stamp::default() };
     start + Span::from_seconds_f64(seconds)
 }
 
+/// Returns the wall time `seconds` after the start.
 fn wall(seconds: f64) -> WallTime {
     WallTime::from_unix_nanos(START * 1_000_000_000) + Span::from_seconds_f64(seconds)
 }
@@ -66,8 +69,8 @@ fn pipeline(name: &str, seconds: Vec<Second>) -> PipelineLive {
     }
 }
 
-fn update(host: HostId, sent: WallTime, pipelines: Vec<PipelineLive>) -> News {
-    News::Update(Box::new(LiveUpdate {
+fn update(host: HostId, sent: WallTime, pipelines: Vec<PipelineLive>) -> LiveEvent {
+    LiveEvent::Update(Box::new(LiveUpdate {
         host,
         sent,
         pipelines,
@@ -78,13 +81,14 @@ fn update(host: HostId, sent: WallTime, pipelines: Vec<PipelineLive>) -> News {
     }))
 }
 
-fn with(news: News, accounting: Accounting) -> News {
-    let News::Update(mut update) = news else { panic!("an update") };
+/// Replaces the accounting of an update.
+fn with(event: LiveEvent, accounting: Accounting) -> LiveEvent {
+    let LiveEvent::Update(mut update) = event else { panic!("an update") };
     update.accounting = accounting;
-    News::Update(update)
+    LiveEvent::Update(update)
 }
 
-/// A second in which iterations of these totals succeeded and so many were lost.
+/// Returns a second in which iterations with these total latencies succeeded and `lost` iterations were lost.
 fn second(at: i64, totals: &[f64], lost: u64) -> Second {
     let mut summary = Summary::default();
     totals.iter().for_each(|total| summary.record(*total));
@@ -99,26 +103,28 @@ fn second(at: i64, totals: &[f64], lost: u64) -> Second {
     }
 }
 
-struct Bed {
-    live: Live,
+/// The live state with one connected host.
+struct Testbed {
+    live: LiveTracker,
     host: HostId,
 }
 
-impl Bed {
+impl Testbed {
     fn new() -> Self {
-        let mut live = Live::new(slug("here"), "tcp://127.0.0.1:5550".into(), Span::from_seconds(3_600));
+        let mut live =
+            LiveTracker::new(slug("here"), "tcp://127.0.0.1:5550".into(), Span::from_seconds(3_600));
         let host = HostId::random();
-        live.take(News::Hello(Box::new(description(host, "edge")), 1), now(0.0));
+        live.apply(LiveEvent::Hello(Box::new(description(host, "edge")), 1), now(0.0));
         Self { live, host }
     }
 
-    /// An update at `at` on both clocks.
+    /// Applies an update sent at `at` on both clocks.
     fn send(&mut self, at: f64, seconds: Vec<Second>) {
-        let news = update(self.host, wall(at), vec![pipeline("line", seconds)]);
-        assert!(self.live.take(news, now(at)));
+        let event = update(self.host, wall(at), vec![pipeline("line", seconds)]);
+        assert!(self.live.apply(event, now(at)));
     }
 
-    fn picture(&mut self, at: f64) -> Picture {
+    fn picture(&mut self, at: f64) -> LiveState {
         self.live.picture(now(at))
     }
 }
@@ -126,18 +132,18 @@ impl Bed {
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(32))]
     #[test]
-    fn windows_hold_what_happened_within_them(
+    fn windows_match_exact_figures(
         totals in prop::collection::vec(prop::collection::vec(0.001_f64..0.1, 0..8), 1..90), under_way in 0.0_f64..0.99,
     ) {
-        let mut bed = Bed::new();
+        let mut testbed = Testbed::new();
         for (at, totals) in totals.iter().enumerate() {
-            // Each second is sent twice, growing: the second report replaces the first.
+            // Each second is reported twice, growing: the second report replaces the first.
             let half = &totals[..totals.len() / 2];
-            bed.send(at as f64 + under_way / 2.0, vec![second(at as i64, half, 0)]);
-            bed.send(at as f64 + under_way, vec![second(at as i64, totals, 1)]);
+            testbed.send(at as f64 + under_way / 2.0, vec![second(at as i64, half, 0)]);
+            testbed.send(at as f64 + under_way, vec![second(at as i64, totals, 1)]);
         }
         let end = totals.len() - 1;
-        let picture = bed.picture(end as f64 + under_way);
+        let picture = testbed.picture(end as f64 + under_way);
         for (window, seconds) in picture.pipelines[0].windows.iter().zip([1, 10, 60]) {
             let within = &totals[end.saturating_sub(seconds)..];
             let mut exact: Vec<f64> = within.iter().flatten().copied().collect();
@@ -165,7 +171,7 @@ proptest! {
 
 #[test]
 fn late_and_unanswered_iterations_miss_their_deadline() {
-    let mut bed = Bed::new();
+    let mut testbed = Testbed::new();
     let missed = |at: i64, totals: &[f64], lost: u64, flags: &[f64]| {
         let mut summary = Summary::default();
         flags.iter().for_each(|flag| summary.record(*flag));
@@ -173,24 +179,25 @@ fn late_and_unanswered_iterations_miss_their_deadline() {
         second.values.push((Name::from("deadline-missed"), summary));
         second
     };
-    bed.send(0.9, vec![second(0, &[0.1; 4], 1)]);
-    assert_eq!(bed.picture(0.9).pipelines[0].windows[0].miss_rate, None, "without a deadline");
-    bed.send(9.9, vec![missed(9, &[0.1; 3], 0, &[0.0, 1.0, 0.0])]);
-    bed.send(10.5, vec![missed(10, &[], 3, &[])]);
-    let rates =
-        |bed: &mut Bed, at| bed.picture(at).pipelines[0].windows.each_ref().map(|window| window.miss_rate);
-    assert_eq!(rates(&mut bed, 10.5)[0], Some(4.0 / 6.0));
-    bed.send(12.5, vec![missed(12, &[], 2, &[])]);
-    assert_eq!(rates(&mut bed, 12.5)[0], Some(1.0), "no answer at all");
+    testbed.send(0.9, vec![second(0, &[0.1; 4], 1)]);
+    assert_eq!(testbed.picture(0.9).pipelines[0].windows[0].miss_rate, None, "without a deadline");
+    testbed.send(9.9, vec![missed(9, &[0.1; 3], 0, &[0.0, 1.0, 0.0])]);
+    testbed.send(10.5, vec![missed(10, &[], 3, &[])]);
+    let rates = |testbed: &mut Testbed, at| {
+        testbed.picture(at).pipelines[0].windows.each_ref().map(|window| window.miss_rate)
+    };
+    assert_eq!(rates(&mut testbed, 10.5)[0], Some(4.0 / 6.0));
+    testbed.send(12.5, vec![missed(12, &[], 2, &[])]);
+    assert_eq!(rates(&mut testbed, 12.5)[0], Some(1.0), "no answer at all");
 }
 
 #[test]
-fn the_charts_reach_back_ten_minutes_and_no_further() {
-    let mut bed = Bed::new();
+fn series_covers_ten_minutes() {
+    let mut testbed = Testbed::new();
     for at in 0..700 {
-        bed.send(at as f64 + 0.9, vec![second(at, &[0.25, 0.75], 0)]);
+        testbed.send(at as f64 + 0.9, vec![second(at, &[0.25, 0.75], 0)]);
     }
-    let picture = bed.picture(699.9);
+    let picture = testbed.picture(699.9);
     let series = &picture.pipelines[0].series;
     assert_eq!((series.len(), series[0].at, series[599].at), (600, START + 100, START + 699));
     assert_eq!(series[0].means, [(stage::UPLOAD, 0.5), (stage::TOTAL, 0.5)]);
@@ -198,60 +205,60 @@ fn the_charts_reach_back_ten_minutes_and_no_further() {
 }
 
 #[test]
-fn a_silent_pipeline_runs_dry_and_its_host_disconnects_but_both_stay() {
-    let mut bed = Bed::new();
-    bed.send(0.5, vec![second(0, &[0.010; 100], 0)]);
-    assert_eq!(bed.picture(0.6).pipelines[0].windows[0].counts.ok, 100);
-    assert!(bed.live.age(now(5.0)));
-    let picture = bed.picture(5.0);
+fn silent_pipeline_empties_windows_and_disconnects_host() {
+    let mut testbed = Testbed::new();
+    testbed.send(0.5, vec![second(0, &[0.010; 100], 0)]);
+    assert_eq!(testbed.picture(0.6).pipelines[0].windows[0].counts.ok, 100);
+    assert!(testbed.live.age(now(5.0)));
+    let picture = testbed.picture(5.0);
     let windows = &picture.pipelines[0].windows;
     assert_eq!(windows.each_ref().map(|window| window.counts.ok), [0, 100, 100]);
     assert!(windows[0].lost_fraction.is_none() && windows[0].rate_hz == 0.0);
     assert!(!picture.hosts[0].connected);
     assert_eq!(picture.pipelines[0].state, PipelineState::Away, "not claimed to be running");
     assert_eq!(picture.hosts[0].last_seen, wall(0.5));
-    assert!(bed.live.age(now(100.0)));
-    assert_eq!(bed.picture(100.0).pipelines[0].windows[2].counts.ok, 0);
-    assert!(!bed.live.age(now(101.0)), "nothing changes any more");
-    assert_eq!((bed.picture(101.0).hosts.len(), bed.picture(101.0).pipelines.len()), (1, 1));
-    assert!(bed.live.age(now(3_700.0)));
-    assert!(bed.picture(3_700.0).hosts.is_empty(), "forgotten after a long absence");
+    assert!(testbed.live.age(now(100.0)));
+    assert_eq!(testbed.picture(100.0).pipelines[0].windows[2].counts.ok, 0);
+    assert!(!testbed.live.age(now(101.0)), "nothing changes any more");
+    assert_eq!((testbed.picture(101.0).hosts.len(), testbed.picture(101.0).pipelines.len()), (1, 1));
+    assert!(testbed.live.age(now(3_700.0)));
+    assert!(testbed.picture(3_700.0).hosts.is_empty(), "forgotten after a long absence");
 }
 
 #[test]
-fn an_agents_clock_may_be_wrong_and_may_be_set() {
-    let mut bed = Bed::new();
-    // Two days ahead of ours: its windows end at its own now.
+fn windows_follow_wrong_and_stepped_agent_clock() {
+    let mut testbed = Testbed::new();
+    // The agent's clock is two days ahead of the aggregator's: its windows end at its present.
     let ahead = 172_800;
-    let host = bed.host;
+    let host = testbed.host;
     let sent = |at: f64| wall(ahead as f64 + at);
     let line = |at: i64| vec![pipeline("line", vec![second(at, &[0.010; 5], 0)])];
     for at in 0..5 {
-        bed.live.take(update(host, sent(at as f64 + 0.5), line(ahead + at)), now(at as f64 + 0.5));
+        testbed.live.apply(update(host, sent(at as f64 + 0.5), line(ahead + at)), now(at as f64 + 0.5));
     }
-    let picture = bed.picture(4.6);
+    let picture = testbed.picture(4.6);
     assert_eq!(picture.pipelines[0].windows.each_ref().map(|window| window.counts.ok), [10, 25, 25]);
     assert_eq!(picture.hosts[0].clock_ahead, Span::from_seconds(ahead));
-    // Set back to the right time: what was ahead is forgotten, what comes is shown at once.
-    bed.live.take(update(host, wall(6.5), line(6)), now(6.5));
-    let picture = bed.picture(6.5);
+    // The clock is set back to the right time: later seconds are discarded, and new ones are shown at once.
+    testbed.live.apply(update(host, wall(6.5), line(6)), now(6.5));
+    let picture = testbed.picture(6.5);
     assert_eq!(picture.pipelines[0].windows.each_ref().map(|window| window.counts.ok), [5, 5, 5]);
     assert_eq!(picture.pipelines[0].series.len(), 1);
 }
 
 #[test]
-fn a_clock_that_is_set_back_does_not_count_its_seconds_twice() {
-    let mut bed = Bed::new();
+fn clock_set_back_does_not_count_seconds_twice() {
+    let mut testbed = Testbed::new();
     for at in 0..20 {
-        bed.send(at as f64 + 0.5, vec![second(at, &[0.010; 5], 0)]);
+        testbed.send(at as f64 + 0.5, vec![second(at, &[0.010; 5], 0)]);
     }
-    // Set back by five seconds: five a second all the time.
+    // The clock is set back by five seconds; the rate is five iterations a second throughout.
     for at in 15..17 {
-        let host = bed.host;
+        let host = testbed.host;
         let line = vec![pipeline("line", vec![second(at, &[0.010; 5], 0)])];
-        bed.live.take(update(host, wall(at as f64 + 0.5), line), now(at as f64 + 5.5));
+        testbed.live.apply(update(host, wall(at as f64 + 0.5), line), now(at as f64 + 5.5));
     }
-    let picture = bed.picture(21.6);
+    let picture = testbed.picture(21.6);
     let pipeline = &picture.pipelines[0];
     assert_eq!(pipeline.series.iter().map(|second| second.at).max(), Some(START + 16));
     assert_eq!(pipeline.windows.each_ref().map(|window| window.counts.ok), [10, 55, 85]);
@@ -259,29 +266,29 @@ fn a_clock_that_is_set_back_does_not_count_its_seconds_twice() {
 }
 
 #[test]
-fn seconds_that_cannot_be_are_left_out_and_counted() {
-    let mut bed = Bed::new();
-    bed.send(1_000.5, vec![second(1_000, &[0.010; 5], 0)]);
-    bed.send(
+fn impossible_seconds_are_discarded_and_counted() {
+    let mut testbed = Testbed::new();
+    testbed.send(1_000.5, vec![second(1_000, &[0.010; 5], 0)]);
+    testbed.send(
         1_000.6,
         [i64::MAX - START, i64::MIN - START.wrapping_neg(), 2_000, 300]
             .map(|at| second(at, &[0.5], 0))
             .into(),
     );
-    let picture = bed.picture(1_000.6);
+    let picture = testbed.picture(1_000.6);
     assert_eq!(picture.pipelines[0].windows[2].counts.ok, 5);
     assert_eq!((picture.pipelines[0].series.len(), picture.hosts[0].live_left_out), (1, 4));
 }
 
 #[test]
-fn more_pipelines_and_names_than_anyone_has_are_left_out_and_counted() {
-    let mut bed = Bed::new();
+fn excess_pipelines_and_names_are_cut_and_counted() {
+    let mut testbed = Testbed::new();
     let mut wide = second(0, &[0.010], 0);
     wide.values = (0..1_000).map(|n| (Name::from(format!("n{n}")), wide.values[0].1.clone())).collect();
     let mut pipelines = vec![pipeline("wide", vec![wide])];
     pipelines.extend((0..1_000).map(|n| pipeline(&format!("p{n}"), vec![])));
-    bed.live.take(update(bed.host, wall(0.5), pipelines), now(0.5));
-    let picture = bed.picture(0.5);
+    testbed.live.apply(update(testbed.host, wall(0.5), pipelines), now(0.5));
+    let picture = testbed.picture(0.5);
     assert_eq!(picture.pipelines.len(), MOST_PIPELINES);
     let wide = picture.pipelines.iter().find(|known| known.pipeline.as_str() == "wide").expect("first");
     assert_eq!(wide.windows[0].values.len(), MOST_NAMES);
@@ -289,15 +296,15 @@ fn more_pipelines_and_names_than_anyone_has_are_left_out_and_counted() {
 }
 
 #[test]
-fn what_did_not_change_is_not_drawn_again() {
-    let mut bed = Bed::new();
+fn unchanged_snapshots_are_shared() {
+    let mut testbed = Testbed::new();
     let other = HostId::random();
-    bed.live.take(News::Hello(Box::new(description(other, "other")), 1), now(0.0));
-    bed.live.take(update(other, wall(0.1), vec![pipeline("quiet", vec![])]), now(0.1));
-    bed.send(0.2, vec![second(0, &[0.010], 0)]);
-    let first = bed.picture(0.3);
-    bed.send(0.4, vec![second(0, &[0.010, 0.020], 0)]);
-    let second = bed.picture(0.5);
+    testbed.live.apply(LiveEvent::Hello(Box::new(description(other, "other")), 1), now(0.0));
+    testbed.live.apply(update(other, wall(0.1), vec![pipeline("quiet", vec![])]), now(0.1));
+    testbed.send(0.2, vec![second(0, &[0.010], 0)]);
+    let first = testbed.picture(0.3);
+    testbed.send(0.4, vec![second(0, &[0.010, 0.020], 0)]);
+    let second = testbed.picture(0.5);
     assert!(
         Arc::ptr_eq(&first.pipelines[1], &second.pipelines[1])
             && Arc::ptr_eq(&first.hosts[1], &second.hosts[1])
@@ -307,26 +314,26 @@ fn what_did_not_change_is_not_drawn_again() {
 
 #[test]
 fn a_run_gets_its_number_when_the_store_knows_it() {
-    let mut bed = Bed::new();
+    let mut testbed = Testbed::new();
     let run = RunId::random();
     let mut line = pipeline("line", vec![]);
     line.run = Some(run);
-    bed.live.take(update(bed.host, wall(0.1), vec![line.clone()]), now(0.1));
-    assert_eq!(bed.picture(0.1).pipelines[0].run_number, None);
-    bed.live.take(News::Run(bed.host, run, 412), now(0.2));
-    assert_eq!(bed.picture(0.2).pipelines[0].run_number, Some(412));
-    // Numbers of other runs come and go; the one that is shown stays.
+    testbed.live.apply(update(testbed.host, wall(0.1), vec![line.clone()]), now(0.1));
+    assert_eq!(testbed.picture(0.1).pipelines[0].run_number, None);
+    testbed.live.apply(LiveEvent::Run(testbed.host, run, 412), now(0.2));
+    assert_eq!(testbed.picture(0.2).pipelines[0].run_number, Some(412));
+    // Run numbers beyond the limit are discarded; the number of a shown run is kept.
     for number in 0..MOST_RUNS as i64 {
-        bed.live.take(News::Run(bed.host, RunId::random(), number), now(0.3));
+        testbed.live.apply(LiveEvent::Run(testbed.host, RunId::random(), number), now(0.3));
     }
-    bed.live.take(update(bed.host, wall(0.4), vec![line]), now(0.4));
-    assert_eq!(bed.picture(0.4).pipelines[0].run_number, Some(412));
-    assert!(bed.live.numbers.len() <= MOST_RUNS);
+    testbed.live.apply(update(testbed.host, wall(0.4), vec![line]), now(0.4));
+    assert_eq!(testbed.picture(0.4).pipelines[0].run_number, Some(412));
+    assert!(testbed.live.numbers.len() <= MOST_RUNS);
 }
 
 #[test]
-fn accounts_of_both_sides_stand_side_by_side() {
-    let mut bed = Bed::new();
+fn counts_of_host_and_database_are_shown() {
+    let mut testbed = Testbed::new();
     let accounting = Accounting {
         produced: 10,
         stored: 4,
@@ -335,53 +342,56 @@ fn accounts_of_both_sides_stand_side_by_side() {
         trouble: Some("é".repeat(1_000)),
         ..Accounting::default()
     };
-    bed.live.take(with(update(bed.host, wall(30.0), vec![]), accounting.clone()), now(30.0));
+    testbed.live.apply(with(update(testbed.host, wall(30.0), vec![]), accounting.clone()), now(30.0));
     let stored = Stored { events: 4, nodes: 80, ..Stored::default() };
-    bed.live.take(News::Stored(bed.host, stored, Some(wall(12.0))), now(30.1));
-    bed.live.take(News::Duplicate(bed.host), now(30.2));
-    let picture = bed.picture(30.2);
+    testbed.live.apply(LiveEvent::Stored(testbed.host, stored, Some(wall(12.0))), now(30.1));
+    testbed.live.apply(LiveEvent::Duplicate(testbed.host), now(30.2));
+    let picture = testbed.picture(30.2);
     assert_eq!(picture.hosts[0].behind, Some(Span::from_seconds(18)));
     assert_eq!(picture.hosts[0].newest_stored, Some(wall(12.0)));
     assert_eq!(picture.hosts[0].stored, Stored { duplicates: 1, ..stored });
     let cut = Some("é".repeat(256));
     assert_eq!(picture.hosts[0].accounting, Accounting { trouble: cut, ..accounting });
     let idle = Accounting { waiting: 0, ..accounting };
-    bed.live.take(with(update(bed.host, wall(30.5), vec![]), idle), now(30.5));
-    assert_eq!(bed.picture(30.5).hosts[0].behind, None, "nothing waits");
-    assert!(bed.live.take(News::Goodbye(bed.host), now(31.0)));
-    assert!(!bed.picture(31.0).hosts[0].connected);
+    testbed.live.apply(with(update(testbed.host, wall(30.5), vec![]), idle), now(30.5));
+    assert_eq!(testbed.picture(30.5).hosts[0].behind, None, "nothing waits");
+    assert!(testbed.live.apply(LiveEvent::Goodbye(testbed.host), now(31.0)));
+    assert!(!testbed.picture(31.0).hosts[0].connected);
 }
 
 #[test]
-fn a_host_that_began_anew_is_not_connected_until_it_tells_of_itself() {
-    let mut bed = Bed::new();
+fn restarted_host_is_connected_from_first_update() {
+    let mut testbed = Testbed::new();
     let account = |produced| Accounting { produced, ..Accounting::default() };
-    let told = update(bed.host, wall(1.0), vec![pipeline("line", vec![])]);
-    bed.live.take(with(told, account(10)), now(1.0));
+    let first = update(testbed.host, wall(1.0), vec![pipeline("line", vec![])]);
+    testbed.live.apply(with(first, account(10)), now(1.0));
     let mut hello = |process, at| {
-        bed.live.take(News::Hello(Box::new(description(bed.host, "edge")), process), now(at));
-        let picture = bed.live.picture(now(at));
+        testbed.live.apply(LiveEvent::Hello(Box::new(description(testbed.host, "edge")), process), now(at));
+        let picture = testbed.live.picture(now(at));
         (picture.hosts[0].connected, picture.hosts[0].accounting.produced, picture.pipelines[0].state.clone())
     };
-    // The same process on a new connection, then another one.
+    // The same process on a new connection, then another process.
     assert_eq!(hello(1, 1.1), (true, 10, PipelineState::Running));
     assert_eq!(hello(2, 1.2), (false, 10, PipelineState::Away));
-    bed.live.take(with(update(bed.host, wall(1.3), vec![]), account(12)), now(1.3));
-    let host = &bed.picture(1.3).hosts[0];
+    testbed.live.apply(with(update(testbed.host, wall(1.3), vec![]), account(12)), now(1.3));
+    let host = &testbed.picture(1.3).hosts[0];
     assert_eq!((host.connected, host.accounting.produced), (true, 12));
 }
 
 #[test]
-fn what_is_of_no_known_host_is_counted() {
-    let mut bed = Bed::new();
-    assert!(bed.live.take(News::Unreadable, now(0.1)));
-    assert!(bed.live.take(News::Stranger, now(0.1)) && bed.live.take(News::Stranger, now(0.2)));
-    assert_eq!(bed.picture(0.2).totals.refused, RefusedFrames { unreadable: 1, strangers: 2 });
+fn frames_of_unknown_hosts_are_counted() {
+    let mut testbed = Testbed::new();
+    assert!(testbed.live.apply(LiveEvent::Unreadable, now(0.1)));
+    assert!(
+        testbed.live.apply(LiveEvent::Stranger, now(0.1))
+            && testbed.live.apply(LiveEvent::Stranger, now(0.2))
+    );
+    assert_eq!(testbed.picture(0.2).totals.refused, RefusedFrames { unreadable: 1, strangers: 2 });
 }
 
 #[test]
-fn the_refused_are_shown_once_each_and_not_for_ever() {
-    let mut bed = Bed::new();
+fn refused_host_is_shown_once_for_ten_minutes() {
+    let mut testbed = Testbed::new();
     let refused = |name: &str, at| RefusedHost {
         name: slug(name),
         address: None,
@@ -389,24 +399,24 @@ fn the_refused_are_shown_once_each_and_not_for_ever() {
         at,
     };
     for at in 0..50 {
-        bed.live.take(News::Refused(refused("twin", wall(f64::from(at)))), now(f64::from(at)));
+        testbed.live.apply(LiveEvent::Refused(refused("twin", wall(f64::from(at)))), now(f64::from(at)));
     }
-    bed.live.take(News::Refused(refused("other", wall(60.0))), now(60.0));
-    let picture = bed.picture(60.0);
+    testbed.live.apply(LiveEvent::Refused(refused("other", wall(60.0))), now(60.0));
+    let picture = testbed.picture(60.0);
     let shown: Vec<_> = picture.refused.iter().map(|refused| (refused.name.as_str(), refused.at)).collect();
     assert_eq!(shown, [("other", wall(60.0)), ("twin", wall(49.0))]);
-    assert!(bed.live.age(now(655.0)));
-    assert_eq!(bed.picture(655.0).refused.len(), 1);
+    assert!(testbed.live.age(now(655.0)));
+    assert_eq!(testbed.picture(655.0).refused.len(), 1);
 }
 
 #[test]
-fn hosts_of_which_nothing_is_stored_leave_early_and_what_was_stored_before_is_shown_at_once() {
-    let mut live = Live::new(slug("base"), "tcp://127.0.0.1:1".into(), Span::from_seconds(86_400));
+fn host_without_stored_events_is_removed_early() {
+    let mut live = LiveTracker::new(slug("base"), "tcp://127.0.0.1:1".into(), Span::from_seconds(86_400));
     let (known, stranger) = (HostId::random(), HostId::random());
     let stored = Stored { events: 7, nodes: 70, ..Stored::default() };
-    assert!(!live.take(News::Stored(known, stored, None), now(0.0)));
-    live.take(News::Hello(Box::new(description(known, "known")), 1), now(1.0));
-    live.take(News::Hello(Box::new(description(stranger, "stranger")), 1), now(1.0));
+    assert!(!live.apply(LiveEvent::Stored(known, stored, None), now(0.0)));
+    live.apply(LiveEvent::Hello(Box::new(description(known, "known")), 1), now(1.0));
+    live.apply(LiveEvent::Hello(Box::new(description(stranger, "stranger")), 1), now(1.0));
     let picture = live.picture(now(1.0));
     assert_eq!(picture.hosts.iter().map(|host| host.stored.events).collect::<Vec<_>>(), [7, 0]);
     live.age(now(600.0));

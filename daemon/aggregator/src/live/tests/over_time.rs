@@ -1,20 +1,21 @@
-//! What charts draw over time, against exact computation.
+//! Tests of the charts over time: figures compared with exact values.
 
 use peernet_logger::stage;
 use peernet_statistics::Summary;
 
-use super::{Bed, START, second};
-use crate::picture::PercentileSeries;
+use super::{START, Testbed, second};
+use crate::live_state::PercentileSeries;
 
-/// What a pipeline shows after these seconds, each sent when it is over.
+/// Returns the percentiles after these seconds, each reported at its end.
 fn series(seconds: &[Vec<f64>]) -> PercentileSeries {
-    let mut bed = Bed::new();
+    let mut testbed = Testbed::new();
     for (at, totals) in seconds.iter().enumerate() {
-        bed.send(at as f64 + 0.99, vec![second(at as i64, totals, 0)]);
+        testbed.send(at as f64 + 0.99, vec![second(at as i64, totals, 0)]);
     }
-    bed.picture(seconds.len() as f64).pipelines[0].total_p95.clone()
+    testbed.picture(seconds.len() as f64).pipelines[0].total_p95.clone()
 }
 
+/// Returns the exact 95th percentile.
 fn exact_p95(mut totals: Vec<f64>) -> f64 {
     totals.sort_by(f64::total_cmp);
     let rank = 0.95 * (totals.len() - 1) as f64;
@@ -24,7 +25,7 @@ fn exact_p95(mut totals: Vec<f64>) -> f64 {
 
 #[test]
 fn percentile_is_that_of_all_iterations_of_its_bucket() {
-    // Eight iterations a second of 9 to 13 ms, and one of 1.4 s in the 25th second.
+    // Eight iterations a second of 9 to 13 ms, and one of 1.4 s in second 25.
     let mut seconds: Vec<Vec<f64>> =
         (0..60).map(|at| (0..8).map(|n| 0.009 + 1e-4 * f64::from((7 * at + 5 * n) % 40)).collect()).collect();
     seconds[25][3] = 1.4;
@@ -59,34 +60,39 @@ fn slow_pipeline_gets_buckets_that_hold_sixty_iterations() {
 
 #[test]
 fn bucket_under_way_has_a_percentile_from_sixty_iterations_on() {
-    let mut bed = Bed::new();
+    let mut testbed = Testbed::new();
     for at in 0..25 {
-        bed.send(at as f64 + 0.99, vec![second(at, &[0.010; 8], 0)]);
+        testbed.send(at as f64 + 0.99, vec![second(at, &[0.010; 8], 0)]);
     }
-    let newest = |bed: &mut Bed, at| bed.picture(at).pipelines[0].total_p95.points.last().copied();
-    assert_eq!(newest(&mut bed, 25.0).map(|point| point.at), Some(START + 10), "the newest bucket holds 40");
+    let newest =
+        |testbed: &mut Testbed, at| testbed.picture(at).pipelines[0].total_p95.points.last().copied();
+    assert_eq!(
+        newest(&mut testbed, 25.0).map(|point| point.at),
+        Some(START + 10),
+        "the newest bucket holds 40"
+    );
     for at in 25..28 {
-        bed.send(at as f64 + 0.99, vec![second(at, &[0.010; 8], 0)]);
+        testbed.send(at as f64 + 0.99, vec![second(at, &[0.010; 8], 0)]);
     }
-    let point = newest(&mut bed, 28.0).expect("the newest bucket holds 64");
+    let point = newest(&mut testbed, 28.0).expect("the newest bucket holds 64");
     assert_eq!((point.at, point.count), (START + 20, 64));
-    // A second that is reported again is replaced, also in a bucket that was drawn.
-    bed.send(28.2, vec![second(12, &[0.050; 8], 0)]);
-    let points = bed.picture(28.2).pipelines[0].total_p95.points.clone();
+    // A repeated report of a second replaces it, also in a bucket that was drawn already.
+    testbed.send(28.2, vec![second(12, &[0.050; 8], 0)]);
+    let points = testbed.picture(28.2).pipelines[0].total_p95.points.clone();
     assert_eq!(points[1].count, 80);
     assert!((points[1].p95 - 0.050).abs() < 0.001, "{points:?}");
 }
 
 #[test]
 fn percentiles_follow_a_clock_that_is_set_back() {
-    let mut bed = Bed::new();
+    let mut testbed = Testbed::new();
     for at in 0..40 {
-        bed.send(at as f64 + 0.99, vec![second(at, &[0.010; 8], 0)]);
+        testbed.send(at as f64 + 0.99, vec![second(at, &[0.010; 8], 0)]);
     }
-    let host = bed.host;
+    let host = testbed.host;
     let line = vec![super::pipeline("line", vec![second(15, &[0.010; 8], 0)])];
-    bed.live.take(super::update(host, super::wall(15.9), line), super::now(40.9));
-    let points = bed.picture(40.9).pipelines[0].total_p95.points.clone();
+    testbed.live.apply(super::update(host, super::wall(15.9), line), super::now(40.9));
+    let points = testbed.picture(40.9).pipelines[0].total_p95.points.clone();
     assert_eq!(
         points.iter().map(|point| point.at - START).collect::<Vec<_>>(),
         [0],
@@ -97,13 +103,13 @@ fn percentiles_follow_a_clock_that_is_set_back() {
 #[test]
 fn pause_of_a_pipeline_does_not_lengthen_its_buckets() {
     let mut seconds: Vec<Vec<f64>> = vec![vec![0.010; 8]; 100];
-    let mut bed = Bed::new();
+    let mut testbed = Testbed::new();
     seconds.extend(vec![vec![0.010; 8]; 100]);
     for (at, totals) in seconds.iter().enumerate() {
         let at = if at < 100 { at } else { at + 300 };
-        bed.send(at as f64 + 0.99, vec![second(at as i64, totals, 0)]);
+        testbed.send(at as f64 + 0.99, vec![second(at as i64, totals, 0)]);
     }
-    let found = bed.picture(500.0).pipelines[0].total_p95.clone();
+    let found = testbed.picture(500.0).pipelines[0].total_p95.clone();
     assert_eq!((found.bucket_s, found.points.len()), (Some(10), 20));
 }
 
@@ -123,9 +129,9 @@ fn speed_while_sending_adds_up_bytes_and_times() {
         (stage::UPLOAD_BYTES, summary(|(bytes, _)| *bytes)),
         (stage::UPLOAD_THROUGHPUT, ratios),
     ];
-    let mut bed = Bed::new();
-    bed.send(0.99, vec![sent]);
-    let pipeline = &bed.picture(1.0).pipelines[0];
+    let mut testbed = Testbed::new();
+    testbed.send(0.99, vec![sent]);
+    let pipeline = &testbed.picture(1.0).pipelines[0];
     let exact = 8.0 * 212_000.0 / 3.76e-3;
     for transfers in [pipeline.windows[1].transfers, pipeline.series[0].transfers] {
         let up = transfers.up.expect("something was sent");
@@ -138,11 +144,11 @@ fn speed_while_sending_adds_up_bytes_and_times() {
 
 #[test]
 fn rate_of_a_young_pipeline_is_over_the_time_since_its_begin() {
-    let mut bed = Bed::new();
+    let mut testbed = Testbed::new();
     for at in 0..5 {
-        bed.send(at as f64 + 0.5, vec![second(at, &[0.010; 8][..if at == 4 { 4 } else { 8 }], 0)]);
+        testbed.send(at as f64 + 0.5, vec![second(at, &[0.010; 8][..if at == 4 { 4 } else { 8 }], 0)]);
     }
-    let windows = &bed.picture(4.5).pipelines[0].windows;
+    let windows = &testbed.picture(4.5).pipelines[0].windows;
     assert_eq!(windows.each_ref().map(|window| window.covered_s), [1.5, 4.5, 4.5]);
     assert_eq!(windows.each_ref().map(|window| window.rate_hz), [8.0; 3]);
 }

@@ -8,7 +8,7 @@ use toml::Value;
 
 use super::field::{Field, FieldError};
 
-/// Tables that an axis may reach into.
+/// Tables whose fields an axis may change.
 const TABLES: [&str; 10] = [
     "experiment",
     "network",
@@ -21,14 +21,14 @@ const TABLES: [&str; 10] = [
     "rehearsal",
     "onnxruntime",
 ];
-/// What may differ from one configuration to the next in `[experiment]`.
+/// Keys of `[experiment]` that may differ between configurations.
 const OWN: [&str; 7] =
     ["episodes", "episode_steps", "warm_up", "iterations", "duration_s", "users", "patience_s"];
 
-/// Columns that tables over all runs have beside the axes and the latencies.
+/// Columns of the tables over all runs besides the axes and the latencies.
 const COLUMNS: [&str; 6] = ["runs", "count", "unanswered", "best", "tie", "edges"];
 
-/// `[[axis]]` as it stands in the file.
+/// `[[axis]]` as in the file.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct AxisTable {
@@ -53,22 +53,22 @@ struct ValueTable {
 /// One dimension of the matrix.
 #[derive(Clone, Debug)]
 pub(in crate::run) struct Axis {
-    /// What it is called in tables.
+    /// Name in tables.
     pub(in crate::run) name: String,
-    /// What it can be.
+    /// Possible values.
     pub(in crate::run) values: Vec<AxisValue>,
 }
 
 /// One value of an axis.
 #[derive(Clone, Debug)]
 pub(in crate::run) struct AxisValue {
-    /// What it is called in tables.
+    /// Name in tables.
     pub(in crate::run) label: String,
-    /// What it makes of the document.
+    /// Fields of the document that it sets.
     pub(super) sets: Vec<(Field, Value)>,
 }
 
-/// A table that is no axis.
+/// An invalid table of an axis.
 #[derive(Debug, thiserror::Error)]
 pub(super) enum AxisError {
     #[error("give either field = \"…\" and values = […], or [[axis.value]] with label and set")]
@@ -101,7 +101,7 @@ impl Axis {
     /// Reads an axis.
     ///
     /// # Errors
-    /// When the table is none.
+    /// When the table is invalid.
     pub(super) fn read(table: AxisTable) -> Result<Self, AxisError> {
         let AxisTable { name, field, values, value } = table;
         let values: Vec<AxisValue> = match (field, values.is_empty(), value.is_empty()) {
@@ -126,12 +126,12 @@ impl Axis {
         }
     }
 
-    /// Whether it overwrites what another axis, which comes before it, has set.
+    /// Returns whether it overwrites a field that another, earlier axis sets.
     pub(super) fn overwrites(&self, other: &Self) -> bool {
         self.fields().any(|field| other.fields().any(|earlier| field.covers(earlier)))
     }
 
-    /// Whether it overwrites a field in every run.
+    /// Returns whether it overwrites a field in every run.
     pub(super) fn always_covers(&self, field: &Field) -> bool {
         self.values.iter().all(|value| value.sets.iter().any(|(set, _)| set.covers(field)))
     }
@@ -140,15 +140,15 @@ impl Axis {
         self.values.iter().flat_map(|value| &value.sets).map(|(field, _)| field)
     }
 
-    /// Its labels, for messages.
+    /// Returns its labels for messages.
     pub(super) fn listed(&self) -> String {
         self.values.iter().map(|value| value.label.as_str()).collect::<Vec<_>>().join(", ")
     }
 }
 
-/// `field` and `values`: one field, labels as the values say.
+/// Reads `field` and `values`: one field, with the values as labels.
 fn short(field: &str, values: Vec<Value>) -> Result<Vec<AxisValue>, AxisError> {
-    // The arguments of a program may be secret, and labels are told to aggregators.
+    // The arguments of a program may be secret, and labels are sent to aggregators.
     let is_command = field.ends_with(".command");
     let field = reach(field)?;
     let value = |value: Value| {
@@ -162,14 +162,14 @@ fn short(field: &str, values: Vec<Value>) -> Result<Vec<AxisValue>, AxisError> {
     values.into_iter().map(value).collect()
 }
 
-/// `[[axis.value]]`: any number of fields.
+/// Reads `[[axis.value]]`: any number of fields.
 fn long(value: ValueTable) -> Result<AxisValue, AxisError> {
     let label = label(&value.label).ok_or(AxisError::LabelType)?;
     let sets = value.set.into_iter().map(|(field, value)| Ok((reach(&field)?, value)));
     Ok(AxisValue { label, sets: sets.collect::<Result<_, AxisError>>()? })
 }
 
-/// A field that an axis may change.
+/// Reads a field that an axis may change.
 fn reach(text: &str) -> Result<Field, AxisError> {
     let field = Field::read(text)?;
     if !TABLES.contains(&field.table()) {
@@ -182,7 +182,7 @@ fn reach(text: &str) -> Result<Field, AxisError> {
     Ok(field)
 }
 
-/// How a value is called in tables: itself, if it is a single one.
+/// Returns the label of a value: the value itself, if it is a single one.
 pub(super) fn label(value: &Value) -> Option<String> {
     match value {
         Value::String(text) => Some(text.clone()),
@@ -220,7 +220,7 @@ mod tests {
 
     #[test]
     fn what_is_wrong_is_told() {
-        for (text, told) in [
+        for (text, message) in [
             ("name = 'a'", "either field"),
             ("name = 'a'\nfield = 'pipeline.x'\nvalues = [1]\n[[value]]\nlabel = 'b'", "either field"),
             ("name = 'a'\nfield = 'pipelin.x'\nvalues = [1]", "there is no field pipelin.x"),
@@ -231,7 +231,7 @@ mod tests {
             ("name = \"a\\u001b\"\nfield = 'pipeline.x'\nvalues = [1]", "name: "),
         ] {
             let error = read(text).expect_err(text);
-            assert!(error.to_string().contains(told), "{error}");
+            assert!(error.to_string().contains(message), "{error}");
         }
     }
 }

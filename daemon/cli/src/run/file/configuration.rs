@@ -1,4 +1,4 @@
-//! One combination as an agent's configuration.
+//! Conversion of one combination to an agent's configuration.
 
 use std::num::NonZeroU32;
 use std::path::PathBuf;
@@ -11,14 +11,14 @@ use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 use toml::{Table, Value};
 
-use super::experiment::{Experiment, LimitError, Network, RangeError, in_words};
+use super::experiment::{Experiment, LimitError, Network, RangeError, describe_warm_up};
 use super::field::{Field, FieldError};
 use super::matrix::Combination;
 use super::peers::PeerError;
 use super::{AGENT, File, KeyError, peers, typed};
 use crate::run::check::as_written;
 
-/// Keys of a pipeline that the experiment decides, and where they are to be written instead.
+/// Keys of a pipeline that the experiment decides, with the keys to be used instead.
 const ELSEWHERE: [(&str, &str); 6] = [
     ("name", "experiment.name"),
     ("limit", "experiment.iterations, experiment.duration_s, or experiment.episodes"),
@@ -28,30 +28,30 @@ const ELSEWHERE: [(&str, &str); 6] = [
     ("experiment", "nothing: it is filled in"),
 ];
 
-/// What is measured in some runs.
+/// A configuration that is measured in some runs.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub(in crate::run) struct Configuration {
-    /// Pairs of an axis and a label, in the order of the file.
+    /// Axes with their labels, in the order of the file.
     pub(in crate::run) labels: Vec<(String, String)>,
-    /// Edges that ask at once.
+    /// Number of edges that send concurrently.
     pub(in crate::run) users: u32,
-    /// The agent with its pipeline.
+    /// The agent's configuration with its pipeline.
     pub(in crate::run) agent: AgentConfig,
-    /// Which iterations are warm-up, in words.
+    /// Description of the iterations that are warm-up.
     pub(in crate::run) warm_up: String,
-    /// How long a peer that is away is waited for; seconds.
+    /// Longest wait for an absent peer; seconds.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(in crate::run) patience_s: Option<f64>,
-    /// What follows from the experiment's seed.
+    /// Seeds that follow from the experiment's seed.
     pub(in crate::run) seeds: Seeds,
 }
 
-/// Which seeds the file leaves to the experiment.
+/// Seeds that the file leaves to the experiment.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub(in crate::run) struct Seeds {
-    /// That of the sensor.
+    /// `true` for that of the sensor.
     pub(in crate::run) sensor: bool,
-    /// That of random starts.
+    /// `true` for that of random starts.
     pub(in crate::run) load: bool,
 }
 
@@ -80,16 +80,16 @@ pub(super) enum ConfigurationError {
     Limit(#[from] LimitError),
     #[error("experiment.warm_up: all iterations of a run would be warm-up ({0}), and no statistics")]
     AllWarmUp(String),
-    /// Axes could have put there what is wrong.
+    /// Some axes may have set the invalid value.
     #[error("{problem} (with {})", .axes.join(", "))]
     OfAxes { problem: Box<Self>, axes: Vec<String> },
 }
 
 impl File {
-    /// The configuration of a combination, and the file that names its peer.
+    /// Makes the configuration of a combination. Returns it with the file that names its peer.
     ///
     /// # Errors
-    /// When something is wrong: the text has the key first, and the axis that put it there last.
+    /// When something is wrong: the text begins with the key and ends with the axis that may have set it.
     pub(super) fn configuration(
         &self,
         combination: &Combination<'_>,
@@ -154,25 +154,25 @@ fn read(
         pipeline.warm_up = warm_up;
         pipeline.episode_steps = experiment.episode_steps;
         if let PlacementConfig::Remote(remote) = &mut pipeline.placement {
-            // Plans of earlier releases name it, and a plan must stay what it was for an experiment to go on.
+            // Plans of earlier releases contain it, and an experiment can only be continued with an unchanged plan.
             remote.network.get_or_insert(remote.peer.network());
         }
     }
     if is_all(&warm_up, &limit, experiment.episode_steps) {
-        return Err(ConfigurationError::AllWarmUp(in_words(&warm_up)));
+        return Err(ConfigurationError::AllWarmUp(describe_warm_up(&warm_up)));
     }
     let configuration = Configuration {
         labels: Vec::new(),
         users: experiment.users.get(),
         agent,
-        warm_up: in_words(&warm_up),
+        warm_up: describe_warm_up(&warm_up),
         patience_s: experiment.patience_s,
         seeds,
     };
     Ok((configuration, network))
 }
 
-/// Whether a run is warm-up from its beginning to its end.
+/// Returns whether all iterations of a run are warm-up.
 fn is_all(warm_up: &WarmUp, limit: &Limit, steps: Option<NonZeroU32>) -> bool {
     let iterations = limit.total.is_some_and(|total| total.get() <= warm_up.iterations);
     let steps = steps.map(NonZeroU32::get);
@@ -183,7 +183,7 @@ fn is_all(warm_up: &WarmUp, limit: &Limit, steps: Option<NonZeroU32>) -> bool {
     iterations || every_step || episodes
 }
 
-/// Whether a table of the pipeline could have a seed and has none.
+/// Returns whether a table of the pipeline could have a seed and has none.
 fn lacks_seed(pipeline: &Table, key: &str) -> bool {
     let Some(Value::Table(table)) = pipeline.get(key) else { return false };
     let mut seeded = table.clone();
@@ -199,7 +199,7 @@ fn is<T: DeserializeOwned>(table: Table) -> bool {
     Value::Table(table).try_into::<T>().is_ok()
 }
 
-/// Names the axes that could have put there what is wrong.
+/// Adds the axes that may have set the invalid value to an error.
 fn blame(problem: ConfigurationError, combination: &Combination<'_>) -> ConfigurationError {
     let text = problem.to_string();
     let key = text.split(": ").next().unwrap_or_default();

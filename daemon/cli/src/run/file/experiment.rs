@@ -1,4 +1,4 @@
-//! `[experiment]` and `[network]`
+//! The tables `[experiment]` and `[network]`.
 
 use std::collections::BTreeMap;
 use std::num::{NonZeroU32, NonZeroU64};
@@ -10,36 +10,36 @@ use peernet_networks::Address;
 use serde::{Deserialize, Serialize};
 use toml::Value;
 
-/// Most edges at once. Each is a process with its own sockets, clock probes and, where it computes itself, model: more of
-/// them on one host measure that host, and not the network or the server.
+/// Maximum number of concurrent edges. Each is a process with its own sockets, clock probes and, if it computes itself, model: more of
+/// them on one host would measure that host, and not the network or the server.
 const MOST_USERS: u32 = 64;
-/// Seconds of the longest run: a year.
+/// Longest run in seconds: a year.
 const LONGEST_RUN_S: f64 = 365.0 * 86_400.0;
-/// Seconds of the longest patience: a day, as for `--patience`.
+/// Longest wait for a peer in seconds: a day, as for `--patience`.
 const LONGEST_PATIENCE_S: f64 = 86_400.0;
 
-/// `[experiment]`: how often, in which order, how long.
+/// `[experiment]`: number, order and length of the runs.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(in crate::run) struct Experiment {
     /// Name for people, and of the pipeline on dashboards.
     pub(in crate::run) name: Slug,
-    /// What order and payloads follow from. Default: 1.
+    /// Seed of order and payloads. Default: 1.
     #[serde(default = "one_seed")]
     pub(in crate::run) seed: u64,
-    /// How often each configuration is measured. Default: 1.
+    /// Number of times that each configuration is measured. Default: 1.
     #[serde(default = "one")]
     pub(in crate::run) repeats: NonZeroU32,
-    /// Default: `random`.
+    /// Order of the runs. Default: `random`.
     #[serde(default)]
     pub(in crate::run) order: Order,
-    /// Whether each run draws its figures. Default: true.
+    /// `true` if each run draws its figures. Default: true.
     #[serde(default = "yes")]
     pub(in crate::run) plots: bool,
-    /// Where the runs are streamed to as well: `tcp://host:port`. Default: nowhere.
+    /// Aggregator to which the runs are streamed as well: `tcp://host:port`. Default: none.
     #[serde(default)]
     pub(super) aggregator: Option<Address>,
-    /// Combinations that are left out: labels by the names of axes.
+    /// Excluded combinations: labels by the names of axes.
     #[serde(default)]
     pub(super) exclude: Vec<BTreeMap<String, Value>>,
     /// Episodes of each run; needs `episode_steps`.
@@ -48,19 +48,19 @@ pub(in crate::run) struct Experiment {
     /// Iterations of each episode.
     #[serde(default)]
     pub(super) episode_steps: Option<NonZeroU32>,
-    /// What is left out of statistics.
+    /// Iterations that are left out of statistics.
     #[serde(default)]
     warm_up: Option<WarmUp>,
-    /// Iterations that count.
+    /// Number of iterations that count.
     #[serde(default)]
     iterations: Option<NonZeroU64>,
-    /// Seconds of each run after its warm-up.
+    /// Duration of each run after its warm-up, seconds.
     #[serde(default)]
     duration_s: Option<f64>,
-    /// Edges that ask at once, each a process of its own. Default: 1.
+    /// Number of edges that send concurrently, each in a separate process. Default: 1.
     #[serde(default = "one")]
     pub(in crate::run) users: NonZeroU32,
-    /// How long a peer that is away is waited for; seconds.
+    /// Longest wait for an absent peer; seconds.
     #[serde(default)]
     pub(in crate::run) patience_s: Option<f64>,
 }
@@ -69,18 +69,18 @@ pub(in crate::run) struct Experiment {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub(in crate::run) enum Order {
-    /// Each repeat of the whole matrix shuffled, as the seed decides: what changes with time hits all configurations.
+    /// Each repeat of the whole matrix is shuffled by the seed: changes over time affect all configurations.
     #[default]
     Random,
-    /// As the file has it.
+    /// Order of the file.
     Declared,
 }
 
-/// `[network]`: names for peers.
+/// `[network]`: the file with the names of peers.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct Network {
-    /// The published file of devices.
+    /// Path of the published file of devices.
     pub(super) config: PathBuf,
 }
 
@@ -97,7 +97,7 @@ pub(super) enum RangeError {
     Patience(f64),
 }
 
-/// A run without an end.
+/// A run without a limit.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub(super) enum LimitError {
     #[error("episodes needs episode_steps: how long is an episode?")]
@@ -110,7 +110,7 @@ impl Experiment {
     /// Checks the ranges of its numbers.
     ///
     /// # Errors
-    /// When one is beyond its range.
+    /// When one is outside its range.
     pub(super) fn check(&self) -> Result<(), RangeError> {
         let users = self.users.get();
         if users > MOST_USERS {
@@ -128,10 +128,10 @@ impl Experiment {
         Ok(())
     }
 
-    /// When a run ends.
+    /// Returns the limit of a run.
     ///
     /// # Errors
-    /// When nothing says so.
+    /// When none is given.
     pub(super) fn limit(&self) -> Result<Limit, LimitError> {
         let episodes = match (self.episodes, self.episode_steps) {
             (Some(episodes), Some(steps)) => Some(NonZeroU64::from(episodes).saturating_mul(steps.into())),
@@ -145,7 +145,7 @@ impl Experiment {
         Ok(limit)
     }
 
-    /// What is left out of statistics: with episodes as in the paper, otherwise the usual five iterations.
+    /// Returns the iterations that are left out of statistics: with episodes as in the paper, otherwise the usual five iterations.
     pub(super) fn warm_up(&self) -> WarmUp {
         let usual = match self.episodes {
             Some(_) => WarmUp { iterations: 0, episodes: 1, steps: 1 },
@@ -155,8 +155,8 @@ impl Experiment {
     }
 }
 
-/// The rule in words.
-pub(super) fn in_words(warm_up: &WarmUp) -> String {
+/// Describes the rule.
+pub(super) fn describe_warm_up(warm_up: &WarmUp) -> String {
     let count = |number: u64, what: &str| match number {
         0 => None,
         1 => Some(format!("the first {what}")),
@@ -192,28 +192,31 @@ mod tests {
     }
 
     #[test]
-    fn episodes_are_left_out_as_in_the_paper() {
+    fn warm_up_episodes_are_left_out_as_in_paper() {
         let paper = read("episodes = 30\nepisode_steps = 30");
         assert_eq!(paper.limit().expect("there is one").total.map(NonZeroU64::get), Some(900));
-        assert_eq!(in_words(&paper.warm_up()), "the first episode and the first step of each episode");
+        assert_eq!(
+            describe_warm_up(&paper.warm_up()),
+            "the first episode and the first step of each episode"
+        );
         let other = read("iterations = 10\nwarm_up = { iterations = 2 }");
-        assert_eq!(in_words(&other.warm_up()), "the first 2 iterations");
-        assert_eq!(in_words(&read("iterations = 10").warm_up()), "the first 5 iterations");
+        assert_eq!(describe_warm_up(&other.warm_up()), "the first 2 iterations");
+        assert_eq!(describe_warm_up(&read("iterations = 10").warm_up()), "the first 5 iterations");
     }
 
     #[test]
-    fn a_run_has_an_end() {
+    fn run_without_limit_is_refused() {
         assert_eq!(read("").limit().expect_err("endless"), LimitError::Endless);
         assert_eq!(read("episodes = 3").limit().expect_err("endless"), LimitError::EpisodeSteps);
         assert!(read("duration_s = 3.5").limit().is_ok());
     }
 
     #[test]
-    fn numbers_have_their_ranges() {
+    fn numbers_outside_range_are_refused() {
         for fine in ["users = 64", "duration_s = 0.5", "patience_s = 0", "patience_s = 86400.0"] {
             assert_eq!(read(fine).check(), Ok(()), "{fine}");
         }
-        for (wrong, told) in [
+        for (wrong, message) in [
             ("users = 65", "experiment.users: 65 is too many"),
             ("duration_s = 0.0", "experiment.duration_s: 0.0 is not"),
             ("duration_s = 1e308", "experiment.duration_s: 1e308 is not"),
@@ -223,7 +226,7 @@ mod tests {
             ("patience_s = inf", "experiment.patience_s: inf is not"),
         ] {
             let error = read(wrong).check().expect_err(wrong);
-            assert!(error.to_string().starts_with(told), "{error}");
+            assert!(error.to_string().starts_with(message), "{error}");
         }
     }
 }

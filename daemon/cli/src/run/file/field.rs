@@ -1,21 +1,21 @@
-//! The path of a field in a document: `pipeline.transforms[0].width`.
+//! Paths of fields in a document: `pipeline.transforms[0].width`.
 
 use std::fmt;
 
 use toml::{Table, Value};
 
-/// Where a field stands.
+/// Path of a field.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(in crate::run) struct Field(Vec<Step>);
 
-/// One step towards it.
+/// One step of the path.
 #[derive(Clone, Debug, PartialEq, Eq)]
 enum Step {
     Key(String),
     Index(usize),
 }
 
-/// A path that is none, or leads nowhere.
+/// An invalid path, or one that does not exist.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub(in crate::run) enum FieldError {
     #[error("{0:?} is no path of a field; write it as pipeline.placement.model")]
@@ -34,7 +34,7 @@ impl Field {
     /// Reads a path.
     ///
     /// # Errors
-    /// When the text is none.
+    /// When the text is no path.
     pub(super) fn read(text: &str) -> Result<Self, FieldError> {
         let mut steps = Vec::new();
         for part in text.split('.') {
@@ -53,7 +53,7 @@ impl Field {
         Ok(Self(steps))
     }
 
-    /// The first key, which is the name of a table.
+    /// Returns the first key, which is the name of a table.
     pub(super) fn table(&self) -> &str {
         match self.0.first() {
             Some(Step::Key(key)) => key,
@@ -61,7 +61,7 @@ impl Field {
         }
     }
 
-    /// The last key.
+    /// Returns the last key.
     pub(super) fn key(&self) -> &str {
         let last = self.0.iter().rev().find_map(|step| match step {
             Step::Key(key) => Some(key.as_str()),
@@ -70,20 +70,20 @@ impl Field {
         last.unwrap_or_default()
     }
 
-    /// Whether another path leads to this field, into it, or to what it stands in.
+    /// Returns whether one of the two paths is the begin of the other.
     pub(super) fn touches(&self, other: &Self) -> bool {
         self.0.iter().zip(&other.0).all(|(a, b)| a == b)
     }
 
-    /// Whether setting this field overwrites another, or something that the other stands in.
+    /// Returns whether setting this field overwrites the other one or a part that contains it.
     pub(super) fn covers(&self, other: &Self) -> bool {
         self.0.len() <= other.0.len() && self.touches(other)
     }
 
-    /// Puts a value there; tables on the way are made.
+    /// Sets the field to a value and creates missing tables on the way.
     ///
     /// # Errors
-    /// When the path leads nowhere.
+    /// When the path does not exist.
     pub(super) fn set(&self, document: &mut Table, value: Value) -> Result<(), FieldError> {
         let Some((Step::Key(first), rest)) = self.0.split_first() else { return Ok(()) };
         if rest.is_empty() {
@@ -139,7 +139,7 @@ mod tests {
     }
 
     #[test]
-    fn a_value_is_put_where_the_path_leads() {
+    fn value_is_set_at_path() {
         assert_eq!(set("a.b", "a = { c = 1 }").as_deref(), Ok("[a] b = 7 c = 1"));
         assert_eq!(set("a.b.c", "").as_deref(), Ok("[a.b] c = 7"));
         assert_eq!(set("a[1].b", "a = [{ b = 1 }, { b = 2 }]").as_deref(), Ok("[[a]] b = 1 [[a]] b = 7"));
@@ -147,8 +147,8 @@ mod tests {
     }
 
     #[test]
-    fn a_path_that_leads_nowhere_is_named() {
-        for (path, document, told) in [
+    fn unknown_path_is_reported() {
+        for (path, document, message) in [
             ("a..b", "", "no path"),
             ("a\nb", "", "no path"),
             ("a[x]", "", "no place in a list"),
@@ -157,12 +157,12 @@ mod tests {
             ("a[0]", "a = { b = 1 }", "a is no list"),
         ] {
             let error = set(path, document).expect_err(path);
-            assert!(error.to_string().contains(told), "{error}");
+            assert!(error.to_string().contains(message), "{error}");
         }
     }
 
     #[test]
-    fn fields_touch_when_one_stands_in_the_other() {
+    fn fields_overlap_if_one_contains_the_other() {
         let field = |text| Field::read(text).expect("a path");
         assert!(field("a.b").touches(&field("a.b.c")) && field("a.b.c").touches(&field("a.b")));
         assert!(!field("a.b").touches(&field("a.c")) && !field("a[0]").touches(&field("a[1]")));

@@ -1,4 +1,4 @@
-//! The combinations of the axes' values.
+//! Combinations of the axes' values.
 
 use std::collections::BTreeMap;
 
@@ -6,7 +6,7 @@ use toml::Value;
 
 use super::axis::{Axis, AxisValue, label};
 
-/// Most runs that an experiment may have, so that a slip of the keyboard does not fill the memory.
+/// Maximum number of runs of an experiment, so that a typing error does not fill the memory.
 pub(super) const MOST: usize = 10_000;
 
 /// One value of each axis, in the order of the axes.
@@ -25,7 +25,7 @@ pub(super) enum MatrixError {
     NothingLeft,
 }
 
-/// A table that leaves out no combinations.
+/// An invalid table of excluded combinations.
 #[derive(Debug, thiserror::Error)]
 pub(super) enum ExclusionError {
     #[error("it names no axis, and would leave nothing")]
@@ -36,10 +36,10 @@ pub(super) enum ExclusionError {
     UnknownLabel { axis: String, value: Value, known: String },
 }
 
-/// Every combination that is not left out, the last axis changing fastest.
+/// Returns every combination that is not excluded, the last axis changing fastest.
 ///
 /// # Errors
-/// When there are too many, an exclusion names what is not there, or nothing is left.
+/// When there are too many, an exclusion names an unknown axis or label, or nothing is left.
 pub(super) fn combinations<'a>(
     axes: &'a [Axis],
     exclude: &[BTreeMap<String, Value>],
@@ -66,7 +66,7 @@ pub(super) fn combinations<'a>(
     if left.is_empty() { Err(MatrixError::NothingLeft) } else { Ok(left) }
 }
 
-/// A combination is left out when all of these axes have one of these labels.
+/// Axes with labels: a combination is excluded if all of these axes have one of these labels.
 struct Exclusion(Vec<(String, Vec<String>)>);
 
 impl Exclusion {

@@ -1,7 +1,7 @@
-//! The file of an experiment: what is common to all runs, and the axes along which they differ.
+//! The file of an experiment: settings that are common to all runs, and the axes along which they differ.
 //!
-//! Every combination of the axes' values is put into a copy of the document, which is then read as an agent's
-//! configuration: whatever an agent can be told can be an axis.
+//! Every combination of the axes' values is set in a copy of the document, which is then read as an agent's configuration: so any
+//! setting of an agent can be an axis, and is checked by the same code.
 
 mod axis;
 mod configuration;
@@ -20,7 +20,7 @@ use std::fmt;
 use std::path::{Path, PathBuf};
 
 use crate::exit::{Exit, Failure};
-use crate::expected::told;
+use crate::expected::describe_error;
 use crate::small_file;
 use anyhow::{Context, anyhow};
 use peernet_analysis::record::NetworkConfig;
@@ -29,19 +29,19 @@ use toml::{Table, Value};
 use axis::{AxisError, AxisTable};
 use matrix::MatrixError;
 
-/// Tables of the file beside those of an agent.
+/// Tables of the file besides those of an agent.
 const OWN: [&str; 4] = ["experiment", "network", "pipeline", "axis"];
-/// Tables of an agent's configuration that hold here, too.
+/// Tables of an agent's configuration that an experiment may contain.
 const AGENT: [&str; 8] = ["agent", "spool", "clock", "probes", "rehearsal", "model", "bank", "onnxruntime"];
 
 /// An experiment's file.
 pub(super) struct File {
-    /// What is common to all runs.
+    /// Settings that are common to all runs.
     pub(super) experiment: Experiment,
-    /// The dimensions.
+    /// The axes.
     pub(super) axes: Vec<Axis>,
     path: PathBuf,
-    /// The whole without the axes.
+    /// The document without the axes.
     document: Table,
 }
 
@@ -66,7 +66,7 @@ enum FileError {
     Overwrites { index: usize, name: String, earlier: String },
 }
 
-/// A value that is not what its key means; the text begins with the path of the key.
+/// An invalid value; the text begins with the path of the key.
 #[derive(Debug, thiserror::Error)]
 struct KeyError {
     path: String,
@@ -75,16 +75,16 @@ struct KeyError {
 
 impl fmt::Display for KeyError {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        // The path of the whole is a dot.
-        f.write_str(&format!("{}: {}", self.path, told(&self.source)).replace(".: ", ": "))
+        // The path of the whole document is a dot.
+        f.write_str(&format!("{}: {}", self.path, describe_error(&self.source)).replace(".: ", ": "))
     }
 }
 
 impl File {
-    /// Reads a file, and puts these values in the places of its own.
+    /// Reads a file, and replaces values by those of `sets`.
     ///
     /// # Errors
-    /// When it is not there (66), something is wrong with it (78), or a value has no effect (64).
+    /// When it does not exist (66), something in it is wrong (78), or a replaced value has no effect (64).
     pub(super) fn read(path: &Path, sets: &[Set]) -> Result<Self, Failure> {
         let text = small_file::read(path, small_file::LARGEST)
             .with_context(|| format!("cannot read the experiment {}", path.display()))
@@ -100,11 +100,11 @@ impl File {
         Ok(file)
     }
 
-    /// Its configurations, every combination of the axes' values that is not left out, the last axis changing fastest; and of
-    /// each the file that names its peer. `models` are the folders that are searched unless `[bank]` names others.
+    /// Returns its configurations with the files that name their peers: every combination of the axes' values that is not excluded, the
+    /// last axis changing fastest. `models` are the folders that are searched unless `[bank]` names others.
     ///
     /// # Errors
-    /// What is wrong, each with its key (78).
+    /// When something is wrong, with the key of each error (78).
     pub(super) fn configurations(
         &self,
         models: &[PathBuf],
@@ -123,7 +123,7 @@ impl File {
                 }
                 Err(problem) => {
                     let problem = problem.to_string();
-                    // The same mistake in every combination is one.
+                    // The same error in every combination is reported once.
                     if !problems.contains(&problem) {
                         problems.push(problem);
                     }
@@ -137,7 +137,7 @@ impl File {
         Err(wrong(problems.iter().map(|problem| format!("{file}: {problem}")).collect::<Vec<_>>().join("\n")))
     }
 
-    /// Checks that so many configurations make no more runs than there may be, before any is planned.
+    /// Checks the number of runs before any is planned.
     fn bounded(&self, configurations: usize) -> Result<(), MatrixError> {
         let repeats = self.experiment.repeats.get();
         let runs = configurations as u64 * u64::from(repeats);
@@ -171,7 +171,7 @@ impl File {
     }
 }
 
-/// A value as what it is meant to be.
+/// Converts a value to its type.
 fn typed<T: serde::de::DeserializeOwned>(value: impl Into<Value>) -> Result<T, KeyError> {
     serde_path_to_error::deserialize(value.into())
         .map_err(|error| KeyError { path: error.path().to_string(), source: error.into_inner() })

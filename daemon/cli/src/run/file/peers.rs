@@ -1,4 +1,4 @@
-//! Peers by their names in the published file of devices.
+//! Lookup of peers by their names in the published file of devices.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -14,11 +14,11 @@ use crate::network::network as kind;
 use crate::published::{DeviceAddresses, addresses};
 use crate::run::origin::origin;
 
-/// Files of devices, each read once: what is remarked of one is said once, however many combinations there are.
+/// Files of devices, each read once, so that remarks about a file appear once for all combinations.
 #[derive(Default)]
 pub(super) struct Files(BTreeMap<(PathBuf, &'static str), Result<DeviceAddresses, Arc<Failure>>>);
 
-/// A peer whose address is not known; the text begins with the key.
+/// A peer without a known address; the text begins with the key.
 #[derive(Clone, Debug, thiserror::Error)]
 pub(super) enum PeerError {
     #[error("network.config: {0}; {origin}", origin = origin())]
@@ -46,8 +46,8 @@ impl Files {
     }
 }
 
-/// Puts the address in the place of a device's name in `pipeline.placement.peer`, and with an address of ROS 2 the file's
-/// settings into `pipeline.placement.session.ros2`. Returns the file.
+/// Replaces a device's name in `pipeline.placement.peer` by its address, and for an address of ROS 2 adds the file's settings to
+/// `pipeline.placement.session.ros2`. Returns the file.
 ///
 /// # Errors
 /// When the file cannot be read or has no such device.
@@ -59,7 +59,7 @@ pub(super) fn resolve(
     let Some(placement) = pipeline.get_mut("placement").and_then(Value::as_table_mut) else {
         return Ok(None);
     };
-    // A name of no network is found where the whole pipeline is read.
+    // An unknown network is reported when the whole pipeline is read.
     let kind = placement.get("network").and_then(Value::as_str).and_then(|name| kind(name).ok());
     let Some(Value::String(peer)) = placement.get_mut("peer") else {
         return Ok(None);
@@ -86,14 +86,14 @@ pub(super) fn resolve(
 
 /// Adds the settings of a file of devices to those of a placement, whose own keys take precedence.
 fn add_ros2(placement: &mut Table, of_file: &Ros2SessionSettings) -> Result<(), toml::ser::Error> {
-    // A plan must stay what it was for an experiment to go on, so defaults are not written.
+    // An experiment can only be continued with an unchanged plan, so defaults are not written.
     if *of_file == Ros2SessionSettings::default() {
         return Ok(());
     }
     let empty = || Value::Table(Table::new());
     let session = placement.entry("session").or_insert_with(empty).as_table_mut();
     let ros2 = session.and_then(|session| session.entry("ros2").or_insert_with(empty).as_table_mut());
-    // What is no table is told where the whole pipeline is read.
+    // A value that is no table is reported when the whole pipeline is read.
     let Some(ros2) = ros2 else { return Ok(()) };
     for (key, value) in Table::try_from(of_file)? {
         ros2.entry(key).or_insert(value);

@@ -1,4 +1,4 @@
-//! `--set`: a value in the place of the file's.
+//! `--set`: a value that replaces one of the file.
 
 use std::num::IntErrorKind;
 
@@ -7,14 +7,14 @@ use toml::{Table, Value};
 use super::axis::Axis;
 use super::field::{Field, FieldError};
 
-/// A field and what it is to be.
+/// A field with its new value.
 #[derive(Clone, Debug, PartialEq)]
 pub(in crate::run) struct Set {
     field: Field,
     value: Value,
 }
 
-/// A value of `--set` that cannot be put into the file.
+/// A value of `--set` that cannot be set in the file.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub(in crate::run) enum SetError {
     #[error("write FIELD=VALUE, such as experiment.iterations=100")]
@@ -31,10 +31,10 @@ pub(in crate::run) enum SetError {
 }
 
 impl Set {
-    /// Reads `FIELD=VALUE`; a value that is no TOML is a text, so that shells need no second pair of quotes.
+    /// Reads `FIELD=VALUE`. A value that is not TOML is a text, so that shells need no second pair of quotes.
     ///
     /// # Errors
-    /// When it is none, or its field cannot be set.
+    /// When the text has another form, or its field cannot be set.
     pub(in crate::run) fn read(text: &str) -> Result<Self, SetError> {
         let (field, value) = text.split_once('=').ok_or(SetError::Form)?;
         let field = Field::read(field.trim())?;
@@ -46,16 +46,16 @@ impl Set {
         if document.is_none() && is_beyond(value) {
             return Err(SetError::Number);
         }
-        // More than one key: the text held a line feed.
+        // With more than one key, the text contained a line feed.
         let read =
             document.filter(|document| document.len() == 1).and_then(|mut document| document.remove("value"));
         Ok(Self { field, value: read.unwrap_or_else(|| Value::String(value.to_owned())) })
     }
 
-    /// Puts the value into the document.
+    /// Sets the value in the document.
     ///
     /// # Errors
-    /// When the path leads nowhere.
+    /// When the path does not exist.
     pub(super) fn apply(&self, document: &mut Table) -> Result<(), SetError> {
         Ok(self.field.set(document, self.value.clone())?)
     }
@@ -72,7 +72,7 @@ impl Set {
     }
 }
 
-/// Whether it is a whole number that TOML has no room for: as a text it would be a riddle.
+/// Returns whether it is a whole number outside TOML's range: read as a text it would cause a confusing error.
 fn is_beyond(value: &str) -> bool {
     let read = value.replace('_', "").parse::<i64>();
     read.is_err_and(|error| matches!(error.kind(), IntErrorKind::PosOverflow | IntErrorKind::NegOverflow))
@@ -83,7 +83,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn values_are_toml_or_else_texts() {
+    fn value_that_is_no_toml_is_text() {
         let value = |text: &str| Set::read(text).expect("reads").value;
         assert_eq!(value("experiment.iterations=100"), Value::Integer(100));
         assert_eq!(value("a.b = true"), Value::Boolean(true));
@@ -94,7 +94,7 @@ mod tests {
         assert_eq!(value("a.b='18446744073709551615'"), Value::String("18446744073709551615".to_owned()));
         assert_eq!(value("a.b="), Value::String(String::new()));
         assert_eq!(value("a.b=1\nc = 2"), Value::String("1\nc = 2".to_owned()));
-        for (text, told) in [
+        for (text, message) in [
             ("a.b", "FIELD=VALUE"),
             ("a..b=1", "no path"),
             ("axis[0].values=[1]", "in the file"),
@@ -102,7 +102,7 @@ mod tests {
             ("a.b=-99_999_999_999_999_999_999", "too large"),
         ] {
             let error = Set::read(text).expect_err(text);
-            assert!(error.to_string().contains(told), "{error}");
+            assert!(error.to_string().contains(message), "{error}");
         }
     }
 }

@@ -31,7 +31,7 @@ fn labels(configuration: &Configuration) -> String {
 }
 
 #[test]
-fn without_axes_there_is_one_configuration() {
+fn file_without_axes_has_one_configuration() {
     let [only] = read("").try_into().expect("one");
     assert_eq!((only.labels.len(), only.users, only.warm_up.as_str()), (0, 1, "the first 5 iterations"));
     let pipeline = &only.agent.pipelines[0];
@@ -39,14 +39,14 @@ fn without_axes_there_is_one_configuration() {
 }
 
 #[test]
-fn axes_multiply_and_the_last_changes_fastest() {
+fn axes_multiply_and_last_changes_fastest() {
     let all = read(
         "[[axis]]\nname = 'Size'\nfield = 'pipeline.sensor.size_bytes'\nvalues = [1, 2]\n\
          [[axis]]\nname = 'Load'\n[[axis.value]]\nlabel = 'closed'\n[[axis.value]]\nlabel = '5 Hz'\n\
          set = { 'pipeline.load' = { mode = 'rate', hz = 5.0 }, 'experiment.users' = 3 }\n",
     );
-    let told: Vec<String> = all.iter().map(labels).collect();
-    assert_eq!(told, ["1/closed", "1/5 Hz", "2/closed", "2/5 Hz"]);
+    let combinations: Vec<String> = all.iter().map(labels).collect();
+    assert_eq!(combinations, ["1/closed", "1/5 Hz", "2/closed", "2/5 Hz"]);
     assert_eq!(all.iter().map(|one| one.users).collect::<Vec<_>>(), [1, 3, 1, 3]);
     assert_eq!(all[0].agent.pipelines[0].load, LoadConfig::Closed {});
     assert_eq!(all[3].agent.pipelines[0].load, LoadConfig::Rate { hz: 5.0 });
@@ -54,7 +54,7 @@ fn axes_multiply_and_the_last_changes_fastest() {
 }
 
 #[test]
-fn exclusions_leave_out_what_all_their_labels_fit() {
+fn exclusion_removes_configurations_with_all_its_labels() {
     let axes = "[[axis]]\nname = 'A'\nfield = 'pipeline.sensor.size_bytes'\nvalues = [1, 2, 3]\n\
                 [[axis]]\nname = 'B'\nfield = 'pipeline.timeout_ms'\nvalues = [10, 20]\n";
     let with = |exclude: &str| {
@@ -68,20 +68,20 @@ fn exclusions_leave_out_what_all_their_labels_fit() {
     };
     assert_eq!(left("[{ A = 1, B = '20' }]"), ["1/10", "2/10", "2/20", "3/10", "3/20"]);
     assert_eq!(left("[{ A = [1, 2] }]"), ["3/10", "3/20"]);
-    for (exclude, told) in [
+    for (exclude, message) in [
         ("[{ C = 1 }]", "experiment.exclude[0]: there is no axis C; there is A, B"),
         ("[{ A = 1 }, { A = 4 }]", "experiment.exclude[1]: A is never 4; there is 1, 2, 3"),
         ("[{}]", "names no axis"),
         ("[{ A = [1, 2, 3] }]", "no combination is left"),
     ] {
         let error = configurations(&with(exclude)).expect_err(exclude).to_string();
-        assert!(error.contains(told), "{error}");
+        assert!(error.contains(message), "{error}");
     }
 }
 
 #[test]
-fn what_is_wrong_is_told_with_file_key_and_axis() {
-    for (more, told) in [
+fn mistake_is_reported_with_file_key_and_axis() {
+    for (more, message) in [
         ("[serve]\n", "serve: an experiment has no such table"),
         ("[network]\nconfig = 'x'\nport = 1\n", "e.toml: network.port: unknown field"),
         (
@@ -121,7 +121,7 @@ fn what_is_wrong_is_told_with_file_key_and_axis() {
         ),
     ] {
         let error = wrong(more);
-        assert!(error.contains(told), "{told} is not in: {error}");
+        assert!(error.contains(message), "{message} is not in: {error}");
     }
     let placement = "[[axis]]\nname = 'A'\n[[axis.value]]\nlabel = 'x'\n\
                      set = { 'pipeline.placement' = { kind = 'local', model = 'm' } }\n";
@@ -141,7 +141,7 @@ fn what_is_wrong_is_told_with_file_key_and_axis() {
 }
 
 #[test]
-fn a_run_of_warm_up_alone_is_refused() {
+fn run_of_warm_up_alone_is_refused() {
     let with = |limits: &str| configurations(&COMMON.replace("iterations = 10", limits));
     for limits in [
         "episodes = 1\nepisode_steps = 30",
@@ -155,7 +155,7 @@ fn a_run_of_warm_up_alone_is_refused() {
 }
 
 #[test]
-fn a_mistake_of_all_combinations_is_told_once() {
+fn mistake_of_all_combinations_is_reported_once() {
     let error = wrong(
         "[bank]\nfolder = []\n[[axis]]\nname = 'A'\nfield = 'pipeline.timeout_ms'\nvalues = [1, 2, 3]\n",
     );
@@ -163,7 +163,7 @@ fn a_mistake_of_all_combinations_is_told_once() {
 }
 
 #[test]
-fn peers_can_be_devices_of_the_published_file() {
+fn peer_can_be_device_of_published_file() {
     let folder = tempfile::tempdir().expect("a folder");
     let net = folder.path().join("net.yaml");
     std::fs::write(&net, "devices:\n  cluster: 10.0.0.7\n  edge: 10.0.0.8\nstart_port: 6000\n")
@@ -225,7 +225,7 @@ fn ros2_settings_of_devices_file_are_used() {
     let own = ", session = { ros2 = { depth = 9 } }";
     let merged = Ros2SessionSettings { depth: 9, ..expected };
     assert_eq!(read(&text("robot", own)), merged);
-    // The settings of ROS 2 mean nothing on another network.
+    // Settings of ROS 2 are ignored on another network.
     assert_eq!(read(&text("cluster", "")), Ros2SessionSettings::default());
     write("{depht: 3}");
     let unknown = configurations(&text("robot", "")).expect_err("no such key").to_string();
@@ -233,7 +233,7 @@ fn ros2_settings_of_devices_file_are_used() {
 }
 
 #[test]
-fn only_seeds_that_the_file_leaves_open_are_filled_in() {
+fn only_seeds_missing_in_file_are_set() {
     let seeds = |sensor: &str, load: &str| {
         let text = COMMON.replace("{ kind = 'synthetic', size_bytes = 1000 }", sensor);
         let text = text.replace("[pipeline]", &format!("[pipeline]\nload = {load}"));
@@ -250,7 +250,7 @@ fn only_seeds_that_the_file_leaves_open_are_filled_in() {
 }
 
 #[test]
-fn numbers_beyond_all_measure_are_refused_with_their_key() {
+fn huge_numbers_are_refused_with_key() {
     let of_experiment = |more: &str| {
         let text = COMMON.replace("iterations = 10", &format!("iterations = 10\n{more}"));
         configurations(&text).expect_err(more).to_string()

@@ -43,7 +43,7 @@ fn order(plan: &Plan) -> Vec<usize> {
 }
 
 #[test]
-fn the_order_follows_from_the_seed() {
+fn order_follows_from_seed() {
     let first = plan(FILE, None);
     assert_eq!((first.runs.len(), order(&first)), (24, order(&plan(FILE, None))));
     assert_ne!(order(&first), order(&plan(FILE, Some(8))));
@@ -52,7 +52,7 @@ fn the_order_follows_from_the_seed() {
 }
 
 #[test]
-fn every_repeat_is_a_block_with_every_configuration() {
+fn each_repeat_is_block_of_all_configurations() {
     let plan = plan(FILE, None);
     for (repeat, block) in plan.runs.chunks(8).enumerate() {
         assert!(block.iter().all(|run| run.repeat as usize == repeat));
@@ -79,7 +79,7 @@ fn folders_are_named_after_number_labels_and_repeat() {
 }
 
 #[test]
-fn payloads_follow_from_seed_repeat_and_user_and_not_from_the_configuration() {
+fn payloads_depend_on_seed_repeat_and_user_only() {
     let plan = plan(FILE, None);
     let seed = |run: &Run, user| match plan.pipeline(run, user, "id").expect("a pipeline").sensor {
         Some(SensorConfig::Text(text)) => text.seed,
@@ -103,13 +103,13 @@ fn payloads_follow_from_seed_repeat_and_user_and_not_from_the_configuration() {
 }
 
 #[test]
-fn a_run_knows_its_place() {
+fn run_has_its_place_in_experiment() {
     let plan = plan(FILE, None);
     let run = plan.runs.iter().find(|run| run.configuration == 3 && run.repeat == 1).expect("there is one");
     let place = plan.pipeline(run, 1, "abc").and_then(|pipeline| pipeline.experiment).expect("it has one");
     assert_eq!((place.name.as_str(), place.id.as_str(), place.repeat), ("e", "abc", 1));
-    assert_eq!(in_words(&place.configuration), "Time = 2, Users = 2");
-    assert_eq!(plan.words(run), "Time = 2, Users = 2, repeat 2");
+    assert_eq!(describe_labels(&place.configuration), "Time = 2, Users = 2");
+    assert_eq!(plan.describe(run), "Time = 2, Users = 2, repeat 2");
     let names = [0, 1].map(|user| plan.agent_name(run, user).map(|name| name.to_string()));
     assert_eq!(names, [Some("robot-1".to_owned()), Some("robot-2".to_owned())]);
     let alone = plan.runs.iter().find(|run| run.configuration == 2).expect("there is one");
@@ -117,7 +117,7 @@ fn a_run_knows_its_place() {
 }
 
 #[test]
-fn users_are_numbered_after_the_machine_where_the_file_has_no_name() {
+fn users_are_numbered_after_machine_without_name_in_file() {
     let plan = plan(&FILE.replace("name = 'robot'", ""), None);
     let run = |configuration| plan.runs.iter().find(|run| run.configuration == configuration).expect("it is");
     let machine = plan.configurations[0].agent.agent.host_name().expect("the machine has a name");

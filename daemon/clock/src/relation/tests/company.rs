@@ -1,7 +1,7 @@
 use super::*;
 
 #[test]
-fn nothing_is_known_of_two_strangers() {
+fn unrelated_clocks_have_no_offset() {
     let relation = relation();
     let delay = relation.delay(Direction::Up, at(1), at(2));
     assert_eq!(delay, OneWayDelay::unsynchronised(Span::from_seconds(1)));
@@ -9,7 +9,7 @@ fn nothing_is_known_of_two_strangers() {
 }
 
 #[test]
-fn one_clock_gives_exact_delays_and_sees_through_a_step() {
+fn shared_clock_gives_exact_delays_despite_step() {
     let mut relation = Relation::new(RelationSettings::default());
     relation.set_same_clock(true);
     assert!(relation.is_same_clock());
@@ -17,14 +17,17 @@ fn one_clock_gives_exact_delays_and_sees_through_a_step() {
     assert_eq!((delay.value, delay.source), (Some(Span::from_nanos(250)), DelaySource::SameClock));
     assert_eq!(delay.verdict, Verdict::Ok);
 
-    let world = World { edge: Wall::drifting(Span::ZERO, 40.0), cloud: Wall::drifting(Span::ZERO, 40.0) };
-    for trip in Path::VETH.trips(&world, (0.0, 5.0), 20.0, &mut Dice::new(2)) {
+    let host_clocks = HostClocks {
+        edge: SimulatedClock::drifting(Span::ZERO, 40.0),
+        cloud: SimulatedClock::drifting(Span::ZERO, 40.0),
+    };
+    for trip in Path::VETH.trips(&host_clocks, (0.0, 5.0), 20.0, &mut RandomSource::new(2)) {
         let judged = relation.judge(&trip.observation());
         assert_eq!(judged.up, OneWayDelay::same_clock(judged.up.raw));
         assert_eq!(judged.down, OneWayDelay::same_clock(judged.down.raw));
     }
-    // Set forward while the cloud worked: a delay that is positive and wrong.
-    let mut observation = world.trip(6e9, 30e3, 100e3, 30e3).observation();
+    // The cloud's clock is set forward while it serves: the delay is positive and wrong.
+    let mut observation = host_clocks.trip(6e9, 30e3, 100e3, 30e3).observation();
     observation.exchange.replied = observation.exchange.replied + Span::from_seconds(1);
     observation.exchange.returned = observation.exchange.returned + Span::from_seconds(1);
     observation.cloud_elapsed = Some(Span::from_micros(100));
@@ -36,7 +39,9 @@ fn one_clock_gives_exact_delays_and_sees_through_a_step() {
 fn exchanges_check_proof_of_one_clock() {
     let mut relation = Relation::new(RelationSettings::default());
     relation.set_same_clock(true);
-    for trip in Path::VETH.trips(&world(Span::from_millis(5)), (0.0, 5.0), 20.0, &mut Dice::new(2)) {
+    for trip in
+        Path::VETH.trips(&host_clocks(Span::from_millis(5)), (0.0, 5.0), 20.0, &mut RandomSource::new(2))
+    {
         let judged = relation.judge(&trip.observation());
         assert_eq!((judged.up.verdict, judged.up.value), (Verdict::Inconsistent, None));
     }
@@ -48,13 +53,13 @@ fn exchanges_check_proof_of_one_clock() {
 
 #[test]
 fn pair_is_measured_before_and_after_proof_of_one_clock() {
-    let one = || Wall::drifting(Span::ZERO, 0.0);
-    let world = World { edge: one(), cloud: one() };
-    let mut relation = acquainted(&world);
+    let one = || SimulatedClock::drifting(Span::ZERO, 0.0);
+    let host_clocks = HostClocks { edge: one(), cloud: one() };
+    let mut relation = acquainted(&host_clocks);
     let mut sources = Vec::new();
     for (second, is_proven) in [(11.0, false), (12.0, true), (13.0, false)] {
         relation.set_same_clock(is_proven);
-        let trip = world.trip(second * 1e9, 40e3, 100e3, 30e3);
+        let trip = host_clocks.trip(second * 1e9, 40e3, 100e3, 30e3);
         let judged = relation.judge(&trip.observation());
         assert!(contains(&judged.up, trip.up) && contains(&judged.down, trip.down));
         sources.push(judged.up.source);
@@ -71,17 +76,17 @@ fn free_running_clock_and_wall_clock_are_never_one() {
 }
 
 #[test]
-fn a_sample_without_fresh_company_is_stale_however_good_its_bounds() {
-    let world = world(Span::from_millis(5));
-    let mut relation = acquainted(&world);
-    // An image of half a second, so that the interval is not what limits.
-    let big = |t: f64| world.trip(t, 500e6, 100e3, 30e3);
+fn delay_without_fresh_exchange_is_stale() {
+    let host_clocks = host_clocks(Span::from_millis(5));
+    let mut relation = acquainted(&host_clocks);
+    // An image whose transfer takes half a second, so that the width of the interval is no limit.
+    let big = |t: f64| host_clocks.trip(t, 500e6, 100e3, 30e3);
     assert_eq!(relation.judge(&big(10.5e9).observation()).up.verdict, Verdict::Ok);
     let late = big(40e9);
     let judged = relation.judge(&late.observation());
-    assert_eq!((judged.learned, judged.up.verdict), (Learned::Taken, Verdict::Stale));
+    assert_eq!((judged.learned, judged.up.verdict), (LearnResult::Taken, Verdict::Stale));
     assert!(contains(&judged.up, late.up) && judged.up.value.is_some());
-    // Its own exchange is company for the next, and for itself when it is judged again.
+    // Its own exchange makes the next delay recent, and itself when it is judged again.
     assert_eq!(relation.judge(&big(42e9).observation()).up.verdict, Verdict::Ok);
     let again = relation.delay(Direction::Up, late.exchange.sent, late.exchange.received);
     assert_eq!(again.verdict, Verdict::Ok);
@@ -94,22 +99,24 @@ fn a_sample_without_fresh_company_is_stale_however_good_its_bounds() {
 
 #[test]
 fn two_exchanges_are_too_few() {
-    let world = world(Span::ZERO);
+    let host_clocks = host_clocks(Span::ZERO);
     let mut relation = relation();
     let verdicts: Vec<Verdict> = (0..4)
-        .map(|n| relation.judge(&world.trip(f64::from(n) * 1e8, 500e6, 1e3, 30e3).observation()).up.verdict)
+        .map(|n| {
+            relation.judge(&host_clocks.trip(f64::from(n) * 1e8, 500e6, 1e3, 30e3).observation()).up.verdict
+        })
         .collect();
     assert_eq!(verdicts[..2], [Verdict::Stale, Verdict::Stale]);
     assert!(!verdicts[2..].contains(&Verdict::Stale));
 }
 
 #[test]
-fn where_asymmetry_could_be_half_the_delay_the_verdict_is_limited() {
-    let world = world(Span::ZERO);
+fn large_possible_asymmetry_yields_limited_verdict() {
+    let host_clocks = host_clocks(Span::ZERO);
     let mut relation = relation();
     let path = Path { up: 40e6, down: 5e6, jitter: 2e6, loss: 0.02, burst: 5e6 };
     let mut last = None;
-    for trip in path.trips(&world, (0.0, 20.0), 10.0, &mut Dice::new(8)) {
+    for trip in path.trips(&host_clocks, (0.0, 20.0), 10.0, &mut RandomSource::new(8)) {
         let judged = relation.judge(&trip.observation());
         assert!(contains(&judged.up, trip.up) && contains(&judged.down, trip.down));
         last = Some(judged);
@@ -121,9 +128,9 @@ fn where_asymmetry_could_be_half_the_delay_the_verdict_is_limited() {
 }
 
 #[test]
-fn an_offset_tells_its_age_and_how_many_it_rests_on() {
-    let world = world(Span::from_millis(-7));
-    let relation = acquainted(&world);
+fn offset_states_age_and_number_of_exchanges() {
+    let host_clocks = host_clocks(Span::from_millis(-7));
+    let relation = acquainted(&host_clocks);
     let offset = relation.offset(at(12), WallTime::default()).expect("acquainted");
     assert_eq!((offset.source, offset.verdict), (DelaySource::InBand, Verdict::Ok));
     assert_eq!(offset.sources, [(DelaySource::InBand, offset.bounds)]);

@@ -1,4 +1,4 @@
-//! Generated histories of two clocks and the paths between them that keep the assumptions: no interval is ever wrong.
+//! Generated histories of two clocks and of the paths between them that keep the assumptions. No interval may be wrong.
 
 use std::env;
 
@@ -6,15 +6,15 @@ use super::*;
 
 const LIMIT_PPM: f64 = 200.0;
 const CHANGE_PPM_PER_S: f64 = 1.0;
-/// Seconds of a history.
+/// Length of a history in seconds.
 const LENGTH: f64 = 60.0;
 
-/// A history: trips in the order in which their answers are known, with the cloud's epoch at the time.
+/// Trips in the order in which their answers become known, each with the cloud's epoch at that time.
 struct History {
     trips: Vec<(Trip, u32)>,
 }
 
-/// Histories of `make test`; `PEERNET_HISTORIES` asks for more.
+/// Returns the number of histories: 1,000, or the value of `PEERNET_HISTORIES`.
 fn histories() -> u64 {
     env::var("PEERNET_HISTORIES").ok().and_then(|count| count.parse().ok()).unwrap_or(1_000)
 }
@@ -28,53 +28,53 @@ fn settings() -> RelationSettings {
     }
 }
 
-/// A path from 0.03 to 300 ms on either way, with waiting and loss.
-fn path(dice: &mut Dice) -> Path {
-    let mut way = |shortest: f64, longest: f64| (dice.between(shortest.ln(), longest.ln())).exp();
+/// Returns a path of 0.03 to 300 ms in each direction, with jitter and loss.
+fn path(random: &mut RandomSource) -> Path {
+    let mut way = |shortest: f64, longest: f64| (random.between(shortest.ln(), longest.ln())).exp();
     let (up, down, jitter, burst) = (way(3e4, 300e6), way(3e4, 300e6), way(1e3, 20e6), way(1e5, 200e6));
-    Path { up, down, jitter, loss: if dice.chance(0.5) { dice.between(0.0, 0.4) } else { 0.0 }, burst }
+    Path { up, down, jitter, loss: if random.chance(0.5) { random.between(0.0, 0.4) } else { 0.0 }, burst }
 }
 
 impl History {
-    fn generate(dice: &mut Dice) -> Self {
-        let pause = if dice.chance(0.4) { dice.between(0.5f64.ln(), 600f64.ln()).exp() } else { 0.0 };
+    fn generate(random: &mut RandomSource) -> Self {
+        let pause = if random.chance(0.4) { random.between(0.5f64.ln(), 600f64.ln()).exp() } else { 0.0 };
         let length = Span::from_seconds_f64(LENGTH + pause + 10.0);
-        // The two share what is allowed; at the very limit in a third of the histories.
-        let clock = |dice: &mut Dice| {
-            let offset = Span::from_nanos(dice.between(-1e15, 1e15) as i64);
+        // The two clocks share the limit; in a third of the histories they reach it.
+        let clock = |random: &mut RandomSource| {
+            let offset = Span::from_nanos(random.between(-1e15, 1e15) as i64);
             let half = LIMIT_PPM / 2.0;
-            if dice.chance(0.33) {
-                return Wall::drifting(offset, if dice.chance(0.5) { half } else { -half });
+            if random.chance(0.33) {
+                return SimulatedClock::drifting(offset, if random.chance(0.5) { half } else { -half });
             }
-            Wall::warming(offset, half, CHANGE_PPM_PER_S / 2.0, length, dice)
+            SimulatedClock::warming(offset, half, CHANGE_PPM_PER_S / 2.0, length, random)
         };
-        let (mut edge, mut cloud) = (clock(dice), clock(dice));
-        // So short a path that nothing but the assumptions keeps bounds from the truth.
-        let is_tight = dice.chance(0.2);
+        let (mut edge, mut cloud) = (clock(random), clock(random));
+        // The path is so short that only the assumptions separate the bounds from the truth.
+        let is_tight = random.chance(0.2);
         if is_tight {
-            edge = Wall::drifting(Span::ZERO, 0.0);
-            cloud = Wall::warming(Span::ZERO, LIMIT_PPM, CHANGE_PPM_PER_S, length, dice);
+            edge = SimulatedClock::drifting(Span::ZERO, 0.0);
+            cloud = SimulatedClock::warming(Span::ZERO, LIMIT_PPM, CHANGE_PPM_PER_S, length, random);
         }
-        let paused = dice.between(5.0, LENGTH - 5.0);
-        // A cloud that was started anew has another clock, and says so.
-        let restarted = dice.chance(0.2);
+        let paused = random.between(5.0, LENGTH - 5.0);
+        // A cloud that was restarted has another clock, and reports it.
+        let restarted = random.chance(0.2);
         if restarted {
-            let by = Span::from_nanos(dice.between(-1e12, 1e12) as i64);
+            let by = Span::from_nanos(random.between(-1e12, 1e12) as i64);
             cloud = cloud.stepped(Span::from_seconds_f64(paused + pause / 2.0), by);
         }
-        let world = World { edge, cloud };
-        let hz = dice.between(1f64.ln(), 30f64.ln()).exp() / if is_tight { 4.0 } else { 1.0 };
+        let host_clocks = HostClocks { edge, cloud };
+        let hz = random.between(1f64.ln(), 30f64.ln()).exp() / if is_tight { 4.0 } else { 1.0 };
         let tight = Path { up: 1e3, down: 1e3, jitter: 1e3, loss: 0.2, burst: 1e4 };
-        let mut route = if is_tight { tight } else { path(dice) };
+        let mut route = if is_tight { tight } else { path(random) };
         let other =
-            if dice.chance(0.5) { Path { up: route.down, down: route.up, ..route } } else { path(dice) };
-        let flaps = if dice.chance(0.4) && !is_tight { dice.between(1.0, 20.0) } else { f64::INFINITY };
+            if random.chance(0.5) { Path { up: route.down, down: route.up, ..route } } else { path(random) };
+        let flaps = if random.chance(0.4) && !is_tight { random.between(1.0, 20.0) } else { f64::INFINITY };
         let mut trips = Vec::new();
         for (begin, end) in [(0.0, paused), (paused + pause, LENGTH + pause)] {
             let mut from = begin;
             while from < end {
                 let until = (from + flaps).min(end);
-                trips.extend(route.trips(&world, (from, until), hz, dice));
+                trips.extend(route.trips(&host_clocks, (from, until), hz, random));
                 if until < end {
                     route = if route.up == other.up { Path { up: other.down, ..other } } else { other };
                 }
@@ -82,7 +82,7 @@ impl History {
             }
         }
         let restart = (paused + pause / 2.0) * 1e9;
-        // Nothing that was under way is answered by a cloud that was started anew.
+        // A restarted cloud answers no request that was in flight.
         trips.retain(|trip| {
             !restarted
                 || trip.ended < restart
@@ -91,7 +91,7 @@ impl History {
         let told = trips.into_iter().map(|trip| (trip, u32::from(restarted && trip.ended > restart)));
         let mut trips: Vec<(Trip, u32)> = told.collect();
         for (trip, _) in &mut trips {
-            trip.ended += if dice.chance(0.05) { dice.exponential(5e8) } else { 0.0 };
+            trip.ended += if random.chance(0.05) { random.exponential(5e8) } else { 0.0 };
         }
         trips.sort_by(|a, b| a.0.ended.total_cmp(&b.0.ended));
         Self { trips }
@@ -102,7 +102,7 @@ impl History {
 fn delays_of_generated_histories_contain_the_truth() {
     let (mut judged, mut trusted, mut jumps) = (0_u64, 0_u64, 0_u64);
     for seed in 0..histories() {
-        let history = History::generate(&mut Dice::new(seed.wrapping_mul(0x5851_F42D_4C95_7F2D)));
+        let history = History::generate(&mut RandomSource::new(seed.wrapping_mul(0x5851_F42D_4C95_7F2D)));
         let settings = RelationSettings { retention: Span::from_seconds(30), ..settings() };
         let mut relation = Relation::new(settings);
         let mut newest_epoch = 0;
@@ -110,9 +110,12 @@ fn delays_of_generated_histories_contain_the_truth() {
             newest_epoch = newest_epoch.max(*epoch);
             let answer =
                 relation.judge(&ExchangeObservation { cloud_epoch: Some(*epoch), ..trip.observation() });
-            jumps += u64::from(matches!(answer.learned, Learned::Jumped(_)));
-            let is_stepped = answer.learned == Learned::Refused(Refusal::Stepped);
-            assert!(is_stepped || !matches!(answer.learned, Learned::Refused(_)), "{seed}: {n}: {answer:?}");
+            jumps += u64::from(matches!(answer.learned, LearnResult::Jumped(_)));
+            let is_stepped = answer.learned == LearnResult::Refused(Refusal::Stepped);
+            assert!(
+                is_stepped || !matches!(answer.learned, LearnResult::Refused(_)),
+                "{seed}: {n}: {answer:?}"
+            );
             let mut check = |delay: OneWayDelay, truth: Span| {
                 judged += 1;
                 trusted += u64::from(matches!(delay.verdict, Verdict::Ok | Verdict::Limited));
@@ -122,7 +125,7 @@ fn delays_of_generated_histories_contain_the_truth() {
             };
             check(answer.up, trip.up);
             check(answer.down, trip.down);
-            // An earlier one again, with what came after it.
+            // Judges an earlier delay again, with the exchanges that followed it.
             let earlier = n - n.min((n * 7919) % 50);
             let (before, _) = &history.trips[earlier];
             if newest_epoch == 0 {

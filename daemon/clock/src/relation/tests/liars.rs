@@ -6,16 +6,16 @@ use crate::Discipline;
 proptest! {
     #[test]
     fn arbitrary_stamps_of_a_peer_change_nothing(stamps: Vec<(i64, i64, u32)>) {
-        let world = world(Span::from_millis(3));
-        let mut relation = acquainted(&world);
+        let host_clocks = host_clocks(Span::from_millis(3));
+        let mut relation = acquainted(&host_clocks);
         let before = picture(&relation);
         for (n, (received, replied, epoch)) in stamps.into_iter().enumerate() {
-            let mut lie = world.trip(10e9 + n as f64 * 1e7, 3e4, 1e5, 3e4).observation();
+            let mut lie = host_clocks.trip(10e9 + n as f64 * 1e7, 3e4, 1e5, 3e4).observation();
             lie.exchange.received = RawTime::from_nanos(received);
             lie.exchange.replied = RawTime::from_nanos(replied);
             lie.cloud_epoch = Some(epoch).filter(|_| received > replied);
             let judged = relation.judge(&lie);
-            prop_assert!(matches!(judged.learned, Learned::Refused(_)));
+            prop_assert!(matches!(judged.learned, LearnResult::Refused(_)));
             prop_assert_eq!((judged.up.value, judged.down.value), (None, None));
         }
         prop_assert_eq!(picture(&relation), before);
@@ -54,20 +54,20 @@ proptest! {
 
     #[test]
     fn isolated_outliers_change_nothing(seed: u64, by in prop_oneof![-1e9..-1e5f64, 1e5..1e9f64]) {
-        let world = world(Span::from_millis(3));
-        let (mut honest, mut lied_to) = (acquainted(&world), acquainted(&world));
-        let mut dice = Dice::new(seed);
+        let host_clocks = host_clocks(Span::from_millis(3));
+        let (mut honest, mut lied_to) = (acquainted(&host_clocks), acquainted(&host_clocks));
+        let mut random = RandomSource::new(seed);
         let calm = Path { burst: 0.0, ..Path::VETH };
         let mut lies = 0;
-        for (n, trip) in calm.trips(&world, (10.0, 30.0), 20.0, &mut dice).iter().enumerate() {
+        for (n, trip) in calm.trips(&host_clocks, (10.0, 30.0), 20.0, &mut random).iter().enumerate() {
             honest.learn(&trip.observation());
             lied_to.learn(&trip.observation());
             if n % 4 < 3 {
-                let mut lie = world.trip(trip.ended, 3e4, 1e5, 3e4).observation();
+                let mut lie = host_clocks.trip(trip.ended, 3e4, 1e5, 3e4).observation();
                 lie.exchange.received = lie.exchange.received + Span::from_nanos(by as i64);
                 lie.exchange.replied = lie.exchange.replied + Span::from_nanos(by as i64);
                 let learned = lied_to.learn(&lie);
-                prop_assert_eq!(learned, Learned::Refused(Refusal::Outlier));
+                prop_assert_eq!(learned, LearnResult::Refused(Refusal::Outlier));
                 lies += 1;
             }
         }
@@ -78,21 +78,21 @@ proptest! {
 }
 
 #[test]
-fn one_lie_told_often_is_one_lie() {
-    let mut relation = acquainted(&world(Span::ZERO));
+fn repeated_wrong_exchange_counts_once() {
+    let mut relation = acquainted(&host_clocks(Span::ZERO));
     let before = picture(&relation);
-    let lie = world(Span::from_millis(40)).trip(10e9, 3e4, 1e5, 3e4).observation();
+    let lie = host_clocks(Span::from_millis(40)).trip(10e9, 3e4, 1e5, 3e4).observation();
     for _ in 0..20 {
-        assert_eq!(relation.learn(&lie), Learned::Refused(Refusal::Outlier));
+        assert_eq!(relation.learn(&lie), LearnResult::Refused(Refusal::Outlier));
     }
     assert_eq!(picture(&relation), before);
 }
 
 #[test]
-fn a_wide_exchange_that_fits_both_does_not_end_a_suspicion() {
-    let (before, after) = (world(Span::ZERO), world(Span::from_millis(1)));
+fn wide_exchange_does_not_end_suspicion() {
+    let (before, after) = (host_clocks(Span::ZERO), host_clocks(Span::from_millis(1)));
     let mut relation = acquainted(&before);
-    let learned: Vec<Learned> = (0..8)
+    let learned: Vec<LearnResult> = (0..8)
         .map(|n| {
             let way = if n % 2 == 0 { 3e4 } else { 5e6 };
             let judged = relation.judge(&after.trip(10e9 + f64::from(n) * 1e8, way, 1e5, way).observation());
@@ -101,15 +101,15 @@ fn a_wide_exchange_that_fits_both_does_not_end_a_suspicion() {
             judged.learned
         })
         .collect();
-    assert!(matches!(learned[6], Learned::Restarted(_)), "{learned:?}");
+    assert!(matches!(learned[6], LearnResult::Restarted(_)), "{learned:?}");
 }
 
 #[test]
-fn impossible_exchanges_are_told_apart() {
-    let world = world(Span::ZERO);
-    let mut relation = acquainted(&world);
+fn impossible_exchanges_are_recognised() {
+    let host_clocks = host_clocks(Span::ZERO);
+    let mut relation = acquainted(&host_clocks);
     let refused = |edit: fn(&mut Exchange)| {
-        let mut observation = world.trip(10e9, 3e4, 1e5, 3e4).observation();
+        let mut observation = host_clocks.trip(10e9, 3e4, 1e5, 3e4).observation();
         edit(&mut observation.exchange);
         (relation.learn(&observation), relation.counts().impossible)
     };
@@ -120,18 +120,18 @@ fn impossible_exchanges_are_told_apart() {
         |exchange| exchange.uncertainty = Span::from_nanos(-1),
         |exchange| exchange.received = RawTime::from_nanos(i64::MIN),
     ];
-    let impossible = Learned::Refused(Refusal::Impossible);
+    let impossible = LearnResult::Refused(Refusal::Impossible);
     let told: Vec<_> = edits.into_iter().map(refused).collect();
     assert_eq!(told, (1..=5).map(|count| (impossible, count)).collect::<Vec<_>>());
 }
 
-/// A peer that shifts both its stamps alike shows what another clock would show: two-way exchanges cannot tell. A claim
-/// about both hosts' clocks that does not come from the peer's stamps can.
+/// A peer that shifts both its stamps alike shows what another clock would show; two-way exchanges cannot detect it. A
+/// claim about both hosts' clocks that does not come from the peer's stamps can.
 #[test]
-fn a_consistent_liar_is_exposed_by_the_time_daemons_alone() {
-    let (honest, lying) = (world(Span::ZERO), world(Span::from_millis(40)));
+fn consistently_wrong_stamps_contradict_time_daemons_only() {
+    let (honest, lying) = (host_clocks(Span::ZERO), host_clocks(Span::from_millis(40)));
     let mut relation = acquainted(&honest);
-    let trips = Path::VETH.trips(&lying, (10.0, 20.0), 20.0, &mut Dice::new(3));
+    let trips = Path::VETH.trips(&lying, (10.0, 20.0), 20.0, &mut RandomSource::new(3));
     for trip in &trips {
         relation.learn(&trip.observation());
     }
@@ -150,12 +150,15 @@ fn a_consistent_liar_is_exposed_by_the_time_daemons_alone() {
 }
 
 #[test]
-fn clocks_that_drift_faster_than_the_limit_are_soon_believed_no_more() {
-    let world = World { edge: Wall::drifting(Span::ZERO, 0.0), cloud: Wall::drifting(Span::ZERO, 400.0) };
+fn excess_drift_is_doubted_soon() {
+    let host_clocks = HostClocks {
+        edge: SimulatedClock::drifting(Span::ZERO, 0.0),
+        cloud: SimulatedClock::drifting(Span::ZERO, 400.0),
+    };
     let mut relation = relation();
-    let mut dice = Dice::new(5);
+    let mut random = RandomSource::new(5);
     let calm = Path { burst: 0.0, ..Path::VETH };
-    let trips = calm.trips(&world, (10.0, 40.0), 50.0, &mut dice);
+    let trips = calm.trips(&host_clocks, (10.0, 40.0), 50.0, &mut random);
     let (early, late) = trips.split_at(trips.len() / 3);
     for trip in early {
         relation.judge(&trip.observation());
@@ -169,13 +172,13 @@ fn clocks_that_drift_faster_than_the_limit_are_soon_believed_no_more() {
 }
 
 #[test]
-fn one_step_without_notice_casts_no_doubt_and_two_far_apart_cast_none_either() {
-    let cloud = Wall::drifting(Span::ZERO, 10.0)
+fn rare_unannounced_steps_cast_no_doubt() {
+    let cloud = SimulatedClock::drifting(Span::ZERO, 10.0)
         .stepped(Span::from_seconds(20), Span::from_millis(50))
         .stepped(Span::from_seconds(100), Span::from_millis(-70));
-    let world = World { edge: Wall::drifting(Span::ZERO, 0.0), cloud };
+    let host_clocks = HostClocks { edge: SimulatedClock::drifting(Span::ZERO, 0.0), cloud };
     let mut relation = relation();
-    for trip in Path::VETH.trips(&world, (10.0, 130.0), 20.0, &mut Dice::new(6)) {
+    for trip in Path::VETH.trips(&host_clocks, (10.0, 130.0), 20.0, &mut RandomSource::new(6)) {
         relation.judge(&trip.observation());
         assert!(!relation.in_doubt());
     }
@@ -184,28 +187,28 @@ fn one_step_without_notice_casts_no_doubt_and_two_far_apart_cast_none_either() {
 
 #[test]
 fn suspicion_ends_with_window_if_nothing_refutes_it() {
-    let (before, after) = (world(Span::ZERO), world(Span::from_millis(1)));
+    let (before, after) = (host_clocks(Span::ZERO), host_clocks(Span::from_millis(1)));
     let mut relation = acquainted(&before);
     let lie = after.trip(10e9, 3e4, 1e5, 3e4).observation();
-    assert_eq!(relation.learn(&lie), Learned::Refused(Refusal::Outlier));
-    let is_trusted = |judged: &Judged| matches!(judged.up.verdict, Verdict::Ok | Verdict::Limited);
+    assert_eq!(relation.learn(&lie), LearnResult::Refused(Refusal::Outlier));
+    let is_trusted = |judged: &JudgedExchange| matches!(judged.up.verdict, Verdict::Ok | Verdict::Limited);
     for n in 1..=120 {
         let seconds = 10.0 + f64::from(n) / 10.0;
         let judged = relation.judge(&before.trip(seconds * 1e9, 5e6, 1e5, 5e6).observation());
-        // The last of the near exchanges before it returned at 9.5 s.
+        // The last of the exchanges with short round trips before the suspect returned at 9.5 s.
         assert!(seconds < 20.2 || is_trusted(&judged), "{seconds} s: {judged:?}");
         assert!(seconds > 19.4 || !is_trusted(&judged), "{seconds} s: {judged:?}");
     }
 }
 
-/// Eight exchanges bound the offset however far they are: until all of them came after the suspects, one of both may be wrong.
+/// Eight exchanges bound the offset at any age: until all of them follow the suspect, either may be wrong.
 #[test]
 fn suspicion_lasts_while_rare_exchanges_from_before_it_count() {
-    let (before, after) = (world(Span::ZERO), world(Span::from_millis(1)));
+    let (before, after) = (host_clocks(Span::ZERO), host_clocks(Span::from_millis(1)));
     let mut relation = acquainted(&before);
     assert_eq!(
         relation.learn(&after.trip(10e9, 3e4, 1e5, 3e4).observation()),
-        Learned::Refused(Refusal::Outlier)
+        LearnResult::Refused(Refusal::Outlier)
     );
     for n in 1..=12 {
         let at = 10.0 + f64::from(n) * 6.0;

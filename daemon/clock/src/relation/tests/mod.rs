@@ -8,10 +8,10 @@ mod violations;
 mod widths;
 
 use super::*;
-use crate::simulation::{Dice, Path, Trip, Wall, World};
+use crate::simulation::{HostClocks, Path, RandomSource, SimulatedClock, Trip};
 use crate::{DelaySource, Interval, OneWayDelay, Verdict};
 
-/// A relation of wall clocks that trusts the claims of time daemons, where a test makes any.
+/// Creates a relation of wall clocks that trusts the claims of time daemons.
 fn relation() -> Relation {
     let settings = RelationSettings {
         clocks: RelatedClocks::Wall,
@@ -21,15 +21,18 @@ fn relation() -> Relation {
     Relation::new(settings)
 }
 
-fn world(offset: Span) -> World {
-    World { edge: Wall::drifting(Span::ZERO, 0.0), cloud: Wall::drifting(offset, 10.0) }
+fn host_clocks(offset: Span) -> HostClocks {
+    HostClocks {
+        edge: SimulatedClock::drifting(Span::ZERO, 0.0),
+        cloud: SimulatedClock::drifting(offset, 10.0),
+    }
 }
 
-/// A relation that was fed ten seconds of probes, ten a second, ended at the 10th second.
-fn acquainted(world: &World) -> Relation {
+/// Creates a relation with ten seconds of probes, ten per second; the last at the tenth second.
+fn acquainted(host_clocks: &HostClocks) -> Relation {
     let mut relation = relation();
-    for trip in Path::VETH.trips(world, (0.0, 10.0), 10.0, &mut Dice::new(1)) {
-        assert_eq!(relation.learn(&trip.observation()), Learned::Taken);
+    for trip in Path::VETH.trips(host_clocks, (0.0, 10.0), 10.0, &mut RandomSource::new(1)) {
+        assert_eq!(relation.learn(&trip.observation()), LearnResult::Taken);
     }
     relation
 }
@@ -42,7 +45,7 @@ fn contains(delay: &OneWayDelay, truth: Span) -> bool {
     delay.bounds.is_some_and(|bounds| bounds.contains(truth))
 }
 
-/// Everything that the band says around a time.
+/// Returns the intervals of the band at all seconds of a test.
 fn picture(relation: &Relation) -> Vec<Option<Interval>> {
     (0..40).map(|second| relation.windows.interval(at(second)).map(|known| known.interval)).collect()
 }

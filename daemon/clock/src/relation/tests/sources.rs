@@ -9,19 +9,22 @@ fn claim(source: DelaySource, lo: i64, hi: i64) -> Option<Discipline> {
     Some(Discipline { source, error: millis(lo, hi) })
 }
 
-/// A relation whose band is about [-15, 35] ms, estimate 10: 20 ms up, 30 down, the cloud 5 ms ahead.
+/// Creates a relation whose band is about [-15, 35] ms with an estimate of 10 ms: 30 ms up, 20 ms down, the cloud 5 ms
+/// ahead.
 fn asymmetric() -> Relation {
-    let world =
-        World { edge: Wall::drifting(Span::ZERO, 0.0), cloud: Wall::drifting(Span::from_millis(5), 0.0) };
+    let host_clocks = HostClocks {
+        edge: SimulatedClock::drifting(Span::ZERO, 0.0),
+        cloud: SimulatedClock::drifting(Span::from_millis(5), 0.0),
+    };
     let path = Path { up: 30e6, down: 20e6, jitter: 1e3, loss: 0.0, burst: 0.0 };
     let mut relation = relation();
-    for trip in path.trips(&world, (0.0, 10.0), 10.0, &mut Dice::new(1)) {
+    for trip in path.trips(&host_clocks, (0.0, 10.0), 10.0, &mut RandomSource::new(1)) {
         relation.learn(&trip.observation());
     }
     relation
 }
 
-/// Source, bounds in milliseconds, estimate, verdict.
+/// Returns the source, the bounds and the estimate in milliseconds, and the verdict.
 fn answer(relation: &Relation) -> (DelaySource, (i64, i64), i64, Verdict) {
     let offset = relation.offset(at(10), WallTime::default()).expect("known");
     let millis = |span: Span| (span.seconds() * 1e3).round() as i64;
@@ -47,28 +50,28 @@ fn two_claims_alone_relate_two_clocks() {
 
 #[test]
 fn claims_that_are_not_trusted_change_nothing() {
-    let world = world(Span::from_millis(5));
+    let host_clocks = host_clocks(Span::from_millis(5));
     let settings = RelationSettings::default();
     let mut relation = Relation::new(settings);
     let wrong = [claim(DelaySource::Chrony, 9, 10), claim(DelaySource::Chrony, 0, 1)];
     relation.set_disciplines(wrong[0], wrong[1]);
     assert_eq!(relation.offset(at(10), WallTime::default()), None);
-    for trip in Path::VETH.trips(&world, (0.0, 10.0), 10.0, &mut Dice::new(1)) {
+    for trip in Path::VETH.trips(&host_clocks, (0.0, 10.0), 10.0, &mut RandomSource::new(1)) {
         relation.learn(&trip.observation());
     }
     let known = relation.offset(at(10), WallTime::default()).expect("exchanges");
     assert_eq!((known.source, known.verdict, known.sources.len()), (DelaySource::InBand, Verdict::Ok, 1));
-    // 10 ppm for ten seconds.
+    // The drift is 10 ppm for ten seconds.
     assert!(known.bounds.contains(Span::from_micros(5_100)));
 }
 
 #[test]
-fn a_claim_within_the_band_a_band_within_the_claim_and_an_overlap_are_named_for_what_they_are() {
+fn source_of_offset_is_claim_band_or_intersection() {
     let mut relation = asymmetric();
     assert_eq!(answer(&relation), (DelaySource::InBand, (-15, 35), 10, Verdict::Ok));
     let exact = claim(DelaySource::Kernel, 0, 0);
     relation.set_disciplines(exact, claim(DelaySource::Chrony, 4, 6));
-    // The estimate is off by an asymmetry that the claim reveals.
+    // The claim reveals an asymmetry by which the estimate is wrong.
     assert_eq!(answer(&relation), (DelaySource::Chrony, (4, 6), 5, Verdict::Ok));
     relation.set_disciplines(exact, claim(DelaySource::Kernel, 4, 12));
     assert_eq!(answer(&relation), (DelaySource::Kernel, (4, 12), 10, Verdict::Ok));
@@ -84,7 +87,7 @@ fn a_claim_within_the_band_a_band_within_the_claim_and_an_overlap_are_named_for_
 }
 
 #[test]
-fn a_claim_needs_no_fresh_exchanges_and_ends_with_a_step_of_its_clock() {
+fn claim_holds_without_exchanges_until_step() {
     let mut relation = asymmetric();
     relation.set_disciplines(claim(DelaySource::Kernel, 0, 0), claim(DelaySource::Chrony, 4, 6));
     let late = relation.offset(at(300), WallTime::default()).expect("known");

@@ -2,25 +2,30 @@ use super::*;
 
 const STEP: Span = Span::from_seconds(3);
 
-/// The two clocks of a world whose edge is set by so much at the 10th second.
-fn edge_set(by: Span) -> World {
-    let world = world(Span::from_millis(5));
-    World { edge: world.edge.stepped(Span::from_seconds(10), by), ..world }
+/// Returns host clocks of which the edge is set by `by` at the tenth second.
+fn edge_set(by: Span) -> HostClocks {
+    let host_clocks = host_clocks(Span::from_millis(5));
+    HostClocks { edge: host_clocks.edge.stepped(Span::from_seconds(10), by), ..host_clocks }
 }
 
-fn cloud_set(by: Span) -> World {
-    let world = world(Span::from_millis(5));
-    World { cloud: world.cloud.stepped(Span::from_seconds(10), by), ..world }
+fn cloud_set(by: Span) -> HostClocks {
+    let host_clocks = host_clocks(Span::from_millis(5));
+    HostClocks { cloud: host_clocks.cloud.stepped(Span::from_seconds(10), by), ..host_clocks }
 }
 
-/// Ten a second until the 10th, then a hundred a second for three seconds; `witness` adds what the hosts know.
-/// Returns how long it took until the first `ok` or `limited` after the step, and the relation. All of those contain
-/// the truth.
-fn survive(world: &World, witness: impl Fn(&Trip) -> ExchangeObservation) -> (Option<f64>, Relation) {
-    let mut relation = acquainted(world);
+/// Judges ten exchanges per second until the tenth second, then a hundred per second for three seconds. `witness` adds
+/// the epochs that the hosts report.
+///
+/// Returns the time from the step to the first `ok` or `limited` delay, and the relation. Panics if such a delay does
+/// not contain the truth.
+fn survive(
+    host_clocks: &HostClocks,
+    witness: impl Fn(&Trip) -> ExchangeObservation,
+) -> (Option<f64>, Relation) {
+    let mut relation = acquainted(host_clocks);
     let mut recovered = None;
-    for trip in Path::VETH.trips(world, (9.95, 13.0), 100.0, &mut Dice::new(6)) {
-        let Judged { up, down, .. } = relation.judge(&witness(&trip));
+    for trip in Path::VETH.trips(host_clocks, (9.95, 13.0), 100.0, &mut RandomSource::new(6)) {
+        let JudgedExchange { up, down, .. } = relation.judge(&witness(&trip));
         for (delay, truth) in [(up, trip.up), (down, trip.down)] {
             let trusted = matches!(delay.verdict, Verdict::Ok | Verdict::Limited);
             assert!(!trusted || contains(&delay, truth), "{delay:?} {truth} at {}", trip.ended);
@@ -35,15 +40,16 @@ fn survive(world: &World, witness: impl Fn(&Trip) -> ExchangeObservation) -> (Op
 #[test]
 fn steps_that_a_host_noticed_begin_a_new_window_at_once() {
     for by in [STEP, -STEP, Span::from_micros(30), Span::from_micros(-30), Span::from_seconds(-3600)] {
-        for world in [edge_set(by), cloud_set(by)] {
-            let edge = world.edge.error(20e9) != 0.0;
-            let (recovered, relation) = survive(&world, |trip| {
+        for host_clocks in [edge_set(by), cloud_set(by)] {
+            let edge = host_clocks.edge.error(20e9) != 0.0;
+            let (recovered, relation) = survive(&host_clocks, |trip| {
                 let epoch = u32::from(trip.ended >= 10e9);
                 let (edge_epoch, cloud_epoch) = if edge { (epoch, 0) } else { (0, epoch) };
                 ExchangeObservation { edge_epoch, cloud_epoch: Some(cloud_epoch), ..trip.observation() }
             });
             assert_eq!(relation.window(), 1);
-            // A clock that was set back needs as long to be sure which exchanges began after it.
+            // After a clock was set back by some seconds, it takes as many to know which exchanges began after the
+            // step.
             let limit =
                 if by.abs() < Span::from_seconds(10) { by.abs().seconds().min(2.0) + 0.3 } else { 0.3 };
             assert!(recovered.is_some_and(|after| after < limit), "{by} {recovered:?}");
@@ -52,10 +58,10 @@ fn steps_that_a_host_noticed_begin_a_new_window_at_once() {
 }
 
 #[test]
-fn a_step_that_nobody_noticed_is_believed_after_several_agree() {
+fn unannounced_step_is_accepted_after_agreement() {
     for by in [STEP, -STEP, Span::from_millis(20), Span::from_millis(-20)] {
-        for world in [edge_set(by), cloud_set(by)] {
-            let (recovered, relation) = survive(&world, Trip::observation);
+        for host_clocks in [edge_set(by), cloud_set(by)] {
+            let (recovered, relation) = survive(&host_clocks, Trip::observation);
             assert_eq!(relation.counts().restarts, 1, "{by}");
             assert!(recovered.is_some_and(|after| after < 0.5), "{by} {recovered:?}");
         }
@@ -63,12 +69,12 @@ fn a_step_that_nobody_noticed_is_believed_after_several_agree() {
 }
 
 #[test]
-fn the_size_of_a_step_is_told_with_the_first_exchange_after_it() {
-    let world = cloud_set(STEP);
-    let mut relation = acquainted(&world);
+fn first_exchange_after_step_states_its_size() {
+    let host_clocks = cloud_set(STEP);
+    let mut relation = acquainted(&host_clocks);
     let mut told = Vec::new();
-    for trip in Path::VETH.trips(&world, (10.0, 11.0), 50.0, &mut Dice::new(6)) {
-        if let Learned::Restarted(by) =
+    for trip in Path::VETH.trips(&host_clocks, (10.0, 11.0), 50.0, &mut RandomSource::new(6)) {
+        if let LearnResult::Restarted(by) =
             relation.learn(&ExchangeObservation { cloud_epoch: Some(1), ..trip.observation() })
         {
             told.push(by.expect("it was known before"));
@@ -80,31 +86,31 @@ fn the_size_of_a_step_is_told_with_the_first_exchange_after_it() {
 
 #[test]
 fn exchange_that_spans_step_of_cloud_is_refused_by_its_monotonic_clock() {
-    let world = world(Span::ZERO);
-    let mut relation = acquainted(&world);
+    let host_clocks = host_clocks(Span::ZERO);
+    let mut relation = acquainted(&host_clocks);
     let before = picture(&relation);
-    let trip = world.trip(10e9, 300e3, 1e6, 300e3);
+    let trip = host_clocks.trip(10e9, 300e3, 1e6, 300e3);
     let spans = |by: i64| ExchangeObservation {
         cloud_elapsed: Some(trip.exchange.replied - trip.exchange.received + Span::from_micros(by)),
         ..trip.observation()
     };
     for by in [60, -60] {
-        assert_eq!(relation.learn(&spans(by)), Learned::Refused(Refusal::Stepped));
+        assert_eq!(relation.learn(&spans(by)), LearnResult::Refused(Refusal::Stepped));
     }
     assert_eq!(picture(&relation), before);
-    assert_eq!(relation.learn(&spans(40)), Learned::Taken);
-    // A rehearsed clock of 100 ppm through ten seconds.
-    let long = world.trip(11e9, 300e3, 10e9, 300e3);
+    assert_eq!(relation.learn(&spans(40)), LearnResult::Taken);
+    // A clock with an injected drift of 100 ppm, for ten seconds.
+    let long = host_clocks.trip(11e9, 300e3, 10e9, 300e3);
     let elapsed = long.exchange.replied - long.exchange.received;
     let drifted =
         ExchangeObservation { cloud_elapsed: Some(elapsed + Span::from_millis(1)), ..long.observation() };
-    assert_eq!(relation.learn(&drifted), Learned::Taken);
+    assert_eq!(relation.learn(&drifted), LearnResult::Taken);
 }
 
-/// Too small a step for the monotonic clocks' comparison, and the counter was read after the stamps.
+/// The step is too small for the comparison with the monotonic clock, and the epoch was read after the stamps.
 #[test]
-fn an_exchange_begun_before_the_news_of_a_step_is_refused_though_it_tells_the_new_epoch() {
-    for (world, edge_epoch, cloud_epoch) in
+fn exchange_sent_before_step_notice_is_refused() {
+    for (host_clocks, edge_epoch, cloud_epoch) in
         [(cloud_set(Span::from_micros(-40)), 0, 1), (edge_set(Span::from_micros(40)), 1, 0)]
     {
         let told = |trip: Trip| ExchangeObservation {
@@ -112,27 +118,28 @@ fn an_exchange_begun_before_the_news_of_a_step_is_refused_though_it_tells_the_ne
             cloud_epoch: Some(cloud_epoch),
             ..trip.observation()
         };
-        let mut relation = acquainted(&world);
-        let (news, spanning) = (world.trip(10.0001e9, 3e4, 1e4, 3e4), world.trip(9.9999e9, 5e4, 2e5, 5e4));
-        assert_eq!(relation.learn(&told(news)), Learned::Refused(Refusal::Stepped));
+        let mut relation = acquainted(&host_clocks);
+        let (news, spanning) =
+            (host_clocks.trip(10.0001e9, 3e4, 1e4, 3e4), host_clocks.trip(9.9999e9, 5e4, 2e5, 5e4));
+        assert_eq!(relation.learn(&told(news)), LearnResult::Refused(Refusal::Stepped));
         assert_eq!(relation.window(), 1);
-        assert_eq!(relation.learn(&told(spanning)), Learned::Refused(Refusal::Stepped));
-        let after = relation.learn(&told(world.trip(10.001e9, 3e4, 1e4, 3e4)));
-        assert!(matches!(after, Learned::Restarted(Some(_))), "{after:?}");
+        assert_eq!(relation.learn(&told(spanning)), LearnResult::Refused(Refusal::Stepped));
+        let after = relation.learn(&told(host_clocks.trip(10.001e9, 3e4, 1e4, 3e4)));
+        assert!(matches!(after, LearnResult::Restarted(Some(_))), "{after:?}");
     }
 }
 
 #[test]
-fn a_notice_ends_the_window_once() {
-    let world = cloud_set(STEP);
-    let mut relation = acquainted(&world);
+fn step_notice_ends_window_once() {
+    let host_clocks = cloud_set(STEP);
+    let mut relation = acquainted(&host_clocks);
     relation.cloud_stepped(1);
     assert_eq!((relation.window(), relation.offset(at(10), WallTime::default())), (1, None));
     relation.cloud_stepped(1);
     let told = |trip: Trip| ExchangeObservation { cloud_epoch: Some(1), ..trip.observation() };
-    // The first may have been under way during the step.
-    let first = relation.judge(&told(world.trip(10.1e9, 3e4, 1e5, 3e4)));
-    assert_eq!(first.learned, Learned::Refused(Refusal::Stepped));
+    // The first exchange may have been in flight during the step.
+    let first = relation.judge(&told(host_clocks.trip(10.1e9, 3e4, 1e5, 3e4)));
+    assert_eq!(first.learned, LearnResult::Refused(Refusal::Stepped));
     for delay in [first.up, first.down] {
         assert_eq!(
             (delay.value, delay.verdict),
@@ -140,8 +147,8 @@ fn a_notice_ends_the_window_once() {
             "though nothing is known any more"
         );
     }
-    let second = relation.learn(&told(world.trip(10.2e9, 3e4, 1e5, 3e4)));
-    assert!(matches!(second, Learned::Restarted(Some(_))), "{second:?}");
+    let second = relation.learn(&told(host_clocks.trip(10.2e9, 3e4, 1e5, 3e4)));
+    assert!(matches!(second, LearnResult::Restarted(Some(_))), "{second:?}");
     relation.cloud_stepped(1);
     relation.edge_stepped(0);
     assert_eq!((relation.window(), relation.counts().restarts), (1, 1));
@@ -150,23 +157,23 @@ fn a_notice_ends_the_window_once() {
 }
 
 #[test]
-fn overtaken_answers_of_an_older_epoch_are_refused_and_a_counter_begun_anew_is_believed() {
-    let world = world(Span::ZERO);
+fn older_epoch_is_refused_and_restarted_counter_accepted() {
+    let host_clocks = host_clocks(Span::ZERO);
     let mut relation = relation();
     let told = |n: u32, epoch| ExchangeObservation {
         cloud_epoch: Some(epoch),
-        ..world.trip(f64::from(n) * 1e8, 3e4, 1e5, 3e4).observation()
+        ..host_clocks.trip(f64::from(n) * 1e8, 3e4, 1e5, 3e4).observation()
     };
-    (0..5).for_each(|n| assert_eq!(relation.learn(&told(n, 7)), Learned::Taken));
+    (0..5).for_each(|n| assert_eq!(relation.learn(&told(n, 7)), LearnResult::Taken));
     for n in 5..20 {
         let epoch = if n % 3 == 0 { 7 } else { 6 };
         let learned = relation.learn(&told(n, epoch));
-        assert_eq!(learned == Learned::Taken, epoch == 7);
+        assert_eq!(learned == LearnResult::Taken, epoch == 7);
     }
     assert_eq!(relation.window(), 0);
-    // The cloud's agent was started again.
-    let learned: Vec<Learned> = (20..40).map(|n| relation.learn(&told(n, 0))).collect();
+    // The agent of the cloud was restarted.
+    let learned: Vec<LearnResult> = (20..40).map(|n| relation.learn(&told(n, 0))).collect();
     assert_eq!(relation.window(), 1);
-    assert!(matches!(learned[8], Learned::Restarted(_)), "{learned:?}");
-    assert!(learned[9..].iter().all(|learned| *learned == Learned::Taken));
+    assert!(matches!(learned[8], LearnResult::Restarted(_)), "{learned:?}");
+    assert!(learned[9..].iter().all(|learned| *learned == LearnResult::Taken));
 }

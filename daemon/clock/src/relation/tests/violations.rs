@@ -1,62 +1,73 @@
-//! What a violated assumption does to intervals, and for how long.
+//! Effect of a violated assumption on intervals, and its duration.
 
 use super::*;
 
 const WINDOW: f64 = 10.0;
 
-/// What was seen after an assumption was violated.
+/// Observations after an assumption was violated.
 #[derive(Debug, Default)]
-struct Seen {
-    /// Delays outside their intervals though `ok` or `limited`.
+struct ViolationEffect {
+    /// Delays outside their intervals although `ok` or `limited`.
     wrong: u32,
     judged: u32,
-    /// Seconds from the violation to the last of them.
+    /// Seconds from the violation to the last wrong delay.
     last_wrong: f64,
-    /// Seconds from the violation to the last delay that was `stale`.
+    /// Seconds from the violation to the last `stale` delay.
     last_stale: f64,
-    /// Seconds from the violation to the first doubt, and what it was.
+    /// Seconds from the violation to the first doubt, and that doubt.
     doubted: Option<(f64, Doubt)>,
     /// Seconds from the violation to the first suspected jump.
     jumped: Option<f64>,
-    /// Whether the doubt stood at the end.
+    /// `true` if the relation was in doubt at the end.
     doubted_at_end: bool,
     jumps: u32,
 }
 
-/// Judges ten exchanges a second for so many seconds; the assumption is violated from `at` on.
-fn see(world: &World, path: Path, settings: RelationSettings, times: (f64, f64)) -> Seen {
-    see_at(10.0, world, path, settings, times)
+/// Judges ten exchanges per second. `times` are the seconds of the violation and of the end.
+fn observe_violation(
+    host_clocks: &HostClocks,
+    path: Path,
+    settings: RelationSettings,
+    times: (f64, f64),
+) -> ViolationEffect {
+    observe_violation_at(10.0, host_clocks, path, settings, times)
 }
 
-/// The same with so many exchanges a second.
-fn see_at(hz: f64, world: &World, path: Path, settings: RelationSettings, (at, end): (f64, f64)) -> Seen {
+/// Judges `hz` exchanges per second in the same way.
+fn observe_violation_at(
+    hz: f64,
+    host_clocks: &HostClocks,
+    path: Path,
+    settings: RelationSettings,
+    (at, end): (f64, f64),
+) -> ViolationEffect {
     let mut relation = Relation::new(settings);
-    let mut seen = Seen::default();
-    for trip in path.trips(world, (0.0, end), hz, &mut Dice::new(12)) {
+    let mut effect = ViolationEffect::default();
+    for trip in path.trips(host_clocks, (0.0, end), hz, &mut RandomSource::new(12)) {
         let judged = relation.judge(&trip.observation());
         let after = trip.ended / 1e9 - at;
         for (delay, truth) in [(judged.up, trip.up), (judged.down, trip.down)] {
-            seen.judged += 1;
+            effect.judged += 1;
             if delay.verdict == Verdict::Stale {
-                seen.last_stale = after;
+                effect.last_stale = after;
             }
             let trusted = matches!(delay.verdict, Verdict::Ok | Verdict::Limited);
             if trusted && !contains(&delay, truth) {
                 assert!(after >= 0.0, "{delay:?} {truth} at {}", trip.ended);
-                seen.wrong += 1;
-                seen.last_wrong = after;
+                effect.wrong += 1;
+                effect.last_wrong = after;
             }
         }
         if let Some(doubt) = relation.doubt() {
-            seen.doubted.get_or_insert((after, doubt));
+            effect.doubted.get_or_insert((after, doubt));
         }
-        if matches!(judged.learned, Learned::Jumped(_)) {
-            seen.jumps += 1;
-            seen.jumped.get_or_insert(after);
+        if matches!(judged.learned, LearnResult::Jumped(_)) {
+            effect.jumps += 1;
+            effect.jumped.get_or_insert(after);
         }
     }
-    seen.doubted_at_end = relation.in_doubt();
-    seen
+    effect.doubted_at_end = relation.in_doubt();
+    effect
 }
 
 fn free_running(max_drift_ppm: f64) -> RelationSettings {
@@ -67,82 +78,104 @@ fn path(up: f64, down: f64, jitter: f64) -> Path {
     Path { up: up * 1e6, down: down * 1e6, jitter: jitter * 1e6, loss: 0.01, burst: 5e6 }
 }
 
-fn drifting(ppm: f64) -> World {
-    World { edge: Wall::drifting(Span::ZERO, 0.0), cloud: Wall::drifting(Span::from_seconds(3), ppm) }
+fn drifting(ppm: f64) -> HostClocks {
+    HostClocks {
+        edge: SimulatedClock::drifting(Span::ZERO, 0.0),
+        cloud: SimulatedClock::drifting(Span::from_seconds(3), ppm),
+    }
 }
 
-/// Over a long path the interval is far wider than what the clocks drift within the window: none is wrong, and after some minutes the
-/// exchanges prove that the limit is not kept.
+/// Over a long path the interval is far wider than the drift within the window: no delay is wrong, and after some
+/// minutes the exchanges prove that the limit is exceeded.
 #[test]
-fn drift_beyond_the_limit_over_a_long_path_is_proven_in_time() {
+fn excess_drift_on_long_path_is_proven() {
     for (ppm, proven_after) in
         [(51.0, None), (75.0, None), (100.0, Some(950.0)), (150.0, Some(500.0)), (-100.0, Some(950.0))]
     {
-        let seen = see(&drifting(ppm), path(5.0, 40.0, 1.0), free_running(50.0), (0.0, 1_100.0));
-        assert_eq!(seen.wrong, 0, "{ppm}: {seen:?}");
-        let doubted = seen.doubted.filter(|(_, doubt)| *doubt == Doubt::Drift).map(|(after, _)| after);
-        assert_eq!(doubted.is_some(), proven_after.is_some(), "{ppm}: {seen:?}");
-        assert!(doubted <= proven_after && seen.doubted_at_end == doubted.is_some(), "{ppm}: {seen:?}");
+        let effect =
+            observe_violation(&drifting(ppm), path(5.0, 40.0, 1.0), free_running(50.0), (0.0, 1_100.0));
+        assert_eq!(effect.wrong, 0, "{ppm}: {effect:?}");
+        let doubted = effect.doubted.filter(|(_, doubt)| *doubt == Doubt::Drift).map(|(after, _)| after);
+        assert_eq!(doubted.is_some(), proven_after.is_some(), "{ppm}: {effect:?}");
+        assert!(doubted <= proven_after && effect.doubted_at_end == doubted.is_some(), "{ppm}: {effect:?}");
     }
 }
 
 #[test]
-fn drift_beyond_the_limit_over_a_short_path_is_noticed_within_the_window() {
+fn excess_drift_on_short_path_is_noticed_within_window() {
     for ppm in [75.0, 100.0, 150.0] {
-        let seen = see(&drifting(ppm), Path::VETH, free_running(50.0), (0.0, 300.0));
-        assert!(seen.last_wrong < WINDOW && seen.doubted_at_end, "{ppm}: {seen:?}");
-        assert!(matches!(seen.doubted, Some((after, Doubt::Drift)) if after < WINDOW), "{ppm}: {seen:?}");
+        let effect = observe_violation(&drifting(ppm), Path::VETH, free_running(50.0), (0.0, 300.0));
+        assert!(effect.last_wrong < WINDOW && effect.doubted_at_end, "{ppm}: {effect:?}");
+        assert!(matches!(effect.doubted, Some((after, Doubt::Drift)) if after < WINDOW), "{ppm}: {effect:?}");
     }
 }
 
-/// As when a virtual machine is moved: by less than the round trip, so that no exchange contradicts the others.
+/// A jump such as that of a migrated virtual machine. It is smaller than the round trip, so that no exchange
+/// contradicts the others.
 #[test]
 fn jump_without_notice_is_suspected_by_the_first_exchanges_after_it() {
     for (way, jitter) in [((20.0, 20.0), 1.0), ((20.0, 20.0), 5.0), ((5.0, 40.0), 1.0)] {
         for millis in [-39, -10, 10, 39] {
             let jump = Span::from_millis(millis);
-            let world = drifting(20.0);
-            let world = World { cloud: world.cloud.stepped(Span::from_seconds(30), jump), ..world };
-            let seen = see(&world, path(way.0, way.1, jitter), free_running(200.0), (30.0, 90.0));
-            // 39 ms move every near exchange by more than waiting explains, 10 ms only those that did not wait.
+            let host_clocks = drifting(20.0);
+            let host_clocks =
+                HostClocks { cloud: host_clocks.cloud.stepped(Span::from_seconds(30), jump), ..host_clocks };
+            let effect = observe_violation(
+                &host_clocks,
+                path(way.0, way.1, jitter),
+                free_running(200.0),
+                (30.0, 90.0),
+            );
+            // 39 ms move the middle of every exchange with a short wait by more than waiting explains, 10 ms only that
+            // of exchanges without a wait.
             let soon = if jitter > 1.0 && millis.abs() < 39 { 5.0 } else { 0.5 };
-            assert!(seen.jumped.is_some_and(|after| after < soon), "{way:?} {jump}: {seen:?}");
+            assert!(effect.jumped.is_some_and(|after| after < soon), "{way:?} {jump}: {effect:?}");
             assert!(
-                seen.last_wrong < 0.5 && seen.jumps == 1 && seen.doubted.is_none(),
-                "{way:?} {jump}: {seen:?}"
+                effect.last_wrong < 0.5 && effect.jumps == 1 && effect.doubted.is_none(),
+                "{way:?} {jump}: {effect:?}"
             );
         }
     }
 }
 
-/// Of the edge's clock, while exchanges are under way: set back, they seem to take less time than the path needs.
+/// A jump of the edge's clock while exchanges are in flight. After a jump back they seem shorter than the path.
 #[test]
-fn jump_of_the_edge_is_suspected_whatever_is_under_way() {
+fn edge_jump_is_suspected_with_exchanges_in_flight() {
     for (way, jitter) in [((20.0, 20.0), 0.2), ((20.0, 20.0), 1.0), ((5.0, 40.0), 1.0), ((0.5, 0.5), 0.02)] {
         for millis in [-39, -15, -3, 3, 15, 39] {
             let jump = Span::from_millis(millis);
-            let world = drifting(20.0);
-            let world = World { edge: world.edge.stepped(Span::from_seconds(30), jump), ..world };
-            let seen = see_at(60.0, &world, path(way.0, way.1, jitter), free_running(200.0), (30.0, 90.0));
-            // 3 ms are within the jitter; a jump beyond the round trip contradicts what was known and is a step.
+            let host_clocks = drifting(20.0);
+            let host_clocks =
+                HostClocks { edge: host_clocks.edge.stepped(Span::from_seconds(30), jump), ..host_clocks };
+            let effect = observe_violation_at(
+                60.0,
+                &host_clocks,
+                path(way.0, way.1, jitter),
+                free_running(200.0),
+                (30.0, 90.0),
+            );
+            // 3 ms are within the jitter. A jump larger than the round trip contradicts the band and is a step.
             let is_suspected = way.0 > 1.0 && millis.abs() >= 15;
             let in_time = |after: f64| after < 0.1;
-            assert!(!is_suspected || seen.jumped.is_some_and(in_time), "{way:?} {jitter} {jump}: {seen:?}");
-            assert!(in_time(seen.last_wrong), "{way:?} {jitter} {jump}: {seen:?}");
+            assert!(
+                !is_suspected || effect.jumped.is_some_and(in_time),
+                "{way:?} {jitter} {jump}: {effect:?}"
+            );
+            assert!(in_time(effect.last_wrong), "{way:?} {jitter} {jump}: {effect:?}");
         }
     }
 }
 
-/// As when a route changes: narrower bounds, and no jump.
+/// A route change that shortens the path gives narrower bounds and no jump.
 #[test]
 fn path_that_becomes_shorter_is_no_jump() {
-    let world = drifting(20.0);
+    let host_clocks = drifting(20.0);
     let mut relation = Relation::new(free_running(200.0));
-    let (mut dice, mut widths) = (Dice::new(4), Vec::new());
+    let (mut random, mut widths) = (RandomSource::new(4), Vec::new());
     for (route, seconds) in [(path(20.0, 20.0, 0.2), (0.0, 30.0)), (path(5.0, 5.0, 0.2), (30.0, 60.0))] {
-        for trip in route.trips(&world, seconds, 20.0, &mut dice) {
+        for trip in route.trips(&host_clocks, seconds, 20.0, &mut random) {
             let judged = relation.judge(&trip.observation());
-            assert_eq!(judged.learned, Learned::Taken);
+            assert_eq!(judged.learned, LearnResult::Taken);
             assert!(contains(&judged.up, trip.up) && contains(&judged.down, trip.down), "{judged:?}");
             widths.push((trip.ended, judged.up.bounds.expect("bounds").width()));
         }
@@ -151,49 +184,52 @@ fn path_that_becomes_shorter_is_no_jump() {
     assert!(at_once.clone().all(|(_, width)| *width < Span::from_millis(14)), "{widths:?}");
 }
 
-/// Whatever the path, the jump and the change of rate.
+/// Covers random paths, jumps and changes of rate.
 #[test]
 fn violated_assumption_spoils_intervals_for_no_longer_than_the_window() {
     let mut longest: f64 = 0.0;
     for seed in 0..300 {
-        let mut dice = Dice::new(seed);
-        let mut log = |from: f64, to: f64| dice.between(from.ln(), to.ln()).exp();
+        let mut random = RandomSource::new(seed);
+        let mut log = |from: f64, to: f64| random.between(from.ln(), to.ln()).exp();
         let path = path(log(0.03, 300.0), log(0.03, 300.0), log(0.01, 20.0));
         let (jump, ppm) = (log(1e4, 3e8) as i64, log(5.0, 180.0));
         let at = Span::from_seconds(30);
-        let world = drifting(10.0);
-        let change = |clock: Wall| match seed % 4 {
+        let host_clocks = drifting(10.0);
+        let change = |clock: SimulatedClock| match seed % 4 {
             0 => clock.stepped(at, Span::from_nanos(jump)),
             1 => clock.stepped(at, Span::from_nanos(-jump)),
             2 => clock.faster(at, ppm),
             _ => clock.faster(at, -ppm),
         };
-        let world = match seed % 8 < 4 {
-            true => World { cloud: change(world.cloud), ..world },
-            false => World { edge: change(world.edge), ..world },
+        let host_clocks = match seed % 8 < 4 {
+            true => HostClocks { cloud: change(host_clocks.cloud), ..host_clocks },
+            false => HostClocks { edge: change(host_clocks.edge), ..host_clocks },
         };
-        let seen = see(&world, path, free_running(200.0), (30.0, 60.0));
-        assert!(seen.last_wrong <= WINDOW + 0.5, "{seed}: {path:?} {seen:?}");
-        assert!(seen.last_stale <= WINDOW + 0.5, "{seed}: {path:?} {seen:?}");
-        longest = longest.max(seen.last_wrong);
+        let effect = observe_violation(&host_clocks, path, free_running(200.0), (30.0, 60.0));
+        assert!(effect.last_wrong <= WINDOW + 0.5, "{seed}: {path:?} {effect:?}");
+        assert!(effect.last_stale <= WINDOW + 0.5, "{seed}: {path:?} {effect:?}");
+        longest = longest.max(effect.last_wrong);
     }
     assert!(longest > 0.1, "nothing was violated: {longest}");
 }
 
-/// Under jitter few exchanges after the change contradict those from before it, too few to prove anything, and the others fit both.
+/// Under jitter few exchanges after the change contradict those before it, too few to prove anything, and the others
+/// fit both.
 #[test]
 fn suspicion_after_change_of_rate_ends_with_window() {
     let mut last_stale: f64 = 0.0;
     for seed in 0..100 {
-        let world = drifting(0.0);
-        let world = World { edge: world.edge.faster(Span::from_seconds(30), 180.0), ..world };
+        let host_clocks = drifting(0.0);
+        let host_clocks =
+            HostClocks { edge: host_clocks.edge.faster(Span::from_seconds(30), 180.0), ..host_clocks };
         let mut relation = Relation::new(free_running(200.0));
-        let mut dice = Dice::new(seed);
+        let mut random = RandomSource::new(seed);
         for n in 0..2_400 {
             let begin = 15e9 + f64::from(n) * 20e6;
-            let mut way = || 5e4 + dice.between(0.0, 2e6) + dice.between(0.0, 2e6);
+            let mut way = || 5e4 + random.between(0.0, 2e6) + random.between(0.0, 2e6);
             let (up, down) = (way(), way());
-            let judged = relation.judge(&world.trip(begin, up.floor(), 1e5, down.floor()).observation());
+            let judged =
+                relation.judge(&host_clocks.trip(begin, up.floor(), 1e5, down.floor()).observation());
             let after = begin / 1e9 - 30.0;
             if judged.up.verdict == Verdict::Stale && after > 0.0 {
                 last_stale = last_stale.max(after);
@@ -206,17 +242,17 @@ fn suspicion_after_change_of_rate_ends_with_window() {
 
 #[test]
 fn flapping_route_widens_few_intervals_and_at_most_twofold() {
-    let world = drifting(20.0);
+    let host_clocks = drifting(20.0);
     let (there, back) = (path(10.0, 30.0, 1.0), path(30.0, 10.0, 1.0));
     let mut relation = Relation::new(free_running(200.0));
-    let mut dice = Dice::new(3);
+    let mut random = RandomSource::new(3);
     let (mut widths, mut jumps) = (Vec::new(), 0);
     for n in 0..24 {
         let route = if n % 2 == 0 { there } else { back };
         let seconds = (f64::from(n) * 5.0, f64::from(n + 1) * 5.0);
-        for trip in route.trips(&world, seconds, 10.0, &mut dice) {
+        for trip in route.trips(&host_clocks, seconds, 10.0, &mut random) {
             let judged = relation.judge(&trip.observation());
-            jumps += u32::from(matches!(judged.learned, Learned::Jumped(_)));
+            jumps += u32::from(matches!(judged.learned, LearnResult::Jumped(_)));
             for (delay, truth) in [(judged.up, trip.up), (judged.down, trip.down)] {
                 assert!(contains(&delay, truth), "{delay:?} {truth}");
                 widths.push(delay.bounds.expect("bounds").width());
@@ -230,15 +266,17 @@ fn flapping_route_widens_few_intervals_and_at_most_twofold() {
     assert!(!relation.in_doubt());
 }
 
-/// A delay from before a suspected jump is not judged by what came after it, one in between by both.
+/// A delay from before a suspected jump is not judged by the exchanges after it; a delay between the two is judged by
+/// both.
 #[test]
 fn suspected_jump_is_a_boundary_for_earlier_delays() {
     let jump = Span::from_millis(30);
-    let world = drifting(20.0);
-    let world = World { cloud: world.cloud.stepped(Span::from_seconds(30), jump), ..world };
+    let host_clocks = drifting(20.0);
+    let host_clocks =
+        HostClocks { cloud: host_clocks.cloud.stepped(Span::from_seconds(30), jump), ..host_clocks };
     let settings = RelationSettings { retention: Span::from_seconds(60), ..free_running(200.0) };
     let mut relation = Relation::new(settings);
-    let trips = path(20.0, 20.0, 1.0).trips(&world, (0.0, 60.0), 10.0, &mut Dice::new(5));
+    let trips = path(20.0, 20.0, 1.0).trips(&host_clocks, (0.0, 60.0), 10.0, &mut RandomSource::new(5));
     trips.iter().for_each(|trip| _ = relation.learn(&trip.observation()));
     assert_eq!(relation.window(), 1);
     let mut hulls = 0;
@@ -258,17 +296,20 @@ fn suspected_jump_is_a_boundary_for_earlier_delays() {
     assert!((2..30).contains(&hulls), "{hulls}");
 }
 
-/// One that waited does not show the jump, so that it is taken for one of before it.
+/// An exchange that waited does not show the jump, and is taken for one from before it.
 #[test]
-fn exchange_that_did_not_show_the_jump_bounds_no_delay_before_it() {
-    let world = drifting(0.0);
-    let world = World { cloud: world.cloud.stepped(Span::from_seconds(30), Span::from_millis(39)), ..world };
+fn exchange_hiding_jump_bounds_no_earlier_delay() {
+    let host_clocks = drifting(0.0);
+    let host_clocks = HostClocks {
+        cloud: host_clocks.cloud.stepped(Span::from_seconds(30), Span::from_millis(39)),
+        ..host_clocks
+    };
     let mut relation = Relation::new(free_running(200.0));
-    let near = |t: f64| world.trip(t * 1e9, 20e6, 1e5, 20e6);
+    let near = |t: f64| host_clocks.trip(t * 1e9, 20e6, 1e5, 20e6);
     (0..300).for_each(|n| _ = relation.learn(&near(f64::from(n) / 10.0).observation()));
-    let waited = world.trip(30.02e9, 60e6, 1e5, 20e6);
-    assert_eq!(relation.learn(&waited.observation()), Learned::Taken);
-    assert!(matches!(relation.learn(&near(30.1).observation()), Learned::Jumped(_)));
+    let waited = host_clocks.trip(30.02e9, 60e6, 1e5, 20e6);
+    assert_eq!(relation.learn(&waited.observation()), LearnResult::Taken);
+    assert!(matches!(relation.learn(&near(30.1).observation()), LearnResult::Jumped(_)));
     let before = near(29.8);
     let delay = relation.delay(Direction::Up, before.exchange.sent, before.exchange.received);
     assert!(contains(&delay, before.up), "{delay:?}");

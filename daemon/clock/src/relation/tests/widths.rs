@@ -1,12 +1,13 @@
-//! How wide intervals are, and how far estimates are from the truth.
+//! Widths of intervals and errors of estimates.
 
 use super::*;
 
-/// Returns of the delays of one path, in milliseconds: median width, mean distance of the estimate from the truth; jumps suspected.
-fn measure(path: Path, settings: RelationSettings, world: &World) -> (f64, f64, u32) {
+/// Returns the median width and the mean error of the estimate of the delays over a path, in milliseconds, and the
+/// number of suspected jumps.
+fn measure(path: Path, settings: RelationSettings, host_clocks: &HostClocks) -> (f64, f64, u32) {
     let mut relation = Relation::new(settings);
     let (mut widths, mut errors) = (Vec::new(), 0.0);
-    for trip in path.trips(world, (0.0, 300.0), 10.0, &mut Dice::new(9)) {
+    for trip in path.trips(host_clocks, (0.0, 300.0), 10.0, &mut RandomSource::new(9)) {
         let judged = relation.judge(&trip.observation());
         for (delay, truth) in [(judged.up, trip.up), (judged.down, trip.down)] {
             if trip.ended > 20e9 {
@@ -19,11 +20,12 @@ fn measure(path: Path, settings: RelationSettings, world: &World) -> (f64, f64, 
     (widths[widths.len() / 2], errors / widths.len() as f64, relation.counts().restarts)
 }
 
-/// Oscillators of ordinary machines.
-fn world() -> World {
-    let mut dice = Dice::new(1);
-    let mut clock = |offset| Wall::warming(offset, 20.0, 0.02, Span::from_seconds(320), &mut dice);
-    World { edge: clock(Span::ZERO), cloud: clock(Span::from_seconds(5)) }
+/// Returns the clocks of two ordinary machines, whose oscillators warm up and cool down.
+fn host_clocks() -> HostClocks {
+    let mut random = RandomSource::new(1);
+    let mut clock =
+        |offset| SimulatedClock::warming(offset, 20.0, 0.02, Span::from_seconds(320), &mut random);
+    HostClocks { edge: clock(Span::ZERO), cloud: clock(Span::from_seconds(5)) }
 }
 
 fn limit(max_drift_ppm: f64) -> RelationSettings {
@@ -36,22 +38,22 @@ fn free_running(max_drift_ppm: f64) -> RelationSettings {
 
 #[test]
 fn limit_of_drift_change_narrows_intervals_under_jitter() {
-    let world = world();
+    let host_clocks = host_clocks();
     for (jitter, cones, both) in [(5e6, 1.2, 0.8), (20e6, 2.0, 1.8)] {
         let path = Path { up: 100e3, down: 100e3, jitter, loss: 0.0, burst: 0.0 };
-        let (wide, ..) = measure(path, limit(200.0), &world);
-        let (narrow, _, jumps) = measure(path, free_running(200.0), &world);
+        let (wide, ..) = measure(path, limit(200.0), &host_clocks);
+        let (narrow, _, jumps) = measure(path, free_running(200.0), &host_clocks);
         assert!(narrow < wide && wide < cones && narrow < both, "{narrow} {wide}");
         assert_eq!(jumps, 0);
     }
 }
 
-/// Four times the limit of drift costs nothing where its change is limited, too.
+/// A four times higher limit of drift does not widen intervals if the change of the drift is limited, too.
 #[test]
 fn quiet_path_is_as_narrow_as_with_a_lower_limit_of_drift() {
-    let world = world();
-    let (before, error_before, _) = measure(Path::VETH, limit(50.0), &world);
-    let (width, error, jumps) = measure(Path::VETH, free_running(200.0), &world);
+    let host_clocks = host_clocks();
+    let (before, error_before, _) = measure(Path::VETH, limit(50.0), &host_clocks);
+    let (width, error, jumps) = measure(Path::VETH, free_running(200.0), &host_clocks);
     assert!(width <= before && error <= error_before && error < 0.001, "{width} {before} {error}");
     assert_eq!(jumps, 0);
 }

@@ -9,7 +9,7 @@ use peernet_sample::Sample;
 use tokio::sync::Notify;
 
 use crate::message::{
-    Departure, Header, HeaderError, Outcome, RAW_STAMPS_SINCE, Reply, SampleHeader, encode_growth,
+    Departure, Header, HeaderError, Outcome, RAW_STAMPS_SINCE, Reply, SampleHeader, encode_tree_delta,
 };
 use crate::session::incoming::{Failure, RequestKey};
 use crate::session::server::Route;
@@ -51,11 +51,11 @@ pub(super) fn encode_answer(
     result: Result<Sample, Failure>,
 ) -> Result<Frames, HeaderError> {
     let (outcome, payload) = outcome(result, route.max_message_bytes);
-    let (grown, zero) = encode_log_growth(log);
+    let (delta, zero) = encode_log_delta(log);
     let raw = route.version >= RAW_STAMPS_SINCE;
     let stamp = clock.stamp();
     let epoch = if raw { clock.epoch() } else { clock.wall_epoch() };
-    let departure = grown.as_ref().map(|_| {
+    let departure = delta.as_ref().map(|_| {
         let start = zero + (stamp.mono - MonoTime::default());
         Departure { sent: stamp.wall, start, epoch, sent_raw: raw.then_some(stamp.raw) }
     });
@@ -65,7 +65,7 @@ pub(super) fn encode_answer(
     let reply = Reply { session, request, departure, arrival_epoch, outcome, arrived_raw };
     let header = Header::Reply(reply).encode()?;
     let mut frames = Vec::with_capacity(2 + payload.len());
-    frames.extend([header, grown.unwrap_or_default()]);
+    frames.extend([header, delta.unwrap_or_default()]);
     frames.extend(payload);
     Ok(frames)
 }
@@ -90,16 +90,16 @@ fn outcome(result: Result<Sample, Failure>, max_message_bytes: u64) -> (Outcome,
     }
 }
 
-/// Returns the wire form of the growth, and the offset of the monotonic clock's zero from this host's anchor.
-fn encode_log_growth(log: Option<Recorder>) -> (Option<Bytes>, peernet_clock::Span) {
+/// Returns the wire form of the tree delta, and the offset of the monotonic clock's zero from this host's anchor.
+fn encode_log_delta(log: Option<Recorder>) -> (Option<Bytes>, peernet_clock::Span) {
     let Some(log) = log else { return (None, peernet_clock::Span::ZERO) };
     let zero = log.offset(MonoTime::default());
-    let grown = log.into_growth().and_then(|growth| match encode_growth(&growth) {
+    let delta = log.into_tree_delta().and_then(|delta| match encode_tree_delta(&delta) {
         Ok(wire) => Some(wire),
         Err(error) => {
             tracing::warn!(%error, "an answer goes out without what was measured here");
             None
         }
     });
-    (grown, zero)
+    (delta, zero)
 }

@@ -89,7 +89,7 @@ impl PortState {
     }
 
     /// Sends an answer with the nodes that `log` recorded here. Without `log` (no model was asked) the reply has
-    /// neither growth nor departure.
+    /// neither tree delta nor departure.
     pub(crate) fn answer(&self, key: RequestKey, log: Option<Recorder>, result: Result<Sample, Failure>) {
         // Counted before the request leaves the requests in flight: closing must find one of the two, or it would say
         // goodbye before the answer.

@@ -1,4 +1,4 @@
-//! What the tables say, without reading the large ones.
+//! Facts from the tables, without reading the large ones.
 
 use peernet_clock::{Span, WallTime};
 use sqlx::{AssertSqlSafe, SqliteConnection};
@@ -6,7 +6,7 @@ use sqlx::{AssertSqlSafe, SqliteConnection};
 use super::report::{OpenRun, Report, TableRows};
 use crate::column::count;
 
-/// A host that says nothing for so long is not measuring.
+/// Time of silence after which a host is considered to be no longer measuring.
 const SILENT: Span = Span::from_seconds(3_600);
 /// Tables that are small enough to be counted.
 const SMALL: [&str; 8] = ["host", "pipeline", "stream", "run", "name", "incident", "gap", "quarantine"];
@@ -19,17 +19,17 @@ const GAPS: &str = "SELECT host.name AS host, gap.reason, count(*) AS gaps, sum(
 const QUARANTINE: &str = "SELECT host.name AS host, quarantine.reason, count(*) AS batches, max(quarantine.received_ns) AS last_ns \
      FROM quarantine JOIN host ON host.id = quarantine.host \
      GROUP BY quarantine.host, quarantine.reason ORDER BY batches DESC";
-/// Two look-ups per run and width.
+/// Two lookups per run and width.
 const ROLLUPS: &str = "SELECT width.column1 AS resolution_s, \
      min((SELECT min(bucket_s) FROM rollup WHERE rollup.run = run.number AND resolution_s = width.column1)) AS oldest_s, \
      max((SELECT max(bucket_s) FROM rollup WHERE rollup.run = run.number AND resolution_s = width.column1)) AS newest_s \
      FROM (VALUES (1), (10), (60), (3600)) AS width LEFT JOIN run GROUP BY width.column1 ORDER BY width.column1";
-/// ?1 heard of before.
+/// ?1 time before which the host was last seen.
 const OPEN_RUNS: &str = "SELECT run.number, pipeline.name AS pipeline, host.name AS host, host.last_seen_ns \
      FROM run JOIN pipeline ON pipeline.id = run.pipeline JOIN host ON host.id = pipeline.host \
      WHERE run.ended_ns IS NULL AND host.last_seen_ns < ?1 ORDER BY run.number LIMIT 1000";
-/// Iterations and nodes that are stored now: per run from its first number to its last, at most what was counted, with as
-/// many nodes as the newest 20 have on average. Some look-ups per run.
+/// Estimates the iterations and nodes that are stored: per run from its first number to its last, at most as many as were
+/// counted, each with the average nodes of the newest 20. It takes a few lookups per run.
 const STORED: &str = "WITH kept AS ( \
        SELECT number AS run, ok + failed + lost + timeout + warm_up AS counted, \
          (SELECT min(iteration.number) FROM iteration WHERE iteration.run = run.number) AS oldest, \
@@ -89,7 +89,7 @@ async fn tables(report: &mut Report, connection: &mut SqliteConnection) {
     }
 }
 
-/// What of this matters.
+/// Adds findings for what needs attention.
 fn judge(report: &mut Report, trimmed: &[(String, i64)], debts: i64) {
     let gaps: i64 = report.gaps.iter().map(|group| group.gaps).sum();
     // A host may have claimed any number.
@@ -100,10 +100,10 @@ fn judge(report: &mut Report, trimmed: &[(String, i64)], debts: i64) {
             "the table of gaps says when and why; figures of those times rest on what did arrive",
         );
     }
-    let aside: i64 = report.quarantine.iter().map(|group| group.batches).sum();
-    if aside > 0 {
+    let quarantined: i64 = report.quarantine.iter().map(|group| group.batches).sum();
+    if quarantined > 0 {
         report.notice(
-            format!("{aside} batches could not be stored and were put aside (table quarantine)"),
+            format!("{quarantined} batches could not be stored and were put aside (table quarantine)"),
             "the table of reasons tells whether an agent is of another version or its disk or memory is failing",
         );
     }

@@ -1,4 +1,4 @@
-//! A database's health, from a connection that changes nothing.
+//! Examination of a database over a connection that changes nothing.
 
 mod contents;
 mod report;
@@ -32,7 +32,7 @@ const REPAIR: &str = "stop the aggregator and run this again with --repair, whic
 const RESTORE: &str = "stop the aggregator and put the newest backup in its place: without the file's header and its list of tables no \
                        row can be found. Agents send what they still have in their spools";
 
-/// Why a database cannot be examined at all.
+/// The reason why a database cannot be examined at all.
 #[derive(Debug, thiserror::Error)]
 pub enum DoctorError {
     /// The file does not exist.
@@ -41,12 +41,12 @@ pub enum DoctorError {
     /// The log beside the database belongs to another database.
     #[error(transparent)]
     ForeignLog(#[from] ForeignLog),
-    /// It cannot be opened.
+    /// The file cannot be opened.
     #[error("cannot open the database {}: {source}; check that this user may read it and write in its folder", path.display())]
     Open {
         /// The file.
         path: PathBuf,
-        /// SQLite's or the system's own words.
+        /// The error of SQLite or of the system.
         source: DatabaseError,
     },
 }
@@ -54,16 +54,16 @@ pub enum DoctorError {
 /// Settings of an examination.
 #[derive(Clone, Copy, Debug)]
 pub struct Examination {
-    /// Whether indexes are compared with their tables and references followed, too: takes several times as long.
+    /// `true` if indexes are also compared with their tables and references followed: it takes several times as long.
     pub full: bool,
-    /// Now, on this machine's wall clock.
+    /// Present time of this machine's wall clock.
     pub now: WallTime,
 }
 
-/// Examines a database. Reads the whole file once; an aggregator may be running on it.
+/// Examines a database. It reads the whole file once; an aggregator may be running on it.
 ///
 /// # Errors
-/// When there is no such file or it cannot be opened. What is wrong within it stands in the report.
+/// When there is no such file or it cannot be opened. Errors within the file are part of the report.
 pub async fn examine(database: &Path, how: Examination) -> Result<Report, DoctorError> {
     if !database.is_file() {
         return Err(DoctorError::Missing(database.to_owned()));
@@ -73,10 +73,10 @@ pub async fn examine(database: &Path, how: Examination) -> Result<Report, Doctor
         source: DatabaseError::new(error),
     };
     let mut report = Report { database: database.to_owned(), ..Report::default() };
-    // Before SQLite has it open, too.
+    // This also has to come before SQLite opens the file.
     report.integrity.has_table_list =
         File::open(database).map_or(true, |file| has_table_list(Arc::new(file)));
-    // Before SQLite has it open: see `PageFile`.
+    // This has to come before SQLite opens the file: see `PageFile`.
     refuse_foreign_log_of(database)?;
     report.find_malformed_pages(database);
     let opened = async {
@@ -115,7 +115,7 @@ pub async fn examine(database: &Path, how: Examination) -> Result<Report, Doctor
 }
 
 impl Report {
-    /// Whether nothing is wrong.
+    /// Returns whether no problem was found.
     pub fn is_healthy(&self) -> bool {
         self.findings.iter().all(|finding| finding.severity != Severity::Problem)
     }
@@ -133,7 +133,7 @@ impl Report {
         self.findings.push(Finding { severity: Severity::Notice, what, advice: advice.to_owned() });
     }
 
-    /// Returns the value of an answer; of a failed query, the default value, and adds a problem.
+    /// Returns the value of an answer. For a failed query, adds a problem and returns the default value.
     fn value_or_problem<T: Default>(&mut self, what: &str, answer: Result<T, sqlx::Error>) -> T {
         answer.unwrap_or_else(|error| {
             if is_damage(&error) {
@@ -210,7 +210,7 @@ impl Report {
     /// Runs SQLite's own checks: the quick one, and the full one if it is wanted and the quick one found nothing.
     async fn check_integrity(&mut self, connection: &mut SqliteConnection, full: bool) {
         self.integrity.full = full;
-        // The second takes several times as long, and finds in damaged trees nothing that the first does not.
+        // The second takes several times as long, and finds no more than the first in damaged trees.
         let before = self.findings.len();
         for pragma in [Some("PRAGMA quick_check(100)"), full.then_some("PRAGMA integrity_check(100)")] {
             let unharmed = self.integrity.problems.is_empty() && self.findings.len() == before;
@@ -245,7 +245,7 @@ impl Report {
         }
     }
 
-    /// Compares the schema's version with that of this program. Returns whether they are the same.
+    /// Compares the schema's version with that of this program. Returns whether they are equal.
     async fn has_current_schema(&mut self, connection: &mut SqliteConnection) -> bool {
         let known = MIGRATIONS.iter().map(|migration| migration.version).max().unwrap_or(0);
         let answer = sqlx::query_as("SELECT max(version), min(success) FROM _sqlx_migrations");

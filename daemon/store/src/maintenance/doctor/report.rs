@@ -1,27 +1,27 @@
-//! What was found, as plain data. Columns named `_ns` are nanoseconds since 1970 UTC, as in the database.
+//! Report of an examination, as plain data. Columns named `_ns` are nanoseconds since 1970 UTC, as in the database.
 
 use std::path::PathBuf;
 
 use serde::Serialize;
 
-/// How much a finding matters.
+/// Severity of a finding.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Severity {
-    /// Something is wrong, and somebody should do something.
+    /// Something is wrong and needs action.
     Problem,
-    /// Worth knowing.
+    /// Useful to know; no action needed.
     Notice,
 }
 
-/// Something that was found.
+/// One finding of an examination.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct Finding {
-    /// How much it matters.
+    /// Severity of the finding.
     pub severity: Severity,
-    /// What is so.
+    /// Description of the finding.
     pub what: String,
-    /// What to do.
+    /// Advice on what to do.
     pub advice: String,
 }
 
@@ -32,129 +32,129 @@ pub struct Report {
     pub database: PathBuf,
     /// Sizes.
     pub file: FileFigures,
-    /// Which version's tables it has; `None` where that cannot be read.
+    /// Version of its schema; `None` if it cannot be read.
     pub schema: Option<Schema>,
-    /// What SQLite says of the file's inner order.
+    /// Result of SQLite's own check of the file.
     pub integrity: Integrity,
-    /// Numbers of pages that are malformed, the first of the file is 1. One that is not in use does no harm: whether any is,
-    /// `integrity` says.
+    /// Numbers of malformed pages; the first page of the file is 1. One that is not in use does no harm: `integrity` shows whether
+    /// any is in use.
     pub malformed_pages: Vec<u32>,
     /// Rows per table.
     pub tables: Vec<TableRows>,
-    /// The streams that were stored, the newest first, at most 1,000.
+    /// The stored streams, newest first, at most 1,000.
     pub streams: Vec<StreamState>,
-    /// What never arrived, by host and reason, at most 1,000.
+    /// Events that never arrived, by host and reason, at most 1,000.
     pub gaps: Vec<GapGroup>,
-    /// Batches that were put aside, by host and reason.
+    /// Quarantined batches, by host and reason.
     pub quarantine: Vec<QuarantineGroup>,
-    /// From when to when there are roll-ups, by width.
+    /// Time ranges of the roll-ups, by width.
     pub rollups: Vec<RollupExtent>,
-    /// Runs that go on as far as the database knows, of hosts that have been silent for an hour, at most 1,000.
+    /// Open runs of hosts that have been silent for an hour, at most 1,000.
     pub open_runs: Vec<OpenRun>,
-    /// What of all this matters.
+    /// Findings that need attention.
     pub findings: Vec<Finding>,
 }
 
 /// Sizes in bytes.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct FileFigures {
-    /// The file.
+    /// Size of the file.
     pub bytes: u64,
-    /// Within it, free for reuse.
+    /// Part of the file that is free for reuse.
     pub free_bytes: u64,
-    /// The log beside it (`-wal`).
+    /// Size of the log beside it (`-wal`).
     pub wal_bytes: u64,
-    /// Room on its disk.
+    /// Free space on its disk.
     pub disk_free_bytes: u64,
 }
 
-/// Numbers of migrations.
+/// Versions of the schema, as numbers of migrations.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 pub struct Schema {
-    /// The file's newest.
+    /// Newest migration in the file.
     pub found: i64,
-    /// This program's newest.
+    /// Newest migration that this program knows.
     pub known: i64,
 }
 
-/// SQLite's own check.
+/// Result of SQLite's own check.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct Integrity {
-    /// Whether indexes were compared with their tables, too.
+    /// `true` if indexes were compared with their tables, too.
     pub full: bool,
-    /// What it found, at most 100.
+    /// Errors that it found, at most 100.
     pub problems: Vec<String>,
-    /// Whether rows can be found at all, so that a repair can salvage some.
+    /// `true` if rows can be found at all, so that a repair can salvage some.
     #[serde(skip)]
     pub(super) has_table_list: bool,
 }
 
-/// How many rows a table has.
+/// Number of rows of a table.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct TableRows {
-    /// The table.
+    /// Name of the table.
     pub table: &'static str,
-    /// Its rows.
+    /// Number of its rows.
     pub rows: u64,
-    /// Whether they were computed from the ends of runs and a sample rather than counted.
+    /// `true` if the number was estimated from the ends of runs and a sample.
     pub estimated: bool,
 }
 
 /// One stream of batches.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, sqlx::FromRow)]
 pub struct StreamState {
-    /// The host's name; `None` for one that never introduced itself.
+    /// Name of the host; `None` if it never introduced itself.
     pub host: Option<String>,
     /// The stream's id.
     pub stream: String,
-    /// All batches up to this number are stored.
+    /// Number up to which all batches are stored.
     pub stored: i64,
-    /// The stream that it follows.
+    /// The stream that it continues.
     pub previous: Option<String>,
-    /// When something of it was stored last, on the aggregator's clock.
+    /// Time when something of it was stored last, on the aggregator's clock.
     pub last_seen_ns: i64,
 }
 
 /// Events that never arrived.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, sqlx::FromRow)]
 pub struct GapGroup {
-    /// The host's name.
+    /// Name of the host.
     pub host: Option<String>,
-    /// Why.
+    /// Reason for the gaps.
     pub reason: String,
-    /// Gaps.
+    /// Number of gaps.
     pub gaps: i64,
-    /// Events in them, as far as they could be counted.
+    /// Number of events in them, as far as they could be counted.
     pub events: i64,
-    /// Gaps whose events could not be counted.
+    /// Number of gaps whose events could not be counted.
     pub uncounted: i64,
-    /// When the first was dropped, on the host's clock.
+    /// Time when the first was dropped, on the host's clock.
     pub from_ns: i64,
-    /// When the last was dropped.
+    /// Time when the last was dropped.
     pub to_ns: i64,
 }
 
-/// Batches that were put aside.
+/// Quarantined batches of one host and reason.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, sqlx::FromRow)]
 pub struct QuarantineGroup {
-    /// The host's name.
+    /// Name of the host.
     pub host: Option<String>,
-    /// Why.
+    /// Reason for the quarantine.
     pub reason: String,
-    /// How many.
+    /// Number of batches.
     pub batches: i64,
-    /// When the last came, on the aggregator's clock.
+    /// Time when the last one arrived, on the aggregator's clock.
     pub last_ns: i64,
 }
 
-/// Where there are roll-ups.
+/// Time range of the roll-ups of one width.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, sqlx::FromRow)]
 pub struct RollupExtent {
-    /// Width of the buckets.
+    /// Width of the buckets, seconds.
     pub resolution_s: i64,
-    /// Begin of the oldest, on the clocks of the edges; `None` where there are none.
+    /// Begin of the oldest bucket, on the clocks of the edges; `None` if there are none.
     pub oldest_s: Option<i64>,
-    /// Begin of the newest.
+    /// Begin of the newest bucket.
     pub newest_s: Option<i64>,
 }
 
@@ -165,8 +165,8 @@ pub struct OpenRun {
     pub number: i64,
     /// Its pipeline.
     pub pipeline: String,
-    /// Its host's name.
+    /// Name of its host.
     pub host: Option<String>,
-    /// When its host was heard of last, on the aggregator's clock.
+    /// Time when its host was seen last, on the aggregator's clock.
     pub last_seen_ns: i64,
 }

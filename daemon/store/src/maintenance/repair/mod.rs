@@ -1,4 +1,8 @@
-//! A damaged database: all that can be read of it, in a new file that takes its place.
+//! Repair of a damaged database: everything that can be read is written to a new file, which takes its place.
+//!
+//! The trees are walked with the parser of the check, because SQLite's recovery extension is not in the bundled library. Rows
+//! are decoded and checked against the types of the columns; unreadable ones are left out. [`reconcile`] then makes the tables
+//! agree and records the gaps.
 
 mod reconcile;
 mod rows;
@@ -29,30 +33,30 @@ use crate::integrity::{forget, remembered, sqlite_finds};
 use crate::lock::{DatabaseLock, LockError};
 use crate::rebuild::rebuild;
 
-/// Where the program notes which migrations a database has.
+/// Table in which the migrations of a database are noted.
 const MIGRATIONS_TABLE: &str = "_sqlx_migrations";
 
-/// Why a database was not repaired. It is as it was.
+/// The reason why a database was not repaired. The database is unchanged.
 #[derive(Debug, thiserror::Error)]
 pub enum RepairError {
-    /// There is no such database.
+    /// The database does not exist.
     #[error("there is no database {}; name the file of [aggregator] database", .0.display())]
     Missing(PathBuf),
-    /// Another process has it, most likely the aggregator.
+    /// Another process has locked the database, most likely the aggregator.
     #[error("cannot repair while another process may store: {0}")]
     Lock(#[from] LockError),
-    /// Beside it is the log of another one.
+    /// The log of another database lies beside the file.
     #[error(transparent)]
     ForeignLog(#[from] ForeignLog),
-    /// Its header or its list of tables cannot be read.
+    /// The header or the list of tables cannot be read.
     #[error("cannot repair {}: {what} cannot be read, and without it no row can be found; restore the newest backup: agents send again what they still have in their spools", path.display())]
     Unreadable {
         /// The database.
         path: PathBuf,
-        /// What is needed.
+        /// Part that cannot be read.
         what: &'static str,
     },
-    /// It was written by a newer version.
+    /// The database was written by a newer version.
     #[error("cannot repair {}: a newer version wrote it (its schema is {found}, known here is {known}); update this program", path.display())]
     NewerSchema {
         /// The database.
@@ -62,14 +66,14 @@ pub enum RepairError {
         /// Newest schema that this version knows.
         known: i64,
     },
-    /// The new file would not fit.
+    /// The disk has not enough room for the new file.
     #[error("{} has {free} bytes of room and the new file needs up to {needed}; make room", folder.display())]
     NoRoom {
-        /// Where it would lie.
+        /// The folder of the new file.
         folder: PathBuf,
-        /// Bytes needed.
+        /// Number of bytes needed.
         needed: u64,
-        /// Bytes free.
+        /// Number of bytes free.
         free: u64,
     },
     /// A file cannot be read, written or renamed.
@@ -77,7 +81,7 @@ pub enum RepairError {
     File {
         /// The file.
         path: PathBuf,
-        /// The system's own words.
+        /// The system's error.
         source: io::Error,
     },
     /// The new file cannot be written.
@@ -85,48 +89,49 @@ pub enum RepairError {
     Write {
         /// The new file.
         path: PathBuf,
-        /// SQLite's own words.
+        /// SQLite's error.
         source: DatabaseError,
     },
-    /// What was written is not whole.
+    /// The new file is damaged as well.
     #[error("{} is damaged, too: {what}; the disk or the memory of this machine fails", path.display())]
     Failing {
         /// The new file.
         path: PathBuf,
-        /// What is wrong with it.
+        /// Description of the damage.
         what: String,
     },
 }
 
-/// What a repair did.
+/// Result of a repair.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Repaired {
-    /// Where the damaged file lies now.
+    /// Path of the damaged file.
     pub damaged: PathBuf,
-    /// What became of each table, by name.
+    /// Result for each table, by name.
     pub tables: Vec<SalvagedTable>,
-    /// Iterations that are lost, as far as the counters of their runs and missing numbers tell.
+    /// Number of lost iterations, as far as the counters of their runs and missing numbers show.
     pub lost_iterations: u64,
-    /// Whether the log beside the database could not be taken over: what was stored last is missing.
+    /// `true` if the log beside the database could not be taken over: the newest data is missing.
     pub without_log: bool,
 }
 
-/// One table.
+/// Result for one table.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct SalvagedTable {
-    /// Its name.
+    /// Name of the table.
     pub table: String,
-    /// Rows that are in the new file.
+    /// Number of rows in the new file.
     pub rows: u64,
-    /// Places at which rows could not be read: one page or several that follow upon each other.
+    /// Number of places at which rows could not be read: one page or several adjacent ones.
     pub unreadable: u64,
 }
 
-/// Puts a new file with all that can be read in the place of a damaged database; `None` when it is not damaged. The damaged
-/// file is kept as `<database>.damaged-<stamp>`. `progress` is told of each table before it is read.
+/// Replaces a damaged database by a new file with everything that can be read; `None` if it is not damaged.
+///
+/// The damaged file is kept as `<database>.damaged-<stamp>`. `progress` is called with each table before it is read.
 ///
 /// # Errors
-/// When the aggregator runs, nothing can be read, or the new file cannot be written; the database is as it was then.
+/// When the aggregator runs, nothing can be read, or the new file cannot be written. The database is unchanged then.
 pub async fn repair(
     database: &Path,
     now: WallTime,
@@ -138,7 +143,7 @@ pub async fn repair(
     }
     let lock = DatabaseLock::take(database)?;
     refuse_foreign_log(database, &lock.file())?;
-    // Beside the database itself, also when it is named by a link.
+    // A link is resolved: the other files lie beside the database itself.
     let path = fs::canonicalize(database).map_err(|source| file_error(database, source))?;
     let remembered = remembered(&path).map_err(|source| file_error(&path, source))?;
     let without_log = !take_over_log(&path).await?;
@@ -152,7 +157,7 @@ pub async fn repair(
         return Ok(None);
     }
     let old = OldFile::open(&path)?;
-    let new = beside(&path, ".repaired");
+    let new = sibling_path(&path, ".repaired");
     remove(&new)?;
     let salvaged = salvage(&old, &new, now, &mut progress).await;
     let (tables, lost) = match salvaged {
@@ -172,7 +177,7 @@ struct OldFile {
     file: PageFile,
     /// Root page of each table.
     roots: BTreeMap<String, u32>,
-    /// The newest migration it has; `None` when that cannot be read.
+    /// Newest migration of the file; `None` if it cannot be read.
     version: Option<i64>,
 }
 
@@ -212,15 +217,15 @@ impl OldFile {
         Ok(Self { file, roots, version })
     }
 
-    /// The root page of a table. Where that is not known it is as in the new file, if all that are known are: the same
-    /// migrations made both.
+    /// Returns the root page of a table. An unknown one is taken from the new file if all known ones agree with it: the same
+    /// migrations made both files.
     fn root(&self, table: &str, new: &BTreeMap<String, u32>) -> Option<u32> {
         let alike = || self.roots.iter().all(|(table, root)| new.get(table).is_none_or(|new| new == root));
         self.roots.get(table).copied().or_else(|| new.get(table).copied().filter(|_| alike()))
     }
 }
 
-/// Carries the log over into the file, as the next start of the aggregator would. Whether nothing of it is left.
+/// Carries the log over into the file, as the next start of the aggregator would. Returns whether nothing of it is left.
 async fn take_over_log(path: &Path) -> Result<bool, RepairError> {
     let options = SqliteConnectOptions::new().filename(path).busy_timeout(BUSY).disable_statement_logging();
     let taken = async {
@@ -235,10 +240,10 @@ async fn take_over_log(path: &Path) -> Result<bool, RepairError> {
             return Err(RepairError::Write { path: path.to_owned(), source: DatabaseError::new(error) });
         }
     }
-    Ok(fs::metadata(beside(path, "-wal")).map_or(true, |log| log.len() == 0))
+    Ok(fs::metadata(sibling_path(path, "-wal")).map_or(true, |log| log.len() == 0))
 }
 
-/// Writes the new file.
+/// Writes the new file. Returns the tables and the number of lost iterations.
 async fn salvage(
     old: &OldFile,
     new: &Path,
@@ -256,7 +261,7 @@ async fn salvage(
     let options = SqliteConnectOptions::new()
         .filename(new)
         .create_if_missing(true)
-        // Synced once, when it is whole; nobody looks at it before.
+        // It is synced once, when it is complete: it is not used before.
         .journal_mode(SqliteJournalMode::Memory)
         .synchronous(SqliteSynchronous::Off)
         .foreign_keys(false)
@@ -284,7 +289,7 @@ async fn fill(
         MigrateError::Execute(error) => error,
         error => sqlx::Error::Protocol(error.to_string()),
     })?;
-    // Rows come as they were: nothing follows from them. Indexes are faster made of what is there.
+    // Rows are copied unchanged: triggers may not act on them. Indexes are made faster after all rows exist.
     let later: Vec<(String, String, String)> = sqlx::query_as(
         "SELECT type, name, sql FROM sqlite_schema WHERE type IN ('trigger', 'index') AND sql IS NOT NULL",
     )
@@ -335,7 +340,7 @@ async fn fill(
     Ok((salvaged, lost))
 }
 
-/// Numbers that were given to rows that are lost are not given again.
+/// Prevents that numbers of lost rows are given to new ones.
 async fn numbers_go_on(connection: &mut SqliteConnection, old: &OldFile) -> Result<(), sqlx::Error> {
     let Some(root) = old.roots.get("sqlite_sequence") else { return Ok(()) };
     for item in Walk::from(&old.file, *root, true) {
@@ -359,7 +364,7 @@ async fn numbers_go_on(connection: &mut SqliteConnection, old: &OldFile) -> Resu
     Ok(())
 }
 
-/// Gives the new file the name of the database, which exists at any time, and the damaged one another. Returns that.
+/// Renames the damaged file and gives the new file its name, which exists at any time. Returns the path of the damaged file.
 fn put_in_place(path: &Path, new: &Path, stamp: &str) -> io::Result<PathBuf> {
     let of = fs::metadata(path)?;
     fs::set_permissions(new, of.permissions())?;
@@ -368,29 +373,31 @@ fn put_in_place(path: &Path, new: &Path, stamp: &str) -> io::Result<PathBuf> {
         chown(new, Some(of.uid()), Some(of.gid()))?;
     }
     File::open(new)?.sync_all()?;
-    let damaged = beside(path, &format!(".damaged-{stamp}"));
+    let damaged = sibling_path(path, &format!(".damaged-{stamp}"));
     fs::hard_link(path, &damaged)?;
     // A log that stays beside the new file would be carried over into it.
-    let log = beside(path, "-wal");
+    let log = sibling_path(path, "-wal");
     match fs::metadata(&log).map(|log| log.len()) {
         Ok(0) | Err(_) => remove_if_there(&log)?,
-        Ok(_) => fs::rename(&log, beside(&damaged, "-wal"))?,
+        Ok(_) => fs::rename(&log, sibling_path(&damaged, "-wal"))?,
     }
-    remove_if_there(&beside(path, "-shm"))?;
+    remove_if_there(&sibling_path(path, "-shm"))?;
     fs::rename(new, path)?;
     File::open(path.parent().unwrap_or(path))?.sync_all()?;
     Ok(damaged)
 }
 
-fn beside(path: &Path, suffix: &str) -> PathBuf {
+fn sibling_path(path: &Path, suffix: &str) -> PathBuf {
     let mut path = path.as_os_str().to_owned();
     path.push(suffix);
     path.into()
 }
 
-/// Removes what a repair that was ended early left behind.
+/// Removes files that an interrupted repair left behind.
 fn remove(new: &Path) -> Result<(), RepairError> {
-    for path in [new.to_owned(), beside(new, "-wal"), beside(new, "-shm"), beside(new, "-journal")] {
+    for path in
+        [new.to_owned(), sibling_path(new, "-wal"), sibling_path(new, "-shm"), sibling_path(new, "-journal")]
+    {
         remove_if_there(&path).map_err(|source| file_error(&path, source))?;
     }
     Ok(())

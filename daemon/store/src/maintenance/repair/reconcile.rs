@@ -7,18 +7,18 @@ use sqlx::{AssertSqlSafe, FromRow, SqliteConnection};
 use super::rows::{CopiedTable, UnreadableRange};
 use crate::write::UNKNOWN;
 
-/// Reason that the gaps give.
+/// Reason of the recorded gaps.
 const REASON: &str = "the database was damaged, and its repair could not read these rows";
 
-/// A random id in SQL.
+/// SQL expression for a random id.
 const RANDOM_ID: &str = "lower(hex(randomblob(4)) || '-' || hex(randomblob(2)) || '-4' || substr(hex(randomblob(2)), 2) \
      || '-a' || substr(hex(randomblob(2)), 2) || '-' || hex(randomblob(6)))";
 
-/// Tables in which an iteration has rows of its tree.
+/// Tables with rows of an iteration's tree.
 const TREES: [&str; 3] = ["node", "transit", "anchor"];
 
-/// Tables and conditions of rows that are deleted because they refer to lost rows. An agent whose stream is lost is asked for
-/// what it still has, as after a restored backup.
+/// Tables and conditions of rows that are deleted because they refer to lost rows. An agent whose stream is lost sends again what
+/// it still has, as after a restored backup.
 const ORPHANS: [(&str, &str); 7] = [
     ("stream", "host NOT IN (SELECT id FROM host)"),
     ("quarantine", "host NOT IN (SELECT id FROM host)"),
@@ -36,7 +36,7 @@ pub(super) struct Reconciliation<'a> {
     pub(super) now_ns: i64,
 }
 
-/// A run with iterations that are lost.
+/// A run with lost iterations.
 #[derive(Debug, FromRow)]
 struct IncompleteRun {
     number: i64,
@@ -48,9 +48,9 @@ struct IncompleteRun {
     nodes_from: i64,
     counted: i64,
     stored: i64,
-    /// Numbers between the first stored iteration that retention left and the last that are not stored.
+    /// Number of missing iterations between the first one that retention left and the last one.
     missing_numbers: i64,
-    /// Events in the gaps that the run has already.
+    /// Number of events in the gaps that the run already has.
     known: i64,
 }
 
@@ -72,7 +72,7 @@ const RUN: &str = "SELECT run.number, pipeline.host, pipeline.name AS pipeline, 
      FROM run JOIN pipeline ON pipeline.id = run.pipeline WHERE run.number = ?1";
 
 impl Reconciliation<'_> {
-    /// Reconciles all tables. Returns the number of lost iterations, as far as it can be known.
+    /// Reconciles all tables. Returns the number of lost iterations, as far as it is known.
     pub(super) async fn run(mut self) -> Result<i64, sqlx::Error> {
         if self.has_unreadable(&["host", "pipeline", "run", "link"]) {
             self.restore_references().await?;
@@ -111,7 +111,7 @@ impl Reconciliation<'_> {
             .await?;
         }
         if self.tables.contains_key("arrival") {
-            // The storage clock must not go back behind a time that it has shown.
+            // The storage clock must not go back behind a reading that it has shown.
             self.execute(
                 "UPDATE storage_clock SET elapsed_ns = max(elapsed_ns, 1000000000 * max( \
                  (SELECT coalesce(max(to_s), 0) FROM arrival), (SELECT coalesce(max(arriving_from_s), 0) FROM run), \
@@ -131,7 +131,7 @@ impl Reconciliation<'_> {
         Ok(())
     }
 
-    /// Whether rows of one of these tables could not be read.
+    /// Returns whether rows of one of these tables could not be read.
     fn has_unreadable(&self, tables: &[&str]) -> bool {
         tables.iter().any(|table| !self.unreadable_in(table).is_empty())
     }
@@ -145,9 +145,9 @@ impl Reconciliation<'_> {
         Ok(done.rows_affected())
     }
 
-    /// Inserts substitutes for lost rows that measurements refer to, and deletes other rows that refer to lost ones.
+    /// Inserts substitutes for lost rows to which measurements refer, and deletes other rows that refer to lost ones.
     ///
-    /// A run of an unknown host gets another id: events that its agent still sends begin a run of their own.
+    /// A run of an unknown host gets another id: events that its agent still sends begin another run.
     async fn restore_references(&mut self) -> Result<(), sqlx::Error> {
         let now = self.now_ns;
         let tables = self.tables;
@@ -194,7 +194,7 @@ impl Reconciliation<'_> {
         Ok(())
     }
 
-    /// Deletes the iterations whose nodes are not numbered from 0 without a gap, and returns how many.
+    /// Deletes the iterations whose nodes are not numbered from 0 without a gap. Returns their number.
     ///
     /// A row whose key was overwritten may still look like a row of another tree: no unreadable range shows that it is missing.
     async fn delete_torn_trees(&mut self) -> Result<u64, sqlx::Error> {
@@ -205,7 +205,7 @@ impl Reconciliation<'_> {
         .await
     }
 
-    /// Deletes the iterations of which rows of the tree could not be read, and rows of trees without their iteration.
+    /// Deletes the iterations with unreadable rows of the tree, and rows of trees without their iteration.
     async fn delete_incomplete_trees(&mut self) -> Result<(), sqlx::Error> {
         for table in TREES {
             for UnreadableRange { before, after } in self.unreadable_in(table).to_vec() {
@@ -247,8 +247,8 @@ impl Reconciliation<'_> {
         for run in runs {
             let run: IncompleteRun = sqlx::query_as(RUN).bind(run).fetch_one(&mut *self.connection).await?;
             let whole = run.nodes_from == 0;
-            // The run's own counters were stored with its iterations. For a run of which retention has deleted iterations, and
-            // for one that was made anew, only the missing numbers tell how many are lost.
+            // The run's own counters were stored with its iterations. For a run of which retention has deleted iterations, and for a
+            // substituted one, only the missing numbers show how many are lost.
             let lost = if whole && run.counted > 0 {
                 run.counted - run.stored
             } else {
@@ -266,7 +266,7 @@ impl Reconciliation<'_> {
         Ok(all)
     }
 
-    /// Whether there is an unreadable range between rows of that run.
+    /// Returns whether there is an unreadable range between rows of that run.
     fn has_unreadable_within(&self, run: i64) -> bool {
         let within = |range: &UnreadableRange| {
             range.before.is_some_and(|[before, ..]| before == run)

@@ -1,4 +1,4 @@
-//! Records as values of a table's columns, and their way into the new database.
+//! Decoding of records to values of a table's columns, and copying of the rows to the new database.
 
 use sqlx::error::BoxDynError;
 use sqlx::sqlite::SqliteArguments;
@@ -7,10 +7,10 @@ use sqlx::{Arguments, AssertSqlSafe, SqliteConnection};
 use super::tree::{Item, Walk};
 use crate::integrity::pages::{PageFile, column_bytes, varint};
 
-/// Values of one statement at most: SQLite takes 32,766.
+/// Maximum number of values in one statement; SQLite's limit is 32,766.
 const MOST_VALUES: usize = 16_384;
 
-/// Rows that are kept back from writing: the next one may show that they cannot be trusted.
+/// Number of rows whose writing is delayed: the next row may show that they cannot be trusted.
 const KEPT_BACK: usize = 8;
 
 /// One value, in SQLite's order of types.
@@ -23,19 +23,19 @@ pub(super) enum Value {
     Blob(Vec<u8>),
 }
 
-/// A table that is filled with what an old file holds.
+/// A table that is filled with the contents of an old file.
 #[derive(Debug)]
 pub(super) struct Table {
     pub(super) name: String,
     columns: Vec<Column>,
     /// Columns in the order in which a record has them.
     stored: Vec<usize>,
-    /// How many of `stored` are the key by which a clustered table is ordered.
+    /// Number of columns in `stored` that are the key of a clustered table.
     key_columns: usize,
-    /// The column that is the row's number.
+    /// The column that is the row id.
     rowid: Option<usize>,
     pub(super) has_rowids: bool,
-    /// Whether the migrations put rows into it.
+    /// `true` if the migrations put rows into it.
     is_seeded: bool,
 }
 
@@ -44,7 +44,7 @@ struct Column {
     name: String,
     kind: String,
     not_null: bool,
-    /// The value in rows from before the column was added.
+    /// Value for rows that are older than the column.
     default: Value,
 }
 
@@ -71,7 +71,7 @@ pub(super) struct CopiedTable {
 }
 
 #[derive(sqlx::FromRow)]
-struct Described {
+struct ColumnDescription {
     name: String,
     r#type: String,
     notnull: bool,
@@ -80,14 +80,14 @@ struct Described {
 }
 
 impl Table {
-    /// A table of the new database.
+    /// Reads the description of a table of the new database.
     pub(super) async fn of(connection: &mut SqliteConnection, name: String) -> Result<Self, sqlx::Error> {
         let clustered: bool =
             sqlx::query_scalar("SELECT wr FROM pragma_table_list(?1) WHERE schema = 'main'")
                 .bind(&name)
                 .fetch_one(&mut *connection)
                 .await?;
-        let described: Vec<Described> = sqlx::query_as(
+        let described: Vec<ColumnDescription> = sqlx::query_as(
             "SELECT name, type, \"notnull\", dflt_value, pk FROM pragma_table_info(?1) ORDER BY cid",
         )
         .bind(&name)
@@ -118,7 +118,7 @@ impl Table {
         Ok(Self { name, columns, stored, key_columns, rowid, has_rowids: !clustered, is_seeded })
     }
 
-    /// Copies all rows that can be read from the tree with that root; `None` as root when nobody knows it.
+    /// Copies all readable rows from the tree with this root; `None` if the root is unknown.
     pub(super) async fn copy(
         &self,
         connection: &mut SqliteConnection,
@@ -143,7 +143,7 @@ impl Table {
             let last = rows.last().or(written.as_ref());
             let is_ordered = row.as_ref().zip(last).is_none_or(|(row, last)| self.precedes(last, row));
             if !is_ordered {
-                // The keys of a tree ascend: bytes of one of these two rows were overwritten, and nothing tells of which.
+                // The keys of a tree ascend: one of these two rows was overwritten, and it is unknown which.
                 rows.pop();
             }
             let before = rows.last().or(written.as_ref()).map(|row| self.key(row));
@@ -176,7 +176,7 @@ impl Table {
         }
         let names: Vec<String> = self.columns.iter().map(|column| format!("\"{}\"", column.name)).collect();
         let one = format!("({})", vec!["?"; self.columns.len()].join(","));
-        // What is there twice is there once; what the migrations put there gives way.
+        // A row that is found twice is inserted once. Rows of the migrations are replaced.
         let on_conflict = if self.is_seeded { "REPLACE" } else { "IGNORE" };
         let statement = format!(
             "INSERT OR {on_conflict} INTO \"{}\" ({}) VALUES {}",
@@ -193,7 +193,7 @@ impl Table {
         Ok(())
     }
 
-    /// Reads a record; `None` when a value is not of its column's type.
+    /// Decodes a record; `None` if a value is not of its column's type.
     fn decode(&self, record: &[u8], rowid: Option<i64>) -> Option<Row> {
         let mut row: Vec<Value> = self.columns.iter().map(|column| column.default.clone()).collect();
         let values = values(record)?;
@@ -212,7 +212,7 @@ impl Table {
         Some(Row { rowid, values: row })
     }
 
-    /// Whether one row stands before another in the table's tree.
+    /// Returns whether one row is before another in the table's tree.
     fn precedes(&self, one: &Row, other: &Row) -> bool {
         if self.has_rowids {
             return one.rowid < other.rowid;
@@ -231,7 +231,8 @@ impl Table {
 }
 
 impl Column {
-    /// Takes a value of the column's type. Numbers without a fraction are stored as integers in columns of any number.
+    /// Accepts a value of the column's type, or returns `None`. SQLite stores REAL numbers without a fraction as integers; they
+    /// are converted back.
     fn accept(&self, value: &mut Value) -> Option<()> {
         if let (Value::Integer(integer), "REAL") = (&*value, self.kind.as_str()) {
             *value = Value::Real(*integer as f64);
@@ -259,7 +260,7 @@ impl Value {
     }
 }
 
-/// The values of a record; `None` when it is none.
+/// Returns the values of a record, or `None` if it is malformed.
 pub(super) fn values(record: &[u8]) -> Option<Vec<Value>> {
     let (header, rest) = varint(record)?;
     let mut types = record.get(record.len() - rest.len()..usize::try_from(header).ok()?)?;
@@ -287,7 +288,7 @@ pub(super) fn values(record: &[u8]) -> Option<Vec<Value>> {
     body.is_empty().then_some(values)
 }
 
-/// The value of a `DEFAULT`.
+/// Returns the value of a `DEFAULT` clause.
 async fn default(connection: &mut SqliteConnection, text: &str) -> Result<Value, sqlx::Error> {
     let statement = AssertSqlSafe(format!("SELECT typeof({text}), CAST({text} AS TEXT)"));
     let (kind, text): (String, Option<String>) = sqlx::query_as(statement).fetch_one(connection).await?;

@@ -1,50 +1,50 @@
-//! The rows of one b-tree, in the order of their keys, around what cannot be read.
+//! The rows of one b-tree in the order of their keys, without those that cannot be read.
 
 use std::collections::HashSet;
 
 use crate::integrity::pages::{BtreePage, Cell, PageFile};
 
-/// What a walk meets.
+/// Result of one step of a walk.
 #[derive(Debug)]
 pub(super) enum Item {
-    /// A row: its number, in a table that has them, and its record.
+    /// A row: its row id, in a table that has them, and its record.
     Row(Option<i64>, Vec<u8>),
-    /// A page with all that is below it, or a part of one.
+    /// An unreadable page with everything below it, or an unreadable part of a page.
     Unreadable,
 }
 
 /// A walk over a b-tree.
 pub(super) struct Walk<'a> {
     file: &'a PageFile,
-    /// Whether it is a table with row ids.
+    /// `true` for a table with row ids.
     is_table: bool,
-    /// A damaged page may name any other.
+    /// Pages visited so far: a damaged page may refer to any other.
     visited: HashSet<u32>,
     stack: Vec<Level>,
-    /// Whether the root was unreadable, and that was not told yet.
+    /// `true` if the root is unreadable and this was not reported yet.
     no_root: bool,
 }
 
 struct Level {
     page: BtreePage,
-    /// On a leaf the next cell; on an interior page twice that, and one more for the cell after its child.
+    /// Next cell on a leaf. On an interior page twice the index of the cell, plus one if its child was visited.
     step: usize,
 }
 
 impl<'a> Walk<'a> {
-    /// Begins at the root of a table with row ids, or of one without them.
+    /// Begins at the root of a table with row ids, or without them.
     pub(super) fn from(file: &'a PageFile, root: u32, is_table: bool) -> Self {
         let mut walk = Self { file, is_table, visited: HashSet::new(), stack: Vec::new(), no_root: false };
         walk.no_root = !walk.descend(root);
         walk
     }
 
-    /// Goes on with a page; whether it can be read and is one of this tree.
+    /// Continues with a page. Returns whether it can be read and belongs to this tree.
     fn descend(&mut self, number: u32) -> bool {
         if !self.visited.insert(number) {
             return false;
         }
-        // A sector that the disk cannot read is damage like any other.
+        // An unreadable sector of the disk is treated like other damage.
         let page = self.file.read_btree_page(number).ok().flatten();
         match page.filter(|page| page.kind.is_table() == self.is_table) {
             Some(page) => {
@@ -84,7 +84,7 @@ impl Iterator for Walk<'_> {
             }
             let (index, after_child) = (step / 2, step % 2 == 1);
             if after_child {
-                // In a table with row ids the cells of interior pages are keys alone.
+                // In a table with row ids the cells of interior pages hold keys only.
                 let item = level.page.cell(index).filter(|_| !self.is_table).map(|cell| self.row(&cell));
                 self.stack.push(level);
                 if item.is_some() {

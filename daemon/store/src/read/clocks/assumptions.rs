@@ -1,4 +1,4 @@
-//! What the bounds of one-way delays rest on, by the windows of links.
+//! Assumptions behind the bounds of one-way delays, by the windows of links.
 
 use peernet_clock::{RelatedClocks, Span, WallTime};
 use sqlx::FromRow;
@@ -9,10 +9,11 @@ use crate::read::{known, sql};
 use crate::readers::Readers;
 use crate::types::{DelayAssumptions, LinkKey};
 
-/// A window's first sample is of the second that ends with it, and the delays of a message are judged when its answer is there.
+/// Tolerance around a window: its first sample is for the second that ends with it, and the delays of a message are judged when
+/// its answer arrives.
 const BEFORE: Span = Span::from_seconds(60);
 
-/// A window of a link and what it rests on.
+/// A window of a link with its assumptions.
 #[derive(Debug, FromRow)]
 struct Window {
     cloud: i64,
@@ -38,7 +39,7 @@ impl Window {
     }
 }
 
-/// The windows of an edge over the network of a run, of some stretch of time.
+/// Windows of an edge over the network of a run, within a range of time.
 #[derive(Debug)]
 pub(in crate::read) struct AssumedWindows(Vec<Window>);
 
@@ -66,8 +67,10 @@ impl AssumedWindows {
         Ok(Self(windows))
     }
 
-    /// What the delays of a message between the edge and a cloud rest on that was sent or received at a time of the edge's wall clock;
-    /// `None` where no window has samples of it. Of several the one that arrived last counts: the edge's clock was set back.
+    /// Returns the assumptions for a message between the edge and a cloud that was sent or received at a time of the edge's wall clock,
+    /// or `None` if no window has samples of it.
+    ///
+    /// If the edge's clock was set back, several windows may have that time; the one that arrived last counts.
     pub(in crate::read) fn at(
         &self,
         cloud: i64,
@@ -87,7 +90,7 @@ impl AssumedWindows {
     }
 }
 
-/// What the delays of a link's newest window rest on; `None` of a link that the store does not know.
+/// Returns the assumptions of a link's newest window, or `None` for an unknown link.
 pub(crate) async fn of_link(
     readers: &Readers,
     LinkKey { edge, cloud, network }: &LinkKey,

@@ -1,4 +1,4 @@
-//! Links and what was known of their clocks.
+//! Links and their clock samples.
 
 mod assumptions;
 mod bucket;
@@ -15,7 +15,7 @@ use sqlx::FromRow;
 pub(super) use self::assumptions::AssumedWindows;
 pub(crate) use self::assumptions::of_link;
 use self::bucket::Bucket;
-use self::repeats::Repeats;
+use self::repeats::RepeatedTimes;
 use super::{corrupt, count, known, parse, sql, wall};
 use crate::error::StoreError;
 use crate::readers::Readers;
@@ -24,9 +24,9 @@ use crate::types::{ClockSeries, LinkKey, LinkRow};
 use crate::write::UNKNOWN;
 
 const WHAT: &str = "clock samples";
-/// Points of one answer.
+/// Maximum number of points in one answer.
 const MOST_POINTS: u32 = 10_000;
-/// Widths that a bucket may have, seconds; beyond the last, twice as wide each.
+/// Possible widths of a bucket, seconds. Beyond the last one, each width is twice the one before.
 const WIDTHS_S: [u32; 12] = [1, 2, 5, 10, 30, 60, 300, 600, 1_800, 3_600, 21_600, 86_400];
 
 #[derive(FromRow)]
@@ -40,7 +40,7 @@ struct Link {
     last_ns: Option<i64>,
 }
 
-/// One stored second. In JSON it is an array, in this order.
+/// One stored second. In JSON it is an array in the order of the fields.
 #[derive(FromRow, Deserialize)]
 struct Row {
     at_ns: i64,
@@ -122,7 +122,7 @@ pub(crate) async fn series(
         .map_err(readers.failed(WHAT))?;
     let (Some(first), Some(last)) = extent else { return Ok(nothing) };
     let width = width(first, last, most_points.clamp(1, MOST_POINTS));
-    let repeats = Repeats::read(readers, link, (first, last)).await?;
+    let repeats = RepeatedTimes::read(readers, link, (first, last)).await?;
     let mut points = Points { width, repeats, points: Vec::new(), bucket: None };
     let pool = readers.pool();
     if width == 1 {
@@ -137,7 +137,7 @@ pub(crate) async fn series(
         let mut parts = parts.fetch(&pool);
         while let Some(part) = parts.try_next().await.map_err(readers.failed(WHAT))? {
             let mut rows: Vec<Row> = serde_json::from_str(&part).map_err(|error| corrupt(WHAT, error))?;
-            // As they stand in the table; SQLite does not promise to keep that within an aggregate.
+            // The order of the table: SQLite does not promise to keep it within an aggregate.
             rows.sort_by_key(|row| (row.at_ns, row.window));
             rows.iter().try_for_each(|row| points.add(row))?;
         }
@@ -145,8 +145,8 @@ pub(crate) async fn series(
     Ok(ClockSeries { bucket_s: width, points: points.done() })
 }
 
-/// The first and the last moment of each bucket, as JSON. A row of SQLite's for each of them costs far less than one
-/// for each second.
+/// Returns the first and the last time of each bucket, as JSON. One row of SQLite's for each bucket costs far less than one for
+/// each second.
 fn parts(first: i64, last: i64, width: u32) -> Result<String, StoreError> {
     let nanos = i64::from(width) * 1_000_000_000;
     let mut from = first;
@@ -161,13 +161,13 @@ fn parts(first: i64, last: i64, width: u32) -> Result<String, StoreError> {
 /// Points under construction.
 struct Points {
     width: u32,
-    repeats: Repeats,
+    repeats: RepeatedTimes,
     points: Vec<ClockPoint>,
     bucket: Option<Bucket>,
 }
 
 impl Points {
-    /// Adds the second that follows.
+    /// Adds the next second.
     fn add(&mut self, row: &Row) -> Result<(), StoreError> {
         if self.repeats.supersede(row.window, row.at_ns) {
             return Ok(());
@@ -190,7 +190,7 @@ impl Points {
     }
 }
 
-/// The narrowest buckets of which so few are enough.
+/// Returns the smallest width with at most `most_points` buckets.
 fn width(first: i64, last: i64, most_points: u32) -> u32 {
     let [.., day] = WIDTHS_S;
     let wider = successors(day.checked_mul(2), |width| width.checked_mul(2));
@@ -201,7 +201,7 @@ fn width(first: i64, last: i64, most_points: u32) -> u32 {
     WIDTHS_S.into_iter().chain(wider.clone()).find(fits).or_else(|| wider.last()).unwrap_or(day)
 }
 
-/// The bucket that a second's end belongs to: the end of a bucket is its own.
+/// Returns the bucket of a second by its end: the end of a bucket belongs to the bucket.
 fn index(at_ns: i64, width: u32) -> i64 {
     at_ns.saturating_sub(1).div_euclid(i64::from(width) * 1_000_000_000)
 }
@@ -255,7 +255,7 @@ impl Row {
     }
 }
 
-/// What each source says alone, from the column `offset_sources`.
+/// Returns the interval of each source alone, from the column `offset_sources`.
 pub(super) fn sources(json: &str) -> Result<Vec<(DelaySource, Interval)>, StoreError> {
     let rows: Vec<(String, i64, i64)> = serde_json::from_str(json).map_err(|error| corrupt(WHAT, error))?;
     rows.into_iter()

@@ -9,7 +9,7 @@ use crate::error::StoreError;
 use crate::read::sql;
 use crate::readers::Readers;
 
-/// A window and the times that it has samples of.
+/// A window and the range of its samples' times.
 #[derive(Debug, FromRow)]
 struct Window {
     window: i64,
@@ -17,17 +17,17 @@ struct Window {
     last_ns: i64,
 }
 
-/// Which windows say something of times that an earlier one knows, too. The later one counts: what the earlier one has
-/// of these times happened before the clock was set back to them.
+/// Windows with times that an earlier window has, too. The later one counts: the samples of the earlier one are from before
+/// the clock was set back.
 #[derive(Debug, Default)]
-pub(super) struct Repeats {
-    /// The place of each window in the order of arrival.
+pub(super) struct RepeatedTimes {
+    /// Place of each window in the order of arrival.
     places: HashMap<i64, usize>,
-    /// Place, first and last time of those that begin before an earlier one ends.
+    /// Place, first and last time of the windows that begin before an earlier one ends.
     later: Vec<(usize, i64, i64)>,
 }
 
-impl Repeats {
+impl RepeatedTimes {
     pub(super) async fn read(
         readers: &Readers,
         link: i64,
@@ -52,7 +52,7 @@ impl Repeats {
         Ok(repeats)
     }
 
-    /// Whether a later window knows of this time.
+    /// Returns whether a later window has this time.
     pub(super) fn supersede(&self, window: i64, at_ns: i64) -> bool {
         let Some(place) = self.places.get(&window) else { return false };
         let covers =

@@ -1,6 +1,6 @@
-//! What the stored samples say of the clocks of a run's edge and of each cloud that it met.
+//! Relations between the clocks of a run's edge and of each cloud, from stored samples.
 //!
-//! A window relates one pair of clocks: the times of free-running clocks and those of wall clocks are looked up apart.
+//! A window relates one pair of clocks: the times of free-running clocks and those of wall clocks are looked up separately.
 
 use std::collections::{BTreeSet, HashMap};
 
@@ -8,53 +8,53 @@ use peernet_clock::{RawTime, RelatedClocks, Relation, Span, WallTime};
 use sqlx::FromRow;
 
 use super::super::{known, sql};
-use super::rolling::{Rolling, SPAN};
+use super::rolling::{RollingWindow, SPAN};
 use super::windows::{Extent, Timeline};
 use crate::column::count;
 use crate::error::StoreError;
 use crate::readers::Readers;
 
 const WHAT: &str = "clock samples";
-/// Iterations last less.
+/// Upper limit of an iteration's duration.
 const LONGEST_ITERATION: Span = Span::from_seconds(600);
-/// Windows of one link that are told apart within a run; a later one has no say.
+/// Maximum number of windows of one link within a run; later ones are ignored.
 const MOST_WINDOWS: u32 = 10_000;
-/// Clouds of one run, and relations of one cloud, that are kept at a time; beyond, all are read again when needed.
+/// Maximum number of clouds of one run, and of relations of one cloud, in memory; beyond it, all are read again when needed.
 const MOST: usize = 16;
-/// How much further than in a window's samples the edge's wall clock may be ahead of its raw one at a time of the window: it may be slewed
-/// between two samples.
+/// Tolerance of the difference between the edge's wall clock and its raw one, compared with that in a window's samples: the wall
+/// clock may be slewed between two samples.
 const SLEWED: Span = Span::from_seconds(1);
 
-/// A time of the edge, as a stamp of a transit shows it.
+/// A time of the edge as a stamp of a transit shows it.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct EdgeTime {
-    /// The clocks that the transit's stamps are of.
+    /// The clocks that the transit's stamps belong to.
     pub(super) clocks: RelatedClocks,
-    /// By the edge's clock of the two.
+    /// Reading of the edge's related clock.
     pub(super) at: RawTime,
-    /// By its wall clock.
+    /// Reading of the edge's wall clock.
     pub(super) wall: WallTime,
 }
 
-/// One stored window.
+/// A stored window.
 #[derive(FromRow)]
 struct Window {
     clocks: u8,
     window: i64,
-    // By the edge's clock of the two.
+    // Readings of the edge's related clock.
     first_ns: i64,
     last_ns: i64,
     sent_ns: i64,
     returned_ns: i64,
-    /// How far the edge's wall clock was ahead of its raw one; `None` where wall clocks are related.
+    /// Difference of the edge's wall clock and its raw one; `None` if wall clocks are related.
     ahead_min_ns: Option<i64>,
     ahead_max_ns: Option<i64>,
     samples: i64,
 }
 
 impl Window {
-    /// Whether the edge's two clocks stood as they did in the window. After another start of the machine they do not, although its raw
-    /// clock shows the same times again.
+    /// Returns whether the difference of the edge's two clocks is that of the window. After another start of the machine it differs,
+    /// although the raw clock shows the same times again.
     fn agrees(&self, time: EdgeTime) -> bool {
         let ahead = time.wall.unix_nanos().saturating_sub(time.at.nanos());
         let reach = SLEWED.nanos();
@@ -70,16 +70,16 @@ pub(super) struct Clouds<'a> {
     network: &'a str,
     run: (WallTime, WallTime),
     known: HashMap<i64, Option<Cloud>>,
-    /// Samples by link and window, of those that were asked for.
+    /// Link, window and number of samples of the windows that were used.
     used: BTreeSet<(i64, i64, i64)>,
 }
 
 /// A cloud with a link.
 struct Cloud {
     link: i64,
-    /// By the clocks that they relate.
+    /// By the related clocks.
     windows: HashMap<RelatedClocks, Windows>,
-    rolling: HashMap<(RelatedClocks, i64), Rolling>,
+    rolling: HashMap<(RelatedClocks, i64), RollingWindow>,
 }
 
 /// The windows that relate one pair of clocks.
@@ -103,14 +103,14 @@ impl Windows {
         Self { timeline: Timeline::of(&extents), windows }
     }
 
-    /// The window that a time belongs to; `None` where that cannot be told.
+    /// Returns the window of a time, or `None` if it is not certain.
     fn at(&self, time: EdgeTime) -> Option<&Window> {
         self.windows.get(self.timeline.window(time.at)?).filter(|window| window.agrees(time))
     }
 }
 
 impl<'a> Clouds<'a> {
-    /// Of a run of an edge over a network whose first and last iterations began at these times.
+    /// Makes it for a run of an edge over a network; `run` holds the begins of its first and last iterations.
     pub(super) fn new(
         readers: &'a Readers,
         (edge, network): (i64, &'a str),
@@ -119,7 +119,7 @@ impl<'a> Clouds<'a> {
         Self { readers, edge, network, run, known: HashMap::new(), used: BTreeSet::new() }
     }
 
-    /// What is known of the clocks of the edge and a cloud at a time of the edge's; `None` where no sample tells.
+    /// Returns the relation of the edge's and a cloud's clocks at a time of the edge's, or `None` if no sample covers it.
     pub(super) async fn relation(
         &mut self,
         cloud: i64,
@@ -140,17 +140,17 @@ impl<'a> Clouds<'a> {
         if cloud.rolling.len() >= MOST && !cloud.rolling.contains_key(&key) {
             cloud.rolling.clear();
         }
-        let begin = || Rolling::new((cloud.link, *window), time.clocks, time.at);
+        let begin = || RollingWindow::new((cloud.link, *window), time.clocks, time.at);
         cloud.rolling.entry(key).or_insert_with(begin).at(self.readers, time.at).await
     }
 
-    /// Stored samples of the windows that were asked for, from so long before the run to so long after as they count.
+    /// Returns the number of stored samples in the windows that were used, including the time around the run in which they count.
     pub(super) fn samples(&self) -> u64 {
         self.used.iter().map(|(.., samples)| count(*samples)).sum()
     }
 
-    /// Reads the link over the run's network. The relation belongs to the pair of hosts: as long as the run used the link, the
-    /// link's samples hold what was learnt over other networks, too.
+    /// Reads the link over the run's network. The relation belongs to the pair of hosts: while the run used the link, the link's
+    /// samples also hold what was learnt over other networks.
     async fn find(&self, cloud: i64) -> Result<Option<Cloud>, StoreError> {
         let link: Option<i64> = sqlx::query_scalar(sql::LINK_OF)
             .bind(self.edge)

@@ -1,8 +1,8 @@
-//! The one-way delays of a run judged again with the exchanges that came after them too.
+//! Judging of a run's one-way delays again, including the exchanges after them.
 //!
-//! What was stamped stays as it was, and so does what was known: the new bounds are what the stored exchanges and the
-//! bounds of then have in common, so that none gets wider. A delay stays as it was judged where nothing can be added:
-//! both ends on one clock, near a step, no samples of that time.
+//! The stored stamps and judgements do not change. The new bounds are the intersection of the bounds from the stored exchanges
+//! and of the earlier bounds, so none gets wider. A delay keeps its judgement where nothing can be added: both ends on one
+//! clock, near a step, or no samples of that time.
 
 mod clouds;
 mod rolling;
@@ -21,10 +21,10 @@ use crate::readers::Readers;
 use crate::types::{Recomputed, RecomputedStage};
 
 const WHAT: &str = "a run's delays";
-/// Delays that are read at once.
+/// Number of delays that are read at once.
 const PAGE: u32 = 2_000;
 
-/// One stored delay.
+/// A stored delay.
 #[derive(FromRow)]
 struct Row {
     iteration: i64,
@@ -43,10 +43,10 @@ struct Row {
     cloud: Option<i64>,
 }
 
-/// Seconds of the buckets by which a run's times are looked up.
+/// Width in seconds of the buckets by which a run's times are looked up.
 const MINUTE_S: i64 = 60;
 
-/// The edge of a run, and between what times it ran.
+/// The edge and the network of a run, and the range of its times.
 #[derive(FromRow)]
 struct Extent {
     host: i64,
@@ -59,7 +59,7 @@ struct Extent {
 }
 
 impl Extent {
-    /// When the earliest iteration began and when the latest one did, on the edge's wall clock: to the minute where its
+    /// Returns the begins of the earliest and of the latest iteration on the edge's wall clock. They are exact to the minute if the
     /// clock was set back in between.
     fn times(&self) -> (WallTime, WallTime) {
         let nanos = |seconds: i64| seconds.saturating_mul(1_000_000_000);
@@ -75,13 +75,13 @@ impl Extent {
     }
 }
 
-/// A delay, then and now.
+/// A delay with its earlier and its new judgement.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Rejudged {
+pub(crate) struct RejudgedDelay {
     pub(crate) direction: Direction,
     pub(crate) before: Option<OneWayDelay>,
     pub(crate) after: Option<OneWayDelay>,
-    /// The clocks by whose stamps it was judged again; `None` where it stays as it was judged.
+    /// The clocks by whose stamps it was judged again; `None` if it keeps its judgement.
     pub(crate) clocks: Option<RelatedClocks>,
 }
 
@@ -91,7 +91,7 @@ pub(crate) async fn recompute(readers: &Readers, run: i64) -> Result<Option<Reco
         (Direction::Down, stage::DOWNLOAD, Tally::default(), Tally::default()),
     ];
     let mut clocks = [false; RelatedClocks::ALL.len()];
-    let samples = judge_again(readers, run, |delay| {
+    let samples = rejudge_delays(readers, run, |delay| {
         for (known, is_used) in RelatedClocks::ALL.iter().zip(&mut clocks) {
             *is_used |= delay.clocks == Some(*known);
         }
@@ -117,12 +117,12 @@ pub(crate) async fn recompute(readers: &Readers, run: i64) -> Result<Option<Reco
     Ok(Some(Recomputed { number: run, samples, clocks: clocks.collect(), stages }))
 }
 
-/// Hands over each delay of a run that statistics are made of, in the order of iterations and nodes. Returns how many
-/// samples were used, or `None` when there is no such run.
-pub(crate) async fn judge_again(
+/// Judges the delays of a run on which its statistics are based, and calls `each` with them in the order of iterations and nodes.
+/// Returns the number of samples that were used, or `None` for an unknown run.
+pub(crate) async fn rejudge_delays(
     readers: &Readers,
     run: i64,
-    mut each: impl FnMut(Rejudged),
+    mut each: impl FnMut(RejudgedDelay),
 ) -> Result<Option<u64>, StoreError> {
     let extent: Option<Extent> = sqlx::query_as(sql::RUN_EXTENT)
         .bind(run)
@@ -147,23 +147,23 @@ pub(crate) async fn judge_again(
         for row in &rows {
             let direction = if stage::UPLOAD == row.text.as_str() { Direction::Up } else { Direction::Down };
             let before = row.judged()?;
-            each(again(&mut clouds, row, (direction, is_observed), before).await?);
+            each(rejudge(&mut clouds, row, (direction, is_observed), before).await?);
         }
     }
 }
 
-/// A delay as it is judged now. Stamps of an observed system are those of two receivers, whose difference may be negative.
-async fn again(
+/// Judges a delay again. The stamps of an observed system are those of two receivers, whose difference may be negative.
+async fn rejudge(
     clouds: &mut Clouds<'_>,
     row: &Row,
     (direction, is_observed): (Direction, bool),
     before: Option<OneWayDelay>,
-) -> Result<Rejudged, StoreError> {
-    let as_it_was = Rejudged { direction, before, after: before, clocks: None };
+) -> Result<RejudgedDelay, StoreError> {
+    let as_it_was = RejudgedDelay { direction, before, after: before, clocks: None };
     let (Some(cloud), Some(received)) = (row.cloud, row.received_ns.map(WallTime::from_unix_nanos)) else {
         return Ok(as_it_was);
     };
-    // A stepped delay stays one: that its own exchange was refused shows in no sample.
+    // A stepped delay keeps its verdict: no sample shows that its own exchange was refused.
     if before.is_some_and(|it| it.source == DelaySource::SameClock || it.verdict == Verdict::Stepped) {
         return Ok(as_it_was);
     }
@@ -178,10 +178,10 @@ async fn again(
         true => relation.difference(direction, stamps.sent, stamps.received),
         false => relation.delay(direction, stamps.sent, stamps.received),
     };
-    Ok(Rejudged { after: Some(joined(before, now)), clocks: Some(clocks), ..as_it_was })
+    Ok(RejudgedDelay { after: Some(joined(before, now)), clocks: Some(clocks), ..as_it_was })
 }
 
-/// What was known then and what is known now.
+/// Combines the earlier and the new judgement.
 fn joined(before: Option<OneWayDelay>, now: OneWayDelay) -> OneWayDelay {
     let Some(before) = before else { return now };
     let of_then = before.bounds.filter(|_| before.verdict != Verdict::Inconsistent);
@@ -204,8 +204,8 @@ fn joined(before: Option<OneWayDelay>, now: OneWayDelay) -> OneWayDelay {
 }
 
 impl Row {
-    /// The stamps by which the delay is judged, and the clocks that they are of: the free-running clocks where both ends stamped by them, else the
-    /// wall clocks. A cloud that has no raw stamps gave its wall clock's instead.
+    /// Returns the stamps by which the delay is judged, and their clocks: the free-running ones if both ends stamped by them, otherwise
+    /// the wall clocks. A cloud without raw stamps gave those of its wall clock instead.
     fn stamps(&self, direction: Direction, sent: WallTime, received: WallTime) -> (RelatedClocks, RawStamps) {
         let by_wall = RawStamps { sent: RawTime::of_wall(sent), received: RawTime::of_wall(received) };
         let Some((sent, received)) = self.sent_raw_ns.zip(self.received_raw_ns) else {
@@ -219,7 +219,7 @@ impl Row {
         (if is_of_wall_clock { RelatedClocks::RawToWall } else { RelatedClocks::Raw }, raw)
     }
 
-    /// The delay as stored; `None` where it was never judged.
+    /// Returns the delay as stored, or `None` if it was never judged.
     fn judged(&self) -> Result<Option<OneWayDelay>, StoreError> {
         let Self { raw_ns, source, verdict, value, .. } = *self;
         StoredDelay { raw_ns, source, verdict, value, bounds: self.lo.zip(self.hi) }.judged(WHAT)

@@ -1,4 +1,4 @@
-//! A relation that is fed with stored exchanges as time goes on.
+//! A relation that learns stored exchanges in the order of time.
 
 use std::collections::VecDeque;
 
@@ -14,17 +14,17 @@ use crate::error::StoreError;
 use crate::readers::Readers;
 
 const WHAT: &str = "clock samples";
-/// How far exchanges are looked for on both sides of a time. The agent itself looks back as far, unless configured otherwise.
+/// Reach of exchanges on both sides of a time. The agent itself looks back as far, unless configured otherwise.
 pub(super) const SPAN: Span = Span::from_seconds(10);
-/// Delays are judged nearly in the order of time: an iteration may take so long.
+/// Tolerance of the order of judged delays: an iteration may take as long.
 const DISORDER: Span = Span::from_seconds(60);
-/// Samples that are read at once.
+/// Number of samples that are read at once.
 const PAGE: u32 = 1_000;
 
-/// One stored second.
+/// A stored second.
 #[derive(FromRow)]
 struct Row {
-    /// The end of the second, by the edge's clock of the two that are related.
+    /// End of the second, by the edge's related clock.
     time_ns: i64,
     max_drift_ppm: f64,
     max_drift_change_ppm_per_s: Option<f64>,
@@ -44,27 +44,27 @@ struct Row {
     offset_sources: Option<String>,
 }
 
-/// What two time daemons together claimed of the offset.
+/// Claim about the offset by two time daemons together.
 type Claim = Option<(DelaySource, Interval)>;
 
 /// The exchanges of one window around the current time.
-pub(super) struct Rolling {
+pub(super) struct RollingWindow {
     /// The link and its window.
     of: (i64, i64),
     clocks: RelatedClocks,
-    /// Made with the first sample, whose limit of drift is that of all.
+    /// Made with the first sample, whose drift limit is that of all.
     relation: Option<Relation>,
-    /// Read and not learnt yet.
+    /// Rows that were read but not learnt yet.
     ahead: VecDeque<Row>,
     read: i64,
     complete: bool,
-    /// By the end of the second that they are of.
+    /// By the end of their second.
     claims: VecDeque<(RawTime, Claim)>,
     claim: Claim,
 }
 
-impl Rolling {
-    /// Begins a little before the first time asked for.
+impl RollingWindow {
+    /// Makes it for times from shortly before `at` on.
     pub(super) fn new(of: (i64, i64), clocks: RelatedClocks, at: RawTime) -> Self {
         Self {
             of,
@@ -78,7 +78,7 @@ impl Rolling {
         }
     }
 
-    /// What is known of a time; times are asked for nearly in their order.
+    /// Returns the relation at a time. Successive times have to be nearly in order.
     pub(super) async fn at(
         &mut self,
         readers: &Readers,
@@ -102,7 +102,7 @@ impl Rolling {
             let said = |error: fn(Interval) -> Interval| {
                 claim.map(|(source, offset)| Discipline { source, error: error(offset) })
             };
-            // The stored claim is one of the offset: as if the edge's clock were exact.
+            // The stored claim is about the offset: it is set as if the edge's clock were exact.
             relation.set_disciplines(said(|_| Interval::exactly(Span::ZERO)), said(|offset| offset));
         }
         Ok(self.relation.as_ref())
@@ -133,15 +133,15 @@ impl Rolling {
                 max_drift_change_ppm_per_s: row.max_drift_change_ppm_per_s.unwrap_or(f64::INFINITY),
                 window: SPAN,
                 retention: SPAN + SPAN + DISORDER,
-                // Only claims that were used then are stored among the sources of an offset.
+                // The sources of a stored offset contain only claims that were used.
                 trust_time_daemons: true,
                 ..RelationSettings::default()
             };
-            // Each delay is stored with the proof that its hosts read one clock, and is not judged again then.
+            // A delay whose hosts proved that they read one clock is stored as such, and not judged again.
             Relation::new(settings)
         });
         let mut exchanges = [row.upper(), row.lower()];
-        // In the order of time: a jump that nobody noticed lies between two of them.
+        // In the order of time: an undetected jump lies between two of them.
         exchanges.sort_by_key(|exchange| exchange.map(|exchange| exchange.sent));
         for exchange in exchanges.into_iter().flatten() {
             relation.learn(&ExchangeObservation {

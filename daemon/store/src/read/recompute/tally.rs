@@ -1,4 +1,4 @@
-//! Delays and how well they are known, summed up.
+//! Sums of delays and of their accuracy.
 
 use peernet_clock::{OneWayDelay, Verdict};
 use peernet_statistics::Summary;
@@ -6,7 +6,7 @@ use peernet_statistics::Summary;
 use crate::figures::Figures;
 use crate::types::Judgement;
 
-/// The delays of one direction.
+/// Sums over the delays of one direction.
 #[derive(Debug, Default)]
 pub(super) struct Tally {
     delay: Summary,
@@ -15,7 +15,7 @@ pub(super) struct Tally {
 }
 
 impl Tally {
-    /// Adds a delay; nothing is added of one that was never judged.
+    /// Adds a delay; a delay that was never judged is ignored.
     pub(super) fn add(&mut self, delay: Option<&OneWayDelay>) {
         let Some(delay) = delay else { return };
         if let Some(value) = delay.value {

@@ -1,46 +1,46 @@
-//! Which window of a clock relation a time belongs to.
+//! Assignment of times to the windows of a clock relation.
 
 use peernet_clock::{RawTime, Span};
 
-/// A window at its ends reaches so far: what holds of an exchange holds for some seconds around it, as long as nothing
-/// tells of a step.
+/// Reach of the first and the last window beyond their ends: the bounds of an exchange hold for some seconds around it, if
+/// there is no sign of a step.
 const REACH: Span = Span::from_seconds(10);
-/// A sample is of the second that ends with it.
+/// A sample is for the second that ends with it.
 const SECOND: Span = Span::from_seconds(1);
-/// The second of a step has the sample of the window after it alone, and may come late.
+/// The second of a step has a sample of the later window only, which may come late.
 const UNTOLD: Span = Span::from_seconds(2);
-/// An exchange takes no longer; a stamp that is earlier is no clock's.
+/// Upper limit of an exchange's duration; earlier stamps are invalid.
 const LONGEST: Span = Span::from_seconds(60);
 
-/// From when to when exchanges of one window are stored, by the edge's clock that they are stamped with.
+/// Range of the stored exchanges of one window, by the edge's clock that stamped them.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Extent {
-    /// The end of the first second that has one.
+    /// End of the first second with an exchange.
     pub(super) first: RawTime,
-    /// The end of the last one.
+    /// End of the last second with an exchange.
     pub(super) last: RawTime,
-    /// When the first was sent.
+    /// Time at which the first exchange was sent.
     pub(super) sent: RawTime,
-    /// When the last returned.
+    /// Time at which the last exchange returned.
     pub(super) returned: RawTime,
 }
 
-/// The time of a clock of the edge cut into pieces, each with the only window that it can belong to, if there is one. Free-running clocks count
-/// from the start of their machine: a time that two starts have belongs to neither.
+/// The time of a clock of the edge, cut into pieces with the only window that is possible in each, if there is just one.
 ///
-/// Near a step two windows may overlap, when the edge's clock was set back, or leave a hole between them, in which the
-/// step happened: a time there belongs to neither. A window certainly holds from its first exchange to its last one; it
-/// may hold for the whole seconds that its samples stand for, where no other window is certain either.
+/// Free-running clocks count from the start of their machine: a time that occurs in two starts belongs to neither.
+/// Near a step two windows may overlap, if the edge's clock was set back, or leave a hole in which the step happened: a time
+/// there belongs to neither. A window is certain from its first exchange to its last one. It is possible for the whole seconds
+/// of its samples, where no other window is certain.
 #[derive(Debug, Default)]
 pub(super) struct Timeline {
-    /// By begin: pieces with the one window that is possible there.
+    /// Begins of the pieces with the only possible window.
     pieces: Vec<(RawTime, Option<usize>)>,
-    /// Where each window is certain.
+    /// Range in which each window is certain.
     certain: Vec<(RawTime, RawTime)>,
 }
 
 impl Timeline {
-    /// The timeline of windows in any order; they are named by their places.
+    /// Makes the timeline of windows in any order; their indexes are their names.
     pub(super) fn of(windows: &[Extent]) -> Self {
         let mut certain: Vec<(RawTime, RawTime)> = windows
             .iter()
@@ -69,7 +69,7 @@ impl Timeline {
             changes.push((end + Span::from_nanos(1), false, window));
         }
         changes.sort_unstable();
-        // Of those that are open only their number and the sum of their places are kept: one alone is its own sum.
+        // Of the open windows only the number and the sum of the indexes are kept: the sum of one is its index.
         let (mut open, mut sum) = (0_usize, 0_usize);
         let mut pieces = Vec::with_capacity(changes.len());
         for (at, opens, window) in changes {
@@ -79,7 +79,7 @@ impl Timeline {
         Self { pieces, certain }
     }
 
-    /// The window that a time belongs to; `None` where that cannot be told.
+    /// Returns the window of a time, or `None` if it is not certain.
     pub(super) fn window(&self, at: RawTime) -> Option<usize> {
         let after = self.pieces.partition_point(|(begin, _)| *begin <= at);
         let window = self.pieces.get(after.checked_sub(1)?)?.1?;
@@ -107,7 +107,7 @@ mod tests {
     }
 
     #[test]
-    fn a_window_reaches_as_far_as_its_exchanges_and_a_little_further_at_the_ends() {
+    fn window_extends_little_beyond_its_exchanges() {
         let timeline = Timeline::of(&[window(100, 200)]);
         assert_eq!(
             windows(&timeline, &[89, 90, 100, 150, 200, 210, 211]),
@@ -117,7 +117,7 @@ mod tests {
     }
 
     #[test]
-    fn a_hole_between_windows_belongs_to_neither() {
+    fn hole_between_windows_belongs_to_none() {
         let timeline = Timeline::of(&[window(300, 400), window(100, 200)]);
         assert_eq!(
             windows(&timeline, &[95, 200, 201, 299, 300, 405]),
@@ -126,14 +126,14 @@ mod tests {
     }
 
     #[test]
-    fn a_time_that_the_edge_showed_twice_belongs_to_neither() {
-        // Set back by 50 s after 200.
+    fn repeated_time_of_edge_belongs_to_no_window() {
+        // The clock was set back by 50 s after 200.
         let timeline = Timeline::of(&[window(100, 200), window(151, 300)]);
         assert_eq!(windows(&timeline, &[149, 150, 202, 203]), [Some(0), None, None, Some(1)]);
     }
 
     #[test]
-    fn stamps_of_no_clock_move_no_window() {
+    fn extreme_stamps_do_not_move_windows() {
         let wild = Extent {
             first: raw(300),
             last: raw(301),
@@ -146,7 +146,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn no_stamps_panic_and_only_one_window_is_named(
+        fn any_stamps_name_at_most_one_window(
             stamps in prop::collection::vec((any::<i64>(), any::<i64>(), any::<i64>(), any::<i64>()), 0..8), at: i64,
         ) {
             let at_nanos = RawTime::from_nanos;

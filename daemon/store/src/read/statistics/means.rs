@@ -1,15 +1,15 @@
-//! Means over the time of a run: the database adds them up, and no sketch is read.
+//! Means over the time of a run: the database adds the values up, and no sketch is read.
 
 use peernet_logger::Name;
 
 use super::super::{sql, wall};
 use super::WHAT;
-use super::series::{Known, Stored};
+use super::series::{NameIds, Stored};
 use crate::error::StoreError;
 use crate::readers::Readers;
 use crate::types::{MeanBucket, StageMeans};
 
-/// What the statement gives: name, point, samples and their sum.
+/// Row of the statement: name, point, number of samples and their sum.
 type Row = (i64, i64, i64, f64);
 
 pub(crate) async fn means(
@@ -19,7 +19,7 @@ pub(crate) async fn means(
     most_buckets: usize,
 ) -> Result<Vec<StageMeans>, StoreError> {
     let (width_s, stored_s) = Stored::of(readers, run).await?.choose(most_buckets);
-    let known = Known::of(readers, stages).await?;
+    let known = NameIds::of(readers, stages).await?;
     let rows: Vec<Row> = sqlx::query_as(sql::SUMS_OVER_TIME)
         .bind(run)
         .bind(stored_s)
@@ -28,7 +28,7 @@ pub(crate) async fn means(
         .fetch_all(&readers.pool())
         .await
         .map_err(readers.failed(WHAT))?;
-    // By name and point; a name of several kinds has several rows in one.
+    // By name and point. A name with several kinds has several rows in one point.
     let mut sums: Vec<Vec<(i64, u64, f64)>> = vec![Vec::new(); stages.len()];
     for (name, point, count, sum) in rows {
         let Some(points) = known.places.get(&name).and_then(|at| sums.get_mut(*at)) else { continue };

@@ -1,4 +1,4 @@
-//! Whole runs, however many in two statements: a statement of its own for each costs more than its rows.
+//! Statistics of whole runs, any number of them in two statements: a statement for each run would cost more than its rows.
 
 use std::collections::HashMap;
 

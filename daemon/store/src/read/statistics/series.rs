@@ -1,4 +1,4 @@
-//! Figures over the time of a run, from buckets of the width that fits: how many rows are read depends on the number of
+//! Figures over the time of a run, from buckets of a suitable width: the number of rows that are read depends on the number of
 //! points and names, not on the length of the run.
 
 use std::collections::HashMap;
@@ -15,7 +15,7 @@ use crate::readers::Readers;
 use crate::rollups::{RollupRow, WIDTHS_S, bucket};
 use crate::types::{Series, SeriesPoint, StageCourse, StageSeries};
 
-/// Widths that a point may have, each a multiple of a stored one, up to the next one of at most fifteen of them.
+/// Possible widths of a point: multiples of a stored width, with at most fifteen buckets per point.
 const POINTS_S: [i64; 15] = [1, 2, 5, 10, 20, 30, 60, 120, 300, 600, 900, 3_600, 7_200, 21_600, 86_400];
 const DAY_S: i64 = 86_400;
 
@@ -32,17 +32,17 @@ pub(crate) async fn series(
     Ok(Series { bucket_s, stages, gaps: runs::gaps(readers, run).await? })
 }
 
-/// What there is of one stored width.
+/// State of one stored width.
 #[derive(Clone, Copy, Debug)]
 struct Width {
     width_s: i64,
     /// First and last bucket.
     extent: Option<(i64, i64)>,
-    /// Nothing was deleted.
+    /// `true` if nothing was deleted.
     whole: bool,
 }
 
-/// What there is of a run.
+/// Stored widths of a run.
 pub(super) struct Stored([Width; WIDTHS_S.len()]);
 
 impl Stored {
@@ -66,9 +66,11 @@ impl Stored {
         Ok(Self(widths))
     }
 
-    /// The smallest width of which there are few enough points over the whole run, and the stored one that they are made
-    /// of: the coarsest that divides it. One that was deleted for a part of the run is passed over, so that a line is
-    /// made of one kind all along; hours are taken as far as they reach.
+    /// Returns the smallest width with at most `max_points` points over the whole run, and the stored width of which they are made:
+    /// the coarsest that divides it.
+    ///
+    /// A width that was deleted for a part of the run is skipped, so that a line consists of one kind of buckets. Hours are used
+    /// as far as they reach.
     pub(super) fn choose(&self, max_points: usize) -> (i64, i64) {
         let whole = self.0.iter().filter(|width| width.whole).find_map(|width| width.extent);
         let all = || {
@@ -85,12 +87,12 @@ impl Stored {
                 return (width_s, stored.width_s);
             }
         }
-        // Longer than any run: a clock was wrong.
+        // It is longer than any run: a clock was wrong.
         (((to - from) / most / DAY_S + 2) * DAY_S, hour)
     }
 }
 
-/// The points of each name that has any, in the order asked for.
+/// Returns the points of each name that has any, in the order of `stages`.
 async fn points(
     readers: &Readers,
     run: i64,
@@ -106,7 +108,7 @@ async fn points(
     Ok(series.filter(|series| !series.points.is_empty()).collect())
 }
 
-/// As [`series`], with all that is known of each bucket.
+/// Returns the summaries of all buckets; otherwise as [`series`].
 pub(crate) async fn course(
     readers: &Readers,
     run: i64,
@@ -123,21 +125,21 @@ pub(crate) async fn course(
     Ok(courses.filter(|course| !course.buckets.is_empty()).collect())
 }
 
-/// A line for each name, in the order asked for.
+/// Returns a line for each name, in the order of `stages`.
 async fn lines(
     readers: &Readers,
     run: i64,
     stages: &[Name],
     (width_s, stored_s): (i64, i64),
-) -> Result<Vec<Line>, StoreError> {
-    let known = Known::of(readers, stages).await?;
-    let line = |(at, stage): (usize, &Name)| Line {
+) -> Result<Vec<SeriesBuilder>, StoreError> {
+    let known = NameIds::of(readers, stages).await?;
+    let line = |(at, stage): (usize, &Name)| SeriesBuilder {
         stage: stage.clone(),
         unit: known.units[at].clone(),
         width_s,
         points: Vec::new(),
     };
-    let mut lines: Vec<Line> = stages.iter().enumerate().map(line).collect();
+    let mut lines: Vec<SeriesBuilder> = stages.iter().enumerate().map(line).collect();
     let pool = readers.pool();
     let mut rows = sqlx::query_as::<_, RollupRow>(sql::ROLLUPS_OVER_TIME)
         .bind(run)
@@ -153,16 +155,15 @@ async fn lines(
     Ok(lines)
 }
 
-/// How the database calls names.
-pub(super) struct Known {
-    /// Where in the list asked for an id stands. A name that was used with several kinds has several, and is taken
-    /// together.
+/// Ids and units of names in the database.
+pub(super) struct NameIds {
+    /// Place in the given list, by id. A name that was used with several kinds has several ids, whose values are merged.
     pub(super) places: HashMap<i64, usize>,
-    /// Units, in the order asked for.
+    /// Units in the order of the given list.
     units: Vec<String>,
 }
 
-impl Known {
+impl NameIds {
     pub(super) async fn of(readers: &Readers, stages: &[Name]) -> Result<Self, StoreError> {
         let texts: Vec<&str> = stages.iter().map(|stage| &**stage).collect();
         let names: Vec<(i64, String, String)> = sqlx::query_as(sql::NAMES)
@@ -180,14 +181,14 @@ impl Known {
         Ok(known)
     }
 
-    /// The list of ids, as statements take it.
+    /// Returns the ids as a JSON array, in which form statements take them.
     pub(super) fn ids(&self) -> Result<String, StoreError> {
         let ids: Vec<i64> = self.places.keys().copied().collect();
         serde_json::to_string(&ids).map_err(|error| corrupt(WHAT, error))
     }
 }
 
-/// A bucket as a page shows it; `None` without samples.
+/// Converts a bucket for pages; `None` without samples.
 fn point((begin, summary): &(i64, Summary)) -> Option<SeriesPoint> {
     Figures::of(summary).map(|figures| SeriesPoint {
         at: wall(begin.saturating_mul(1_000_000_000)),
@@ -198,8 +199,8 @@ fn point((begin, summary): &(i64, Summary)) -> Option<SeriesPoint> {
     })
 }
 
-/// What is known of one name, from rows by rising time.
-struct Line {
+/// Buckets of one name, made from rows by rising time.
+struct SeriesBuilder {
     stage: Name,
     unit: String,
     width_s: i64,
@@ -207,7 +208,7 @@ struct Line {
     points: Vec<(i64, Summary)>,
 }
 
-impl Line {
+impl SeriesBuilder {
     fn add(&mut self, row: &RollupRow) -> Result<(), StoreError> {
         let summary = row.summary().map_err(|error| corrupt(WHAT, error))?;
         let begin = bucket(row.bucket_s, self.width_s);
@@ -225,7 +226,7 @@ mod tests {
 
     const WEEK_S: i64 = 7 * DAY_S;
 
-    /// A run from an hour's beginning on, of which nothing was deleted except of these widths.
+    /// Makes a run from the begin of an hour, of which only these widths were deleted.
     fn stored(length_s: i64, deleted: &[i64]) -> Stored {
         Stored(WIDTHS_S.map(|width_s| Width {
             width_s,
@@ -235,7 +236,7 @@ mod tests {
     }
 
     #[test]
-    fn points_are_made_of_the_coarsest_buckets_that_divide_them() {
+    fn points_use_coarsest_buckets_that_divide_them() {
         for (length_s, points, choice) in [
             (100, 240, (1, 1)),
             (241, 240, (2, 1)),
@@ -249,17 +250,17 @@ mod tests {
         ] {
             assert_eq!(stored(length_s, &[]).choose(points), choice, "{length_s} s in {points} points");
         }
-        // However wrong a clock was.
+        // Also for the longest possible time, after an error of a clock.
         let (width_s, stored_s) = stored(i64::MAX / 1_000_000_000, &[]).choose(240);
         assert!(i64::MAX / 1_000_000_000 / width_s < 240 && width_s % stored_s == 0);
     }
 
     #[test]
-    fn what_is_not_whole_is_passed_over() {
+    fn incomplete_resolutions_are_skipped() {
         assert_eq!(stored(100, &[1]).choose(240), (10, 10));
         assert_eq!(stored(100, &[1, 10]).choose(240), (60, 60));
         assert_eq!(stored(7_200, &[1, 10, 60]).choose(240), (3_600, 3_600));
-        // Hours are the last that go: what is left of them is shown.
+        // Hours are deleted last: what is left of them is shown.
         assert_eq!(stored(WEEK_S, &[1, 10, 60, 3_600]).choose(240), (3_600, 3_600));
         assert_eq!(Stored(stored(0, &[]).0.map(|width| Width { extent: None, ..width })).choose(240), (1, 1));
     }

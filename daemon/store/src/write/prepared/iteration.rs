@@ -1,4 +1,4 @@
-//! From a tree to rows and statistics.
+//! Conversion of a tree to rows and statistics.
 
 use peernet_clock::{DelaySource, Verdict, WallTime};
 use peernet_logger::{HostId, Measure, NodeId, Transit, Tree, stage};
@@ -8,11 +8,11 @@ use super::{AnchorRow, BatchError, IterationRow, NodeRow, Preparing, RunPart, St
 use crate::extent::Extent;
 use crate::rollups::Quantity;
 
-/// How many starts of an open loop were skipped before an iteration: a node of the agent.
+/// Node of the agent: number of starts of an open loop that were skipped before an iteration.
 const SKIPPED_STARTS: &str = "skipped-starts";
 
 impl Preparing {
-    /// Adds an iteration; returns when it began.
+    /// Adds an iteration; returns the time of its start.
     pub(super) fn iteration(&mut self, iteration: &Iteration) -> Result<WallTime, BatchError> {
         let number =
             i64::try_from(iteration.number).map_err(|_| BatchError::IterationNumber(iteration.number))?;
@@ -71,7 +71,7 @@ impl Preparing {
         Ok(edge.wall)
     }
 
-    /// The position of the iteration's run, and the iteration counted.
+    /// Returns the position of the iteration's run, and counts the iteration in it.
     fn run(&mut self, iteration: &Iteration, started: WallTime) -> u32 {
         let numbers = Extent::of(iteration.number.cast_signed());
         let seconds = Extent::of(started.unix_seconds());
@@ -110,7 +110,7 @@ impl Preparing {
         run
     }
 
-    /// The position of a host beside the edge.
+    /// Returns the position of a host other than the edge.
     fn host(&mut self, host: HostId) -> u32 {
         *self.hosts.entry(host).or_insert_with(|| {
             self.batch.hosts.push(host);
@@ -121,11 +121,11 @@ impl Preparing {
 
 fn skipped_starts(tree: &Tree) -> u64 {
     let value = tree.find(&[SKIPPED_STARTS]).and_then(|(_, node)| node.measure.value());
-    // What no count can be is none, or as many as fit.
+    // The cast saturates: values that are no counts become 0 or the largest count.
     value.unwrap_or(0.0) as u64
 }
 
-/// Row of the table `outcome`.
+/// Returns the row of the table `outcome`.
 const fn outcome_number(outcome: &Outcome) -> u8 {
     match outcome {
         Outcome::Ok => 0,
@@ -159,7 +159,7 @@ fn transit_row(iteration: u32, id: NodeId, transit: &Transit) -> TransitRow {
     }
 }
 
-/// Rows of the tables `source` and `verdict` stand in the order of declaration.
+/// Returns the row of the table `source` or `verdict`: they are in the order of declaration.
 pub(crate) fn position<T: PartialEq + Copy>(all: &[T], value: T) -> Option<u8> {
     all.iter().position(|known| *known == value).and_then(|at| u8::try_from(at).ok())
 }

@@ -1,6 +1,7 @@
-//! Batches made ready to be inserted: all that needs no database is done beside the writer and not by it.
+//! Preparation of batches: all work that needs no database is done beside SQLite's thread instead of by the writer.
 //!
-//! Runs, names and hosts stand as positions in lists of the batch's own; the writer knows their numbers.
+//! Runs, names and hosts are positions in lists of the batch; the writer looks up their numbers. A batch that can never be
+//! stored is found here.
 
 mod iteration;
 mod names;
@@ -25,73 +26,73 @@ use crate::stored::Stored;
 
 pub(super) use self::iteration::position;
 
-/// Most events that a gap may say are missing: a host may claim any number, and no sum in the database may overflow.
+/// Maximum number of missing events in a gap: a host may claim any number, and no sum in the database may overflow.
 const MOST_MISSING: u64 = 1 << 40;
 
-/// A batch ready to be inserted.
+/// A batch that is ready to be inserted.
 #[derive(Debug)]
 pub struct Prepared {
     pub(super) head: BatchHead,
-    /// The events as they came, for the quarantine.
+    /// The events in wire form, for the quarantine.
     pub(super) body: Bytes,
-    /// What is written one by one, in the order in which it happened.
+    /// Work to be done one by one, in the order of the events.
     pub(super) steps: Vec<Step>,
     pub(super) runs: Vec<RunPart>,
-    /// Every run that an event of it names, of whatever kind.
+    /// Runs that its events name, of whatever kind.
     pub(super) claimed: BTreeSet<RunId>,
     pub(super) names: Vec<NameKey>,
-    /// Hosts in trees beside the edge.
+    /// Hosts in trees other than the edge.
     pub(super) hosts: Vec<HostId>,
     pub(super) iterations: Vec<IterationRow>,
     pub(super) nodes: Vec<NodeRow>,
     pub(super) anchors: Vec<AnchorRow>,
     pub(super) transits: Vec<TransitRow>,
     pub(super) summaries: Vec<SummaryPart>,
-    /// How often each verdict was given: run, name, verdict, count.
+    /// Counts of verdicts: run, name, verdict, count.
     pub(super) verdicts: Vec<(u32, u32, u8, u64)>,
-    /// What it adds to the counters of its host.
+    /// Additions to the counters of its host.
     pub(super) added: Stored,
-    /// The newest moment in it, on its host's clock.
+    /// Time of its newest event on its host's clock.
     pub(super) newest: Option<WallTime>,
 }
 
-/// Something that the writer does before the rows of iterations are inserted.
+/// Work of the writer before the rows of iterations are inserted.
 #[derive(Debug)]
 pub(super) enum Step {
-    /// An event that is no iteration.
+    /// An event other than an iteration.
     Event(Box<Event>),
-    /// Iterations of this run follow, the first of which began then.
+    /// Iterations of the run at this position follow; the time is the start of the first one.
     Run(u32, WallTime),
 }
 
-/// A run of which the batch has iterations, and what it adds to its counters.
+/// A run with iterations in the batch, and its additions to the run's counters.
 #[derive(Debug)]
 pub(super) struct RunPart {
     pub(super) id: RunId,
     pub(super) outcomes: OutcomeCounts,
     pub(super) warm_up: u64,
-    /// Starts that were skipped before them, without those before the warm-up.
+    /// Starts that were skipped before its iterations, except those of the warm-up.
     pub(super) skipped_starts: u64,
-    /// When the last of them began.
+    /// Start of the last iteration.
     pub(super) last: WallTime,
     pub(super) numbers: Extent,
-    /// The seconds in which they began.
+    /// Range of seconds in which they began.
     pub(super) seconds: Extent,
 }
 
 /// The reason why a batch can never be stored, whatever the database holds.
 #[derive(Debug, thiserror::Error)]
 pub(crate) enum BatchError {
-    /// Its events cannot be read.
+    /// Its events cannot be decoded.
     #[error(transparent)]
     Codec(#[from] CodecError),
-    /// The database has no such numbers.
+    /// An iteration's number does not fit into the database.
     #[error("iteration number {0} is too large")]
     IterationNumber(u64),
     /// The tree of an iteration is empty.
     #[error("iteration {0} has no host")]
     NoHost(i64),
-    /// An event is about something that another host measured.
+    /// An event is about a measurement of another host.
     #[error("an event was measured on another host, {0}")]
     OtherHost(HostId),
 }
@@ -100,12 +101,12 @@ impl Prepared {
     /// Makes rows and statistics of the events of a batch.
     ///
     /// # Errors
-    /// When they cannot be read or cannot be stored.
+    /// When the events cannot be decoded or cannot be stored.
     pub(crate) fn new(head: BatchHead, body: Bytes) -> Result<Self, BatchError> {
         Self::without(head, body, &HashSet::new())
     }
 
-    /// The same, some iterations left out: those are stored already.
+    /// Does the same without some iterations, which are already stored.
     pub(super) fn without(
         head: BatchHead,
         body: Bytes,
@@ -125,7 +126,7 @@ impl Prepared {
         Ok(preparing.done())
     }
 
-    /// What it counts when commits are cut by nodes.
+    /// Returns its weight in nodes, by which commits are divided.
     pub(crate) fn weight(&self) -> usize {
         1 + self.steps.len() + self.nodes.len()
     }
@@ -151,7 +152,7 @@ impl Prepared {
     }
 }
 
-/// A batch under preparation, and what is needed to find things in it.
+/// A batch under preparation, with indexes of its lists.
 #[derive(Debug)]
 struct Preparing {
     batch: Prepared,

@@ -1,15 +1,15 @@
-//! Names of nodes as positions in a list of the batch's own.
+//! Positions of node names in the list of a batch.
 
 use std::collections::HashMap;
 
 use peernet_logger::{Measure, Name, Unit};
 
-/// What a row of the table `name` stands for.
+/// Key of a row of the table `name`.
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
 pub(in crate::write) struct NameKey {
     pub(in crate::write) text: Name,
     pub(in crate::write) kind: Name,
-    /// Whether the kind is a user's own.
+    /// `true` if the kind is a user's own.
     pub(in crate::write) custom: bool,
     pub(in crate::write) unit: Unit,
 }
@@ -20,7 +20,7 @@ impl NameKey {
         Self { text: name.clone(), kind: measure.kind(), custom, unit: measure.unit() }
     }
 
-    /// Whether it is the key of a node, found out without making that key.
+    /// Returns whether it is the key of a node, without allocating that key.
     fn is(&self, name: &Name, measure: &Measure) -> bool {
         self.text == *name
             && match measure {
@@ -37,12 +37,12 @@ impl NameKey {
 pub(super) struct LocalNames {
     pub(super) list: Vec<NameKey>,
     known: HashMap<NameKey, u32>,
-    /// The names of the tree before: the next one is mostly of the same shape.
+    /// Names of the tree before: the next tree mostly has the same shape.
     shape: Vec<u32>,
 }
 
 impl LocalNames {
-    /// The position of a name, for the node at `at` of its tree.
+    /// Returns the position of a name, for the node at `at` of its tree.
     pub(super) fn position(&mut self, at: usize, name: &Name, measure: &Measure) -> u32 {
         if let Some(known) = self.shape.get(at)
             && self.list[*known as usize].is(name, measure)

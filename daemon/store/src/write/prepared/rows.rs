@@ -1,6 +1,6 @@
-//! Rows of the tables that grow with every iteration. What is not known is not-a-number: SQLite keeps that as NULL.
+//! Rows of the tables that grow with every iteration. Unknown numbers are not-a-number, which SQLite stores as NULL.
 
-/// One row of `iteration`.
+/// A row of `iteration`.
 #[derive(Debug)]
 pub(in crate::write) struct IterationRow {
     /// Position in the batch's runs.
@@ -15,13 +15,13 @@ pub(in crate::write) struct IterationRow {
     pub(in crate::write) total: f64,
 }
 
-/// One row of `node`.
+/// A row of `node`.
 #[derive(Debug)]
 pub(in crate::write) struct NodeRow {
     /// Position in the batch's iterations.
     pub(in crate::write) iteration: u32,
     pub(in crate::write) node: u32,
-    /// `None` for the root.
+    /// Position of the parent in the tree; `None` for the root.
     pub(in crate::write) parent: Option<u32>,
     /// Position in the batch's names.
     pub(in crate::write) name: u32,
@@ -32,7 +32,7 @@ pub(in crate::write) struct NodeRow {
     pub(in crate::write) hi: f64,
 }
 
-/// One row of `anchor`.
+/// A row of `anchor`.
 #[derive(Debug)]
 pub(in crate::write) struct AnchorRow {
     pub(in crate::write) iteration: u32,
@@ -42,7 +42,7 @@ pub(in crate::write) struct AnchorRow {
     pub(in crate::write) wall_ns: i64,
 }
 
-/// One row of `transit`.
+/// A row of `transit`.
 #[derive(Debug)]
 pub(in crate::write) struct TransitRow {
     pub(in crate::write) iteration: u32,
@@ -52,6 +52,6 @@ pub(in crate::write) struct TransitRow {
     pub(in crate::write) raw_ns: Option<i64>,
     pub(in crate::write) source: Option<u8>,
     pub(in crate::write) verdict: Option<u8>,
-    /// By the free-running clocks: sent, received.
+    /// Stamps of the free-running clocks: sent, received.
     pub(in crate::write) raw_stamps: Option<(i64, i64)>,
 }

@@ -1,4 +1,4 @@
-//! What a batch adds to the statistics, second by second.
+//! Additions of a batch to the statistics, by second.
 
 use std::collections::HashMap;
 
@@ -6,7 +6,7 @@ use peernet_statistics::Summary;
 
 use crate::rollups::Quantity;
 
-/// What a batch knows of one quantity in one second.
+/// Summary of one quantity in one second.
 #[derive(Debug)]
 pub(in crate::write) struct SummaryPart {
     /// Position in the batch's runs.
@@ -14,7 +14,7 @@ pub(in crate::write) struct SummaryPart {
     /// Position in the batch's names.
     pub(in crate::write) name: u32,
     pub(in crate::write) quantity: Quantity,
-    /// Seconds since 1970 on the edge's clock, by the iteration's start.
+    /// Second of the iteration's start, since 1970 on the edge's clock.
     pub(in crate::write) second_s: i64,
     pub(in crate::write) summary: Summary,
 }
@@ -24,12 +24,12 @@ pub(in crate::write) struct SummaryPart {
 pub(super) struct Summaries {
     pub(super) list: Vec<SummaryPart>,
     known: HashMap<(u32, u32, Quantity, i64), usize>,
-    /// Where each name's last number went, by quantity: iterations mostly come run by run and second by second.
+    /// Position in `list` of each name's last number, by quantity: iterations mostly arrive in the order of run and second.
     last: Vec<[usize; 2]>,
 }
 
 impl Summaries {
-    /// Adds a number of an iteration that began in `second_s`; one that does not count is left out.
+    /// Adds a number of an iteration that began in `second_s`. Numbers that a summary does not accept are left out.
     pub(super) fn record(&mut self, run: u32, name: u32, quantity: Quantity, second_s: i64, value: f64) {
         if !Summary::takes(value) {
             return;

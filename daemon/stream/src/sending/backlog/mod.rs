@@ -1,4 +1,4 @@
-//! The numbered batches: which there are, where each of them is, and what they take.
+//! The backlog of numbered batches: their places in memory and in the spool, and their sizes.
 
 mod pending_batches;
 mod ready_batches;
@@ -16,10 +16,10 @@ use super::intake::CutBatch;
 use super::spool_reader::{ScanResult, SpoolScan};
 use crate::spool::{SpoolState, SpooledBatch, Usage};
 use crate::totals::Totals;
-use crate::{BatchHead, Chain, HandedIn, SentUnspooled, StreamId};
+use crate::{BatchHead, Chain, HandedInEvents, SentUnspooled, StreamId};
 use peernet_logger::HostId;
 
-/// Batches from the oldest that is not acknowledged to the newest.
+/// Batches from the oldest without an acknowledgement to the newest.
 ///
 /// ```text
 ///   oldest .. loaded        ..        spooled        ..        newest
@@ -27,41 +27,41 @@ use peernet_logger::HostId;
 ///   in memory                                        only
 /// ```
 ///
-/// Any of the three parts may be empty. What was sent and not acknowledged is always in memory.
+/// Each of the three parts may be empty. Batches that were sent and not acknowledged are always in memory.
 #[derive(Clone, Debug)]
 pub(super) struct Backlog {
     pub(super) origin: StreamOrigin,
     oldest: OldestBatch,
     ready: ReadyBatches,
-    /// The newest that is in the file, and its chain.
+    /// Number and chain of the newest batch in the file.
     spooled: (u64, Chain),
     pending: PendingBatches,
-    /// What was counted up to the newest that is in the file or stored over there.
+    /// Totals up to the newest batch that is in the file or stored by the aggregator.
     settled: Totals,
     newest: (u64, Chain),
     held: Usage,
     sent: SentBatches,
-    /// Events that are stored over there.
+    /// Number of events that the aggregator stored.
     stored: u64,
 }
 
-/// The oldest batch that is held; one behind the newest when none is.
+/// Oldest batch that is held; if none is held, the number after the newest.
 #[derive(Clone, Copy, Debug)]
 struct OldestBatch {
     number: u64,
-    /// Chain of the one before it.
+    /// Chain of the batch before it.
     before: Chain,
-    /// When its first event came, while it is in the file only.
+    /// Time of its first event, if the batch is in the file only.
     since: Option<WallTime>,
 }
 
-/// What an acknowledgement freed.
+/// Batches that an acknowledgement freed.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct FreedBatches {
     pub(super) events: u64,
-    /// Bytes of those that were in the file.
+    /// Bytes of the freed batches that were in the file.
     pub(super) spooled_bytes: u64,
-    /// Bytes of those that were being written to it.
+    /// Bytes of the freed batches that were being written to the file.
     pub(super) writing_bytes: u64,
 }
 
@@ -69,6 +69,7 @@ impl Backlog {
     pub(super) fn new(spool: &SpoolState, budget: u64) -> Self {
         let oldest = spool.oldest.max(1);
         let newest = if spool.newest.0 >= oldest { spool.newest } else { (oldest - 1, spool.before) };
+        // Without batches nothing is held, whatever the counts state.
         let held = if newest.0 < oldest { Usage::default() } else { spool.held };
         let Totals { produced, dropped, .. } = spool.totals;
         Self {
@@ -77,7 +78,7 @@ impl Backlog {
             ready: ReadyBatches::new(budget),
             spooled: newest,
             pending: PendingBatches::default(),
-            settled: Totals { handed_in: HandedIn::default(), ..spool.totals.clone() },
+            settled: Totals { handed_in: HandedInEvents::default(), ..spool.totals.clone() },
             newest,
             held,
             sent: SentBatches::default(),
@@ -85,7 +86,7 @@ impl Backlog {
         }
     }
 
-    /// Numbers a batch.
+    /// Adds a batch with the next number.
     pub(super) fn push(&mut self, cut: CutBatch) {
         let CutBatch { since, events, body, totals } = cut;
         let chain = self.newest.1.then(events, &body);
@@ -99,7 +100,7 @@ impl Backlog {
         self.oldest.number
     }
 
-    /// The one before the oldest and its chain.
+    /// Returns the number before the oldest batch, and its chain.
     pub(super) const fn acknowledged(&self) -> (u64, Chain) {
         (self.oldest.number - 1, self.oldest.before)
     }
@@ -112,7 +113,7 @@ impl Backlog {
         self.spooled.0
     }
 
-    /// The newest that was ever sent by this process.
+    /// Returns the number of the newest batch that this process has sent.
     pub(super) const fn sent(&self) -> u64 {
         self.sent.newest()
     }
@@ -125,12 +126,12 @@ impl Backlog {
         self.sent.unspooled()
     }
 
-    /// Events that are stored over there.
+    /// Returns the number of events that the aggregator stored.
     pub(super) const fn stored(&self) -> u64 {
         self.stored
     }
 
-    /// More events turned out to be stored than the spool says.
+    /// Adds events that are stored although the spool does not record it.
     pub(super) const fn add_stored(&mut self, events: u64) {
         self.stored += events;
     }
@@ -143,12 +144,12 @@ impl Backlog {
         self.pending.usage()
     }
 
-    /// What was counted up to the newest that is in the file or stored over there.
+    /// Returns the totals up to the newest batch that is in the file or stored by the aggregator.
     pub(super) const fn settled(&self) -> &Totals {
         &self.settled
     }
 
-    /// What is in memory only is lost. Returns how many events that are.
+    /// Drops the batches that are in memory only. Returns their number of events.
     pub(super) fn give_up(&mut self) -> u64 {
         let lost = self.pending.usage();
         while let Some(pending) = self.pending.pop_through(u64::MAX) {
@@ -158,12 +159,12 @@ impl Backlog {
         lost.events
     }
 
-    /// What is in the file only.
+    /// Returns the size of the batches that are in the file only.
     pub(super) fn filed(&self) -> Usage {
         self.held - self.ready.usage() - self.pending.usage()
     }
 
-    /// When the first event of the oldest batch came.
+    /// Returns the time of the oldest batch's first event.
     pub(super) fn since(&self) -> Option<WallTime> {
         match self.ready.front().or(self.pending.front()) {
             Some(batch) if batch.number == self.oldest.number => Some(batch.since),
@@ -171,29 +172,29 @@ impl Backlog {
         }
     }
 
-    /// The first that is not known in memory; beyond `spooled` when the file holds no other.
+    /// Returns the number of the first batch that is not in memory; beyond `spooled` if the file holds no such batch.
     pub(super) fn unknown(&self) -> u64 {
         self.oldest.number + self.ready.len() as u64
     }
 
-    /// Bytes that are read at once.
+    /// Returns the number of bytes that are read at once.
     pub(super) fn part_bytes(&self) -> usize {
         usize::try_from(self.ready.part_bytes()).unwrap_or(usize::MAX)
     }
 
-    /// Whether the next part is to be read from the file, beginning with [`unknown`](Self::unknown).
+    /// Returns whether the next batches should be read from the file, from [`unknown`](Self::unknown) on.
     pub(super) fn wants_more(&self) -> bool {
         self.unknown() <= self.spooled.0 && self.ready.has_room(self.ready.part_bytes())
     }
 
-    /// What the next transaction of the spool is to hold: the pending batches up to so many bytes, and what was
-    /// counted up to the last of them.
+    /// Returns the batches for the spool's next transaction, with a limit on their number and bytes, and the totals up
+    /// to the last of them.
     pub(super) fn to_append(&self, most: usize, most_bytes: u64) -> Option<(Vec<SpooledBatch>, Totals)> {
         self.pending.to_append(most, most_bytes)
     }
 
-    /// Batches up to and including this one, with this chain, are in the file. Returns the bytes of those that are
-    /// held.
+    /// Records that batches up to `through`, which has the chain `chain`, are in the file. Returns the bytes of those
+    /// that are held.
     pub(super) fn appended(&mut self, through: u64, chain: Chain) -> u64 {
         let mut bytes = 0;
         self.passed(through, chain);
@@ -201,7 +202,9 @@ impl Backlog {
             let (usage, batch) = (pending.batch.usage(), pending.batch);
             self.settled = pending.totals;
             bytes += usage.bytes;
+            // Batches in flight stay in memory, because they may have to be sent again at once.
             let is_wanted = self.ready.has_room(usage.bytes) || batch.number <= self.sent.newest();
+            // Ready batches are contiguous; a batch after one that is in the file only is read from there later.
             if batch.number == self.unknown() && is_wanted {
                 self.ready.push(batch);
             }
@@ -209,14 +212,15 @@ impl Backlog {
         bytes
     }
 
-    /// The file has come to this one, with it or without it.
+    /// Records that the file advanced to a batch, which it contains or not.
     pub(super) fn passed(&mut self, through: u64, chain: Chain) {
         if through > self.spooled.0 {
             self.spooled = (through, chain);
         }
     }
 
-    /// Batches read from the file; those that do not follow what is known are left out. Returns how many were taken.
+    /// Adds batches read from the file. Batches that do not follow the known ones are ignored. Returns how many were
+    /// added.
     pub(super) fn loaded(&mut self, batches: Vec<SpooledBatch>) -> usize {
         let known = self.ready.len();
         for batch in batches {
@@ -227,14 +231,14 @@ impl Backlog {
         self.ready.len() - known
     }
 
-    /// The frame's parts of a batch that is in memory, the spooled ones only or all.
+    /// Returns a batch that is in memory: of the spooled ones only, or of all.
     pub(super) fn get(&self, number: u64, unspooled: bool) -> Option<&SpooledBatch> {
         let index = number.checked_sub(self.oldest.number)?;
         let pending = || self.pending.get(number).filter(|_| unspooled).map(|pending| &pending.batch);
         self.ready.get(index as usize).or_else(pending)
     }
 
-    /// The chain of a batch where it is known without the file.
+    /// Returns the chain of a batch if it is known without reading the file.
     pub(super) fn chain(&self, number: u64) -> Option<Chain> {
         match number {
             _ if number == self.oldest.number - 1 => Some(self.oldest.before),
@@ -243,7 +247,7 @@ impl Backlog {
         }
     }
 
-    /// The head and body of a batch to be sent; it counts as sent.
+    /// Returns the head and the body of a batch to be sent, and records it as sent.
     pub(super) fn send(
         &mut self,
         number: u64,
@@ -272,16 +276,17 @@ impl Backlog {
         Some((head, body))
     }
 
-    /// How many events the batches hold from the oldest to the one before this, all of which are in memory.
+    /// Returns the number of events in the batches from the oldest to the one before `number`, all of which are in
+    /// memory.
     fn events_before(&self, number: u64) -> u64 {
         let before = self.ready.iter().chain(self.pending.iter()).take_while(|batch| batch.number < number);
         before.map(|batch| u64::from(batch.events)).sum()
     }
 
-    /// Batches up to and including `through` are stored over there: they are all in memory, or `scanned` says what the
-    /// ones in the file only take and the chain of the last of them.
+    /// Frees the batches up to `through`, which the aggregator stored. Either all of them are in memory, or `scanned`
+    /// contains the size of those in the file only and the chain of the last of them.
     ///
-    /// Batches up to and including `writing` are being written to the file.
+    /// Batches up to `writing` are being written to the file.
     pub(super) fn free(&mut self, through: u64, scanned: Option<ScanResult>, writing: u64) -> FreedBatches {
         let mut freed = FreedBatches::default();
         while let Some(batch) = self.ready.pop_through(through) {
@@ -313,8 +318,8 @@ impl Backlog {
         (self.oldest.number, self.oldest.before) = (batch.number + 1, batch.chain);
     }
 
-    /// The chain of a batch and what the batches up to it take that are in the file only; `None` when the file must be
-    /// asked.
+    /// Returns the chain of a batch, and the size of the batches up to it that are in the file only; `None` if the file
+    /// must be read first.
     pub(super) fn known(&self, number: u64) -> Option<(Chain, Option<ScanResult>)> {
         let chain = self.chain(number)?;
         if number < self.unknown() || self.unknown() > self.spooled.0 {
@@ -325,19 +330,19 @@ impl Backlog {
         Some((chain, Some((all?, last))))
     }
 
-    /// What is to be read for [`known`](Self::known) to be answered; nothing when it is.
+    /// Returns the scan of the file that [`known`](Self::known) needs; an empty one if it needs none.
     pub(super) fn scan_to(&self, number: u64) -> SpoolScan {
         SpoolScan::new(self.unknown(), number.min(self.spooled.0))
     }
 
-    /// The oldest batches up to the one before `resume` do not exist any more; none of them is in memory. `before` is
-    /// the chain of the last of them.
+    /// Skips the oldest batches up to the one before `resume`, which no longer exist. None of them is in memory.
+    /// `before` is the chain of the last of them.
     pub(super) fn skip_to(&mut self, resume: u64, before: Chain) {
         self.oldest = OldestBatch { number: resume, before, since: None };
     }
 
-    /// What is said to be in the file and is not: known when nothing else is in the file only. It no longer counts as
-    /// held.
+    /// Removes batches from the held ones that should be in the file and are not. This is known when no other batch is
+    /// in the file only. Returns their size.
     pub(super) fn settle(&mut self) -> Usage {
         if self.unknown() <= self.spooled.0 {
             return Usage::default();
@@ -347,7 +352,7 @@ impl Backlog {
         missing
     }
 
-    /// The batches that are held go on in a new stream.
+    /// Continues the held batches in a new stream.
     pub(super) const fn renew(&mut self, stream: StreamId) {
         self.origin = self.origin.renewed(stream, self.oldest.number, self.stored);
     }

@@ -9,7 +9,7 @@ use crate::totals::Totals;
 #[derive(Clone, Debug)]
 pub(super) struct PendingBatch {
     pub(super) batch: SpooledBatch,
-    /// What was counted up to its last event.
+    /// Totals up to its last event.
     pub(super) totals: Totals,
 }
 
@@ -21,7 +21,7 @@ pub(super) struct PendingBatches {
 }
 
 impl PendingBatches {
-    /// Events and bytes of all of them.
+    /// Returns the number of events and bytes of all batches.
     pub(super) const fn usage(&self) -> Usage {
         self.usage
     }
@@ -30,7 +30,7 @@ impl PendingBatches {
         self.batches.front().map(|pending| &pending.batch)
     }
 
-    /// The batch of this number.
+    /// Returns the batch with a number.
     pub(super) fn get(&self, number: u64) -> Option<&PendingBatch> {
         self.batches.get(number.checked_sub(self.front()?.number)? as usize)
     }
@@ -44,20 +44,21 @@ impl PendingBatches {
         self.batches.push_back(PendingBatch { batch, totals });
     }
 
-    /// Removes the first batch, if its number is `through` or lower.
+    /// Removes and returns the first batch if its number is at most `through`.
     pub(super) fn pop_through(&mut self, through: u64) -> Option<PendingBatch> {
         let pending = self.batches.pop_front_if(|pending| pending.batch.number <= through)?;
         self.usage = self.usage - pending.batch.usage();
         Some(pending)
     }
 
-    /// What the next transaction of the spool is to hold: the first batches up to so many bytes, and what was counted up
+    /// Returns the batches for the spool's next transaction, with a limit on their number and bytes, and the totals up
     /// to the last of them.
     pub(super) fn to_append(&self, most: usize, most_bytes: u64) -> Option<(Vec<SpooledBatch>, Totals)> {
         let mut bytes = 0;
         let chosen = self.batches.iter().take(most).take_while(|pending| {
             let first = bytes == 0;
             bytes += pending.batch.body.len() as u64;
+            // At least one batch, even if it alone exceeds the limit.
             first || bytes <= most_bytes
         });
         let mut totals = None;

@@ -4,12 +4,12 @@ use std::collections::VecDeque;
 
 use crate::spool::{SpooledBatch, Usage};
 
-/// Contiguous batches of the spool that are kept in memory, beginning with the oldest that is held.
+/// Contiguous batches of the spool that are kept in memory, from the oldest held batch on.
 #[derive(Clone, Debug)]
 pub(super) struct ReadyBatches {
     batches: VecDeque<SpooledBatch>,
     usage: Usage,
-    /// Bytes from which on the file is not read ahead.
+    /// Number of bytes from which on the file is not read ahead.
     budget: u64,
 }
 
@@ -22,18 +22,18 @@ impl ReadyBatches {
         self.batches.len()
     }
 
-    /// Events and bytes of all of them.
+    /// Returns the number of events and bytes of all batches.
     pub(super) const fn usage(&self) -> Usage {
         self.usage
     }
 
-    /// Bytes that are read at once: a quarter of what is kept, so that the next part is read while the others are under
-    /// way.
+    /// Returns the number of bytes that are read at once: a quarter of the budget, so that the next batches are read
+    /// while the others are in flight.
     pub(super) const fn part_bytes(&self) -> u64 {
         self.budget / 4
     }
 
-    /// Whether so many more bytes may be kept.
+    /// Returns whether `bytes` more may be kept.
     pub(super) const fn has_room(&self, bytes: u64) -> bool {
         self.usage.bytes + bytes <= self.budget
     }
@@ -56,7 +56,7 @@ impl ReadyBatches {
         self.batches.push_back(batch);
     }
 
-    /// Removes the first batch, if its number is `through` or lower.
+    /// Removes and returns the first batch if its number is at most `through`.
     pub(super) fn pop_through(&mut self, through: u64) -> Option<SpooledBatch> {
         let batch = self.batches.pop_front_if(|batch| batch.number <= through)?;
         self.usage = self.usage - batch.usage();

@@ -1,16 +1,16 @@
-//! Which batches this process has sent.
+//! Record of the batches that this process has sent.
 
 use crate::SentUnspooled;
 use crate::spool::SpooledBatch;
 
-/// How far this process has sent, and what of it is still held.
+/// Position up to which this process has sent, and the number of sent events that are still held.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct SentBatches {
-    /// Number of the newest batch that was ever sent by this process; 0 before the first.
+    /// Number of the newest batch that this process has sent; 0 before the first.
     newest: u64,
-    /// The last that was sent while it was in memory only.
+    /// Last batch that was sent while it was in memory only.
     unspooled: Option<SentUnspooled>,
-    /// Events of the batches that were sent and are still held.
+    /// Number of events of the batches that were sent and are still held.
     events: u64,
 }
 
@@ -27,7 +27,7 @@ impl SentBatches {
         self.events
     }
 
-    /// Records that a batch is sent; one that is sent again counts once.
+    /// Records that a batch is sent. A batch that is sent again counts once.
     pub(super) fn record(&mut self, number: u64, events: u32, unspooled: Option<SentUnspooled>) {
         self.unspooled = unspooled.or(self.unspooled);
         if number > self.newest {
@@ -36,7 +36,7 @@ impl SentBatches {
         }
     }
 
-    /// A batch is no longer held.
+    /// Records that a batch is no longer held.
     pub(super) const fn forget(&mut self, batch: &SpooledBatch) {
         if batch.number <= self.newest {
             self.events = self.events.saturating_sub(batch.events as u64);

@@ -1,17 +1,17 @@
-//! Where the stream at hand begins.
+//! Beginning of the current stream.
 
 use crate::StreamId;
 use crate::spool::SpoolState;
 
-/// The stream that the batches' numbers belong to, and where it begins.
+/// Stream that the batches belong to, and its beginning.
 #[derive(Clone, Copy, Debug)]
 pub(in super::super) struct StreamOrigin {
     pub(in super::super) stream: StreamId,
-    /// The stream that it replaced.
+    /// Stream that it replaced.
     pub(in super::super) previous: Option<StreamId>,
     /// Number of its first batch, at least 1.
     pub(in super::super) first: u64,
-    /// Events in all batches before the first; `None` when it is not known.
+    /// Number of events in all batches before the first; `None` if it is unknown.
     pub(in super::super) events_before_first: Option<u64>,
 }
 
@@ -21,7 +21,8 @@ impl StreamOrigin {
         Self { stream, previous, first: first.max(1), events_before_first }
     }
 
-    /// The origin of the stream that replaces this one with batch `first`, which follows `events_before` events.
+    /// Returns the origin of the stream that replaces this one from batch `first` on, which follows `events_before`
+    /// events.
     pub(super) const fn renewed(&self, stream: StreamId, first: u64, events_before: u64) -> Self {
         Self { stream, previous: Some(self.stream), first, events_before_first: Some(events_before) }
     }

@@ -1,23 +1,23 @@
-//! Echoes that were requested and did not come yet.
+//! Requests for echoes without an answer yet.
 
 use std::collections::VecDeque;
 
 use peernet_clock::{MonoTime, Span};
 
-/// An echo that did not come for so long is requested again.
+/// Time after which a missing echo is requested again.
 const REMIND: Span = Span::from_seconds(2);
 
-/// Number of echoes that are waited for at most.
+/// Largest number of pending requests.
 const MOST_PENDING: usize = 64;
 
-/// An echo that was requested.
+/// A request for an echo.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct EchoRequest {
-    /// Position of the request in the connection; the aggregator sends it back.
+    /// Position of the request in the connection, which the aggregator sends back.
     pub(super) bytes: u64,
-    /// When it was sent.
+    /// Time at which it was sent.
     pub(super) at: MonoTime,
-    /// Bytes that were on the way before it.
+    /// Number of bytes in flight before it.
     pub(super) ahead: u64,
 }
 
@@ -34,17 +34,17 @@ impl PendingEchoes {
         self.requests.is_empty()
     }
 
-    /// Position of the last request.
+    /// Returns the position of the last request.
     pub(super) const fn last(&self) -> u64 {
         self.last
     }
 
-    /// When the last echo is to be requested again.
+    /// Returns the time at which the last echo is requested again.
     pub(super) fn remind_at(&self) -> Option<MonoTime> {
         self.requests.back().map(|request| request.at + REMIND)
     }
 
-    /// Adds a request; the oldest is forgotten where there are too many.
+    /// Adds a request. The oldest one is dropped if there are too many.
     pub(super) fn push(&mut self, request: EchoRequest) {
         if self.requests.len() == MOST_PENDING {
             self.requests.pop_front();
@@ -53,7 +53,7 @@ impl PendingEchoes {
         self.requests.push_back(request);
     }
 
-    /// Removes the requests up to a position; returns the one of exactly this position.
+    /// Removes the requests up to a position. Returns the request with exactly this position.
     pub(super) fn answer(&mut self, bytes: u64) -> Option<EchoRequest> {
         let mut found = None;
         while let Some(request) = self.requests.pop_front_if(|request| request.bytes <= bytes) {

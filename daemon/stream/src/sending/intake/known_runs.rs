@@ -1,4 +1,4 @@
-//! Runs whose events pass through.
+//! Runs whose events are handed in.
 
 use std::collections::BTreeMap;
 
@@ -6,16 +6,16 @@ use peernet_logger::{RunId, Slug};
 
 use crate::{Event, MOST_COUNTED_RUNS};
 
-/// Runs under way with their pipelines, and runs that have ended and are still counted separately.
+/// Active runs with their pipelines, and ended runs that are still counted separately.
 #[derive(Clone, Debug, Default)]
 pub(super) struct KnownRuns {
-    /// Pipelines of the runs under way: an iteration names its run only.
+    /// Pipelines of the active runs. An iteration contains its run only.
     pipelines: BTreeMap<RunId, Slug>,
     ended: Vec<RunId>,
 }
 
 impl KnownRuns {
-    /// Takes in that a run begins or ends.
+    /// Records the start and the end of runs.
     pub(super) fn observe(&mut self, event: &Event) {
         match event {
             Event::RunStarted(started) => {
@@ -34,7 +34,7 @@ impl KnownRuns {
         }
     }
 
-    /// The pipeline and run that an event concerns.
+    /// Returns the pipeline and the run that an event concerns.
     pub(super) fn scope(&self, event: &Event) -> (Option<Slug>, Option<RunId>) {
         let of_run = |run: &RunId| (self.pipelines.get(run).cloned(), Some(*run));
         match event {
@@ -47,12 +47,12 @@ impl KnownRuns {
         }
     }
 
-    /// Runs that have ended and are still counted separately.
+    /// Returns the ended runs that are still counted separately.
     pub(super) fn ended(&self) -> &[RunId] {
         &self.ended
     }
 
-    /// A run that has ended is no longer counted separately.
+    /// Removes an ended run that is no longer counted separately.
     pub(super) fn forget(&mut self, run: RunId) {
         self.ended.retain(|ended| *ended != run);
     }

@@ -1,14 +1,16 @@
-//! What was dropped and has not been reported yet.
+//! Dropped events that have not been reported yet.
 
 use peernet_clock::{MonoTime, Span, Stamp};
 
 use crate::Gap;
 use peernet_logger::{RunId, Slug};
 
-/// Kinds of losses told apart; beyond that they are counted together. An agent has few pipelines and few reasons.
+/// Largest number of losses that are counted separately. Further losses are counted together; an agent has few
+/// pipelines and few reasons.
 const MOST: usize = 64;
 
-/// A loss that goes on is reported this often and at its end: its neighbouring gaps are one.
+/// Interval between the reports of a continuing loss, which is also reported at its end. Losses in between form one
+/// gap.
 const REPORT_EVERY: Span = Span::from_seconds(1);
 
 /// Dropped events by pipeline, run and reason.
@@ -17,17 +19,17 @@ pub(super) struct Losses {
     known: Vec<Loss>,
 }
 
-/// A loss that may go on.
+/// A loss that may continue.
 #[derive(Clone, Debug)]
 struct Loss {
-    /// What is not reported yet; nothing when it counts none.
+    /// Gap that is not reported yet; its count is 0 if everything is reported.
     gap: Gap,
-    /// When it was last reported.
+    /// Time of the last report.
     reported: Option<MonoTime>,
 }
 
 impl Losses {
-    /// Counts `count` events dropped now.
+    /// Counts `count` events that are dropped now.
     pub(super) fn add(
         &mut self,
         pipeline: Option<Slug>,
@@ -45,6 +47,7 @@ impl Losses {
             return;
         }
         if self.known.len() >= MOST {
+            // Losses that are reported completely make room.
             self.known.retain(|loss| loss.gap.count > 0);
         }
         if self.known.len() < MOST {
@@ -57,7 +60,7 @@ impl Losses {
         }
     }
 
-    /// Counts what was dropped elsewhere and is not reported yet.
+    /// Counts events that were dropped elsewhere and are not reported yet.
     pub(super) fn add_gap(&mut self, gap: Gap, now: Stamp) {
         let Gap { pipeline, run, from, count, reason, .. } = gap;
         self.add(pipeline.clone(), run, now, count, reason.clone());
@@ -70,25 +73,25 @@ impl Losses {
         }
     }
 
-    /// How many gaps there are to report, now or later.
+    /// Returns the number of gaps to be reported, now or later.
     pub(super) fn len(&self) -> usize {
         self.known.iter().filter(|loss| loss.gap.count > 0).count()
     }
 
-    /// When there is something to report; what is rare is due at once.
+    /// Returns the time of the next report. A loss without a recent report is due at once.
     pub(super) fn due(&self) -> Option<MonoTime> {
         let open = self.known.iter().filter(|loss| loss.gap.count > 0);
         open.map(|loss| loss.reported.map_or(MonoTime::default(), |at| at + REPORT_EVERY)).min()
     }
 
-    /// The next gap that is due; it then counts as reported.
+    /// Returns the next due gap, and records it as reported.
     pub(super) fn take_due(&mut self, now: MonoTime) -> Option<Gap> {
         self.known.retain(|loss| loss.gap.count > 0 || !loss.is_due(now));
         let due = self.known.iter_mut().find(|loss| loss.gap.count > 0 && loss.is_due(now));
         due.map(|loss| loss.take(now))
     }
 
-    /// The next gap of losses that end now: those of a run, or all.
+    /// Returns the next gap of the losses that end now: those of a run, or all. Records it as reported.
     pub(super) fn take_ended(&mut self, run: Option<RunId>, now: MonoTime) -> Option<Gap> {
         let ended = |loss: &&mut Loss| loss.gap.count > 0 && (run.is_none() || loss.gap.run == run);
         self.known.iter_mut().find(ended).map(|loss| loss.take(now))
@@ -134,13 +137,13 @@ mod tests {
         assert_eq!(gaps.iter().map(|gap| gap.count).sum::<u64>(), 400);
         assert_eq!(gaps[MOST - 1].to, at(199).wall);
         assert_eq!((losses.len(), losses.due()), (0, None));
-        // What was reported makes room for others.
+        // Reported losses make room for others.
         losses.add(None, None, at(300), 1, "another".into());
         assert_eq!(losses.take_ended(None, at(300).mono).expect("a gap").reason, "another");
     }
 
     #[test]
-    fn a_loss_that_goes_on_is_one_gap_a_second() {
+    fn continuing_loss_is_one_gap_per_second() {
         let (mut losses, run) = (Losses::default(), Some(RunId::random()));
         let mut gaps = Vec::new();
         // One of two events is dropped for three seconds.

@@ -1,4 +1,4 @@
-//! From events to batches: the agent's side before anything is numbered.
+//! Encoding of events and cutting of batches, before batches are numbered.
 
 mod known_runs;
 mod losses;
@@ -12,21 +12,21 @@ use self::unreported::UnreportedLosses;
 use super::SendingConfig;
 use crate::spool::Usage;
 use crate::totals::Totals;
-use crate::unresolved::Resolved;
-use crate::{Event, Gap, RunCounts, Unresolved, codec};
+use crate::unresolved::ResolvedBatches;
+use crate::{Event, Gap, RunCounts, UnresolvedBatches, codec};
 use peernet_logger::limits::MAX_BYTES;
 use peernet_logger::{RunId, Slug};
 
-/// Room that a report of a loss takes.
+/// Size reserved for the report of a loss.
 const GAP: Usage = Usage { events: 1, bytes: 512 };
 
-/// Longest event: the largest tree and what surrounds it.
+/// Longest event: the largest tree and the fields around it.
 const MAX_EVENT_BYTES: usize = MAX_BYTES + 16 * 1024;
 
-/// Longest batch, whatever is configured: its frame must be read over there.
+/// Longest batch, whatever is configured, because the aggregator must be able to read its frame.
 const MOST_BATCH_BYTES: usize = codec::MAX_MESSAGE_BYTES - codec::BATCH_HEAD_BYTES;
 
-/// Takes events, counts them, and cuts them into batches that are still to be numbered.
+/// State machine that accepts events, counts them, and cuts them into batches without numbers.
 #[derive(Clone, Debug)]
 pub(super) struct Intake {
     config: SendingConfig,
@@ -35,7 +35,7 @@ pub(super) struct Intake {
     /// Batches that were cut and not collected yet.
     cut: Vec<CutBatch>,
     cut_usage: Usage,
-    /// The event at hand, encoded; kept to reuse its memory.
+    /// Encoded form of the current event; kept to reuse its memory.
     encoded: Vec<u8>,
     losses: UnreportedLosses,
     runs: KnownRuns,
@@ -50,28 +50,28 @@ struct OpenBatch {
     since: Option<Stamp>,
 }
 
-/// A batch that waits for its number.
+/// A batch without a number.
 #[derive(Clone, Debug)]
 pub(super) struct CutBatch {
     pub(super) since: WallTime,
     pub(super) events: u32,
     pub(super) body: Bytes,
-    /// What was counted up to its last event.
+    /// Totals up to its last event.
     pub(super) totals: Totals,
 }
 
-/// What may still be taken in.
+/// Capacity for further events.
 #[derive(Clone, Debug)]
-pub(super) struct Room {
-    /// In memory.
+pub(super) struct EventCapacity {
+    /// Capacity in memory.
     pub(super) memory: Usage,
-    /// Bytes in the spool.
+    /// Capacity in the spool, bytes.
     pub(super) spool_bytes: u64,
-    /// Why the spool is not written, when it is not.
+    /// `true` if the spool cannot be written.
     pub(super) spool_fails: bool,
 }
 
-impl Room {
+impl EventCapacity {
     fn fits(&self, usage: Usage) -> bool {
         usage.fits(self.memory) && usage.bytes <= self.spool_bytes
     }
@@ -86,7 +86,7 @@ impl Room {
 }
 
 impl Intake {
-    /// What was counted before goes on.
+    /// Creates an intake that continues the counts of the spool.
     pub(super) fn new(config: SendingConfig, totals: Totals, owed: Vec<Gap>, is_unresolved: bool) -> Self {
         let told = owed.iter().fold(totals.told, |told, gap| told.saturating_add(gap.count));
         Self {
@@ -101,14 +101,15 @@ impl Intake {
         }
     }
 
-    pub(super) fn offer(&mut self, event: &Event, room: &Room, now: Stamp) {
-        self.losses.add_untold(now);
+    pub(super) fn offer(&mut self, event: &Event, room: &EventCapacity, now: Stamp) {
+        self.losses.add_earlier_drops(now);
         self.encoded.clear();
         codec::append(&mut self.encoded, event);
         let run = event.run();
         match self.refusal(event, room) {
             None => {
                 self.report_losses(room, now);
+                // The run's losses are reported before its end, so that they belong to the run.
                 if let Event::RunEnded(ended) = event {
                     self.report_ended(Some(ended.run), room, now);
                 }
@@ -137,7 +138,7 @@ impl Intake {
         self.losses.add(scope, count, reason, now);
     }
 
-    /// Counts events that were dropped before they came here.
+    /// Counts events that were dropped before they were handed in.
     pub(super) fn lost(&mut self, gap: &Gap, now: Stamp) {
         self.totals.produced += gap.count;
         self.totals.dropped += gap.count;
@@ -146,11 +147,11 @@ impl Intake {
         self.losses.add_gap(gap.clone(), now);
     }
 
-    /// Why the event at hand cannot be taken.
-    fn refusal(&self, event: &Event, room: &Room) -> Option<String> {
+    /// Returns the reason to refuse the current event; `None` if it is accepted.
+    fn refusal(&self, event: &Event, room: &EventCapacity) -> Option<String> {
         let mut more = Usage { events: 1, bytes: self.encoded.len() as u64 };
         if let Event::Iteration(iteration) = event {
-            // One that the aggregator would refuse must not hold up everything behind it.
+            // An iteration that the aggregator would refuse must not block everything after it.
             if let Err(error) = iteration.tree.check(0) {
                 return Some(format!("the iteration cannot be sent: {error}"));
             }
@@ -163,17 +164,17 @@ impl Intake {
         (!room.fits(wanted)).then(|| room.lacks(wanted).to_owned())
     }
 
-    /// What iterations leave to the other events.
+    /// Returns the capacity that iterations leave to other events.
     fn reserve(&self) -> Usage {
         let events = self.config.reserve_events;
-        // As much of the bytes as of the places, so that neither is used up alone.
+        // The same share of bytes and of events, so that neither is exhausted before the other.
         let share = |bytes: u64| bytes / (self.config.memory.events / events.max(1)).max(8);
         let bytes = share(self.config.memory.bytes).min(share(self.config.spool_bytes));
         Usage { events, bytes: if events > 0 { bytes } else { 0 } }
     }
 
-    /// Puts gaps that are due where the lost events would have been, as far as there is room.
-    pub(super) fn report_losses(&mut self, room: &Room, now: Stamp) {
+    /// Reports the due gaps in place of the lost events, as far as there is capacity.
+    pub(super) fn report_losses(&mut self, room: &EventCapacity, now: Stamp) {
         while self.has_room_for_report(room)
             && let Some(gap) = self.losses.take_due(now.mono)
         {
@@ -181,8 +182,8 @@ impl Intake {
         }
     }
 
-    /// The same for all losses of a run that ends, or of all that end.
-    fn report_ended(&mut self, run: Option<RunId>, room: &Room, now: Stamp) {
+    /// Reports all losses of a run that ends, or of all runs.
+    fn report_ended(&mut self, run: Option<RunId>, room: &EventCapacity, now: Stamp) {
         while self.has_room_for_report(room)
             && let Some(gap) = self.losses.take_ended(run, now.mono)
         {
@@ -190,19 +191,19 @@ impl Intake {
         }
     }
 
-    /// Whether nothing is to be reported, now or later.
+    /// Returns whether no loss is to be reported, now or later.
     #[cfg(test)]
     pub(super) fn has_reported_all(&self) -> bool {
         self.losses.is_empty()
     }
 
-    fn has_room_for_report(&self, room: &Room) -> bool {
+    fn has_room_for_report(&self, room: &EventCapacity) -> bool {
         self.losses.may_report() && room.fits(self.usage() + GAP)
     }
 
-    /// It is known what became of the end of an earlier process. Returns the losses of all earlier ones that no gap reports;
-    /// they are reported once the spool has them ([`Self::resolution_written`]).
-    pub(super) fn resolve(&mut self, unresolved: &Unresolved, resolved: &Resolved) -> Vec<Gap> {
+    /// Records the result for an earlier process. Returns the losses of all earlier processes that no gap reports. They
+    /// are reported after the spool contains them ([`Self::resolution_written`]).
+    pub(super) fn resolve(&mut self, unresolved: &UnresolvedBatches, resolved: &ResolvedBatches) -> Vec<Gap> {
         self.losses.resolve(unresolved, resolved)
     }
 
@@ -220,7 +221,7 @@ impl Intake {
         self.encoded = event;
     }
 
-    /// Adds the event at hand to the batch.
+    /// Adds the current event to the batch.
     fn take(&mut self, nodes: usize, now: Stamp) {
         let most = self.config.batch_bytes.min(MOST_BATCH_BYTES);
         let full = self.open.body.len() + self.encoded.len() > most
@@ -228,7 +229,7 @@ impl Intake {
         if full {
             self.cut();
         }
-        // Counted after the cut: the totals of a batch are those up to its last event.
+        // Counted after the cut, because the totals of a batch include only its own events.
         self.totals.produced += 1;
         self.open.since.get_or_insert(now);
         self.open.body.extend_from_slice(&self.encoded);
@@ -236,9 +237,9 @@ impl Intake {
         self.open.nodes += nodes;
     }
 
-    /// Reports what is not reported yet and cuts the batch under construction: before a stop.
-    pub(super) fn flush(&mut self, room: &Room, now: WallTime) {
-        // How long a loss was not reported does not matter: all are.
+    /// Reports all losses and cuts the batch under construction, before the agent stops.
+    pub(super) fn flush(&mut self, room: &EventCapacity, now: WallTime) {
+        // The time of a loss does not matter here, because all losses are reported.
         let since = self.open.since.unwrap_or_default();
         let now = Stamp { wall: now, ..since };
         self.report_ended(None, room, now);
@@ -257,23 +258,23 @@ impl Intake {
         });
     }
 
-    /// The batches that were cut since the last call.
+    /// Returns the batches that were cut since the last call.
     pub(super) fn take_cut(&mut self) -> Vec<CutBatch> {
         self.cut_usage = Usage::default();
         std::mem::take(&mut self.cut)
     }
 
-    pub(super) fn tick(&mut self, room: &Room, now: Stamp) {
-        self.losses.add_untold(now);
+    pub(super) fn tick(&mut self, room: &EventCapacity, now: Stamp) {
+        self.losses.add_earlier_drops(now);
         if self.batch_deadline().is_some_and(|deadline| now.mono >= deadline) {
             self.cut();
         }
         self.report_losses(room, now);
     }
 
-    /// When the batch under construction is old enough, or a loss is to be reported.
-    pub(super) fn deadline(&self, room: &Room) -> Option<MonoTime> {
-        // Without room there is nothing to do: an acknowledgement makes some.
+    /// Returns the time at which the batch under construction is cut or a loss is reported.
+    pub(super) fn deadline(&self, room: &EventCapacity) -> Option<MonoTime> {
+        // Without capacity nothing can be done until an acknowledgement.
         let report = self.has_room_for_report(room).then(|| self.losses.due()).flatten();
         self.batch_deadline().into_iter().chain(report).min()
     }
@@ -282,36 +283,35 @@ impl Intake {
         self.open.since.map(|since| since.mono + self.config.batch_age)
     }
 
-    /// What is in the batch under construction and so many more events are lost; `kept` is what remains of what was
-    /// handed in.
+    /// Counts the batch under construction and `more` events as dropped; `kept` are the accepted events that remain.
     pub(super) fn give_up(&mut self, more: u64, kept: &RunCounts) {
         self.totals.dropped += u64::from(self.open.events) + more;
         self.totals.handed_in.give_up(kept);
         self.open = OpenBatch::default();
     }
 
-    /// Everything that was counted.
+    /// Returns all counts.
     pub(super) const fn counted(&self) -> &Totals {
         &self.totals
     }
 
-    /// Runs that have ended and are still counted separately.
+    /// Returns the ended runs that are still counted separately.
     pub(super) fn ended(&self) -> &[RunId] {
         self.runs.ended()
     }
 
-    /// The events of a run that has ended are no longer counted separately.
+    /// Ends the separate count of an ended run.
     pub(super) fn forget_run(&mut self, run: RunId) {
         self.runs.forget(run);
         self.totals.handed_in.forget(run);
     }
 
-    /// When the first event that is not numbered came.
+    /// Returns the time of the first event without a number.
     pub(super) fn since(&self) -> Option<WallTime> {
         self.open.since.map(|since| since.wall)
     }
 
-    /// What is held here.
+    /// Returns the events and bytes held here.
     pub(super) fn usage(&self) -> Usage {
         self.open_usage() + self.cut_usage
     }
@@ -320,14 +320,14 @@ impl Intake {
         Usage { events: u64::from(self.open.events), bytes: self.open.body.len() as u64 }
     }
 
-    /// Room for what there is to report.
+    /// Returns the size of the pending reports.
     fn reports(&self) -> Usage {
         let gaps = self.losses.len() as u64;
         Usage { events: gaps * GAP.events, bytes: gaps * GAP.bytes }
     }
 }
 
-/// What an event counts when batches are cut by nodes.
+/// Returns the weight of an event for the limit of nodes per batch.
 fn weight(event: &Event) -> usize {
     match event {
         Event::Iteration(iteration) => iteration.tree.nodes().len(),

@@ -1,4 +1,4 @@
-//! Losses that no gap reports yet, of this process and of those before it.
+//! Losses of this process and of earlier ones that no gap reports yet.
 
 use std::collections::VecDeque;
 
@@ -6,27 +6,27 @@ use peernet_clock::{MonoTime, Stamp};
 use peernet_logger::{RunId, Slug};
 
 use super::losses::Losses;
-use crate::unresolved::Resolved;
-use crate::{Gap, Unresolved};
+use crate::unresolved::ResolvedBatches;
+use crate::{Gap, UnresolvedBatches};
 
-/// Losses that are still to be reported: those of earlier processes first.
+/// Losses to be reported, those of earlier processes first.
 #[derive(Clone, Debug)]
 pub(super) struct UnreportedLosses {
     losses: Losses,
     /// Losses of earlier processes, to be reported before all others.
     owed: VecDeque<Gap>,
-    /// Events that a process before this one dropped and did not tell of otherwise.
-    untold: u64,
-    /// No loss is reported before it is known what became of the end of an earlier process.
+    /// Number of events that an earlier process dropped and did not report.
+    earlier_drops: u64,
+    /// `true` until the result for an earlier process is known. No loss is reported before.
     is_unresolved: bool,
 }
 
 impl UnreportedLosses {
-    pub(super) fn new(owed: Vec<Gap>, untold: u64, is_unresolved: bool) -> Self {
-        Self { losses: Losses::default(), owed: owed.into(), untold, is_unresolved }
+    pub(super) fn new(owed: Vec<Gap>, earlier_drops: u64, is_unresolved: bool) -> Self {
+        Self { losses: Losses::default(), owed: owed.into(), earlier_drops, is_unresolved }
     }
 
-    /// Adds events that were lost now.
+    /// Adds events that are lost now.
     pub(super) fn add(
         &mut self,
         (pipeline, run): (Option<Slug>, Option<RunId>),
@@ -42,29 +42,29 @@ impl UnreportedLosses {
         self.losses.add_gap(gap, now);
     }
 
-    /// Adds what was dropped before the start, once, as soon as anything happens after it.
-    pub(super) fn add_untold(&mut self, now: Stamp) {
+    /// Adds the events that were dropped before the start; once, with the first event after it.
+    pub(super) fn add_earlier_drops(&mut self, now: Stamp) {
         if self.is_unresolved {
             return;
         }
-        let count = std::mem::take(&mut self.untold);
+        let count = std::mem::take(&mut self.earlier_drops);
         if count > 0 {
             let reason = "dropped before the agent last ended, for want of room in its spool";
             self.losses.add(None, None, now, count, reason.to_owned());
         }
     }
 
-    /// Whether losses may be reported.
+    /// Returns whether losses may be reported.
     pub(super) const fn may_report(&self) -> bool {
         !self.is_unresolved
     }
 
-    /// Number of gaps that there are to report, now or later.
+    /// Returns the number of gaps to be reported, now or later.
     pub(super) fn len(&self) -> usize {
         self.losses.len() + self.owed.len()
     }
 
-    /// When there is something to report.
+    /// Returns the time of the next report.
     pub(super) fn due(&self) -> Option<MonoTime> {
         match self.owed.is_empty() {
             true => self.losses.due(),
@@ -72,31 +72,32 @@ impl UnreportedLosses {
         }
     }
 
-    /// The next gap that is due; it then counts as reported.
+    /// Returns the next due gap, and records it as reported.
     pub(super) fn take_due(&mut self, now: MonoTime) -> Option<Gap> {
         self.owed.pop_front().or_else(|| self.losses.take_due(now))
     }
 
-    /// The next gap of losses that end now: those of a run, or all.
+    /// Returns the next gap of the losses that end now: those of a run, or all. Records it as reported.
     pub(super) fn take_ended(&mut self, run: Option<RunId>, now: MonoTime) -> Option<Gap> {
-        // What earlier processes lost goes first: by the number of events told the spool knows which of it is reported.
+        // Losses of earlier processes come first: from the number of reported events the spool knows which of them are
+        // reported.
         self.owed.pop_front().or_else(|| self.losses.take_ended(run, now))
     }
 
-    /// It is known what became of the end of an earlier process. Returns the losses of all earlier ones that no gap reports.
-    pub(super) fn resolve(&mut self, unresolved: &Unresolved, resolved: &Resolved) -> Vec<Gap> {
-        unresolved.unreported(resolved, &mut self.owed, &mut self.untold);
+    /// Records the result for an earlier process. Returns the losses of all earlier processes that no gap reports.
+    pub(super) fn resolve(&mut self, unresolved: &UnresolvedBatches, resolved: &ResolvedBatches) -> Vec<Gap> {
+        unresolved.unreported(resolved, &mut self.owed, &mut self.earlier_drops);
         self.owed.iter().cloned().collect()
     }
 
-    /// The spool has what [`resolve`](Self::resolve) returned.
+    /// Records that the spool contains the gaps that [`resolve`](Self::resolve) returned.
     pub(super) const fn resolution_written(&mut self) {
         self.is_unresolved = false;
     }
 
-    /// Whether nothing is to be reported, now or later.
+    /// Returns whether no loss is to be reported, now or later.
     #[cfg(test)]
     pub(super) fn is_empty(&self) -> bool {
-        self.len() == 0 && self.untold == 0
+        self.len() == 0 && self.earlier_drops == 0
     }
 }

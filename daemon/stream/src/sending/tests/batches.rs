@@ -1,4 +1,4 @@
-//! When batches are cut, and that they are written before they are sent.
+//! Cutting of batches, and the order of writing and sending.
 
 use super::*;
 
@@ -50,7 +50,7 @@ fn batches_follow_one_another_and_are_in_the_file_when_they_are_sent() {
             gaps: 0,
             told: 0,
             handed_in: totals.handed_in.clone(),
-            reached: Some(Reached { process: 1, number: 4 }),
+            reached: Some(NewestSentBatch { process: 1, number: 4 }),
             unreported: None,
         }
     );

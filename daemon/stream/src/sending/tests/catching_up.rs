@@ -1,8 +1,8 @@
-//! A backlog in the file: streamed in order, read ahead, never all in memory.
+//! A backlog in the file: it is sent in order and read ahead, and never completely in memory.
 
 use super::*;
 
-/// Long enough that few batches fill the memory.
+/// Length of a body of which few fill the memory.
 const LONG: usize = 1024;
 
 fn backlog(batches: usize) -> Agent {
@@ -15,7 +15,7 @@ fn backlog(batches: usize) -> Agent {
     agent
 }
 
-/// Bytes of bodies in memory.
+/// Returns the bytes of bodies in memory.
 fn in_memory(agent: &Agent) -> u64 {
     agent.sending.spooler.backlog.held().bytes - agent.sending.spooler.backlog.filed().bytes
 }
@@ -30,7 +30,7 @@ fn a_backlog_stays_in_the_file() {
 }
 
 #[test]
-fn a_backlog_is_delivered_in_order_with_new_events_behind_it() {
+fn backlog_is_delivered_in_order_before_new_events() {
     for restart in [false, true] {
         let mut agent = backlog(200);
         if restart {

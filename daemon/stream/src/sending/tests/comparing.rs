@@ -1,11 +1,12 @@
-//! What both ends know is compared before anything is deleted.
+//! Comparison of both ends' batches before anything is deleted.
 
 use super::*;
 
-/// Another history than ours.
+/// Chain of a different history.
 const OTHER: Option<Chain> = Some(Chain::from_bytes([9; 16]));
 
-/// Batches in the file that were never acknowledged; the aggregator was met when there were so many.
+/// Returns an agent with batches in the file that were never acknowledged. The aggregator was connected while the first
+/// `met` were made.
 fn held(met: usize, later: usize) -> Agent {
     let mut agent = Agent::up(config());
     agent.cut(met);
@@ -19,7 +20,7 @@ fn renewals(agent: &Agent) -> usize {
 }
 
 #[test]
-fn what_is_stored_goes_when_the_chains_are_equal() {
+fn stored_batches_are_deleted_when_chains_match() {
     for stored in [0, 1, 7, 10] {
         let mut agent = held(10, 0);
         agent.connect();
@@ -47,7 +48,7 @@ fn nothing_is_deleted_and_nothing_sent_before_the_comparison() {
     assert_eq!(agent.sending.received(&welcome, at(0)), None);
     let Some(load @ Action::Load { .. }) = agent.sending.next(at(0).mono) else { panic!("nothing is read") };
     assert_eq!(agent.sending.next(at(0).mono), None);
-    // The connection breaks meanwhile: the answer of the disk means nothing.
+    // The connection ends meanwhile, so that the answer of the disk must have no effect.
     agent.sending.disconnected();
     agent.perform(load);
     agent.pass(5_000);
@@ -59,7 +60,7 @@ fn nothing_is_deleted_and_nothing_sent_before_the_comparison() {
 
 #[test]
 fn a_spool_that_lost_its_end_sends_nothing_twice() {
-    // Ten were sent, acknowledged and not yet deleted; the aggregator has five more of the same process.
+    // Ten batches were sent, acknowledged and not deleted yet. The aggregator has five more from the same process.
     let mut agent = held(10, 0);
     agent.cut(2);
     let left = agent.file.stream;
@@ -77,7 +78,7 @@ fn a_spool_that_lost_its_end_sends_nothing_twice() {
 
 #[test]
 fn what_was_written_out_of_contact_is_told_from_what_was_sent() {
-    // The same after a process that met nobody.
+    // The same situation after a process without a connection.
     let mut agent = held(10, 3).restart();
     agent.cut(2);
     agent.connect();
@@ -88,8 +89,8 @@ fn what_was_written_out_of_contact_is_told_from_what_was_sent() {
 }
 
 #[test]
-fn what_each_of_several_processes_may_have_sent_is_known() {
-    // Another one took over before all that the first had sent was stored; both lost their ends.
+fn newest_sent_batch_is_known_per_process() {
+    // Another process took over before all batches of the first one were stored; both lost the end of their spool.
     let mut agent = held(10, 0);
     agent.connect();
     agent.welcome(0, None);
@@ -107,8 +108,8 @@ fn what_each_of_several_processes_may_have_sent_is_known() {
 }
 
 #[test]
-fn a_copy_of_the_spool_deletes_nothing_by_what_another_process_stored() {
-    // The original went on under another process, or under none that is known.
+fn copied_spool_keeps_batches_of_another_process() {
+    // The original continued with another process, or with an unknown one.
     for (stored, process) in [(15, Some(9)), (15, None), (11, Some(9)), (8, Some(9)), (8, Some(1))] {
         let mut agent = held(10, 3);
         agent.connect();
@@ -131,8 +132,8 @@ fn a_mark_without_a_chain_deletes_nothing() {
 }
 
 #[test]
-fn an_aggregator_that_lacks_what_it_acknowledged_is_told_of() {
-    // A new database, an older copy of it, and one of the time of an earlier process.
+fn aggregator_lacking_acknowledged_batches_is_reported() {
+    // A new database, an older copy of it, and one from the time of an earlier process.
     for (stored, chain, process) in [(0, None, None), (5, OTHER, Some(2)), (2, OTHER, Some(1))] {
         let mut agent = lacked();
         agent.welcome_after(stored, chain, process);
@@ -145,7 +146,7 @@ fn an_aggregator_that_lacks_what_it_acknowledged_is_told_of() {
 }
 
 #[test]
-fn an_aggregator_that_has_what_a_copy_sent_instead_gets_another_stream() {
+fn aggregator_with_batches_of_copy_gets_new_stream() {
     for (stored, process) in [(2, Some(9)), (5, Some(1))] {
         let mut agent = lacked();
         agent.welcome_after(stored, OTHER, process);
@@ -155,8 +156,8 @@ fn an_aggregator_that_has_what_a_copy_sent_instead_gets_another_stream() {
     }
 }
 
-/// An agent that says hello again with two batches; four of those before were stored from its first process, and two
-/// from its second.
+/// Returns an agent that sends a hello again with two batches. Of the batches before, four were stored from its first
+/// process, and two from its second.
 fn lacked() -> Agent {
     let mut agent = Agent::up(config());
     agent.cut(4);
@@ -175,7 +176,7 @@ fn lacked() -> Agent {
 }
 
 #[test]
-fn while_the_stream_is_renewed_nothing_is_sent_and_events_are_kept() {
+fn nothing_is_sent_during_stream_renewal() {
     let mut agent = held(4, 0);
     agent.connect();
     agent.broken = true;

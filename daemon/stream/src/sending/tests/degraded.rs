@@ -1,8 +1,8 @@
-//! While the spool fails, batches go from memory.
+//! Sending from memory while the spool fails.
 
 use super::*;
 
-/// Three batches that were delivered, then the disk fails.
+/// Returns an agent whose disk fails after three batches were delivered.
 fn failing() -> Agent {
     let mut agent = Agent::up(config());
     agent.cut(3);
@@ -13,7 +13,7 @@ fn failing() -> Agent {
 }
 
 #[test]
-fn batches_go_from_memory_while_the_disk_is_full_and_into_the_file_afterwards() {
+fn batches_are_sent_from_memory_while_disk_is_full() {
     let mut agent = failing();
     agent.cut(7);
     let why = "the disk is full";
@@ -28,7 +28,7 @@ fn batches_go_from_memory_while_the_disk_is_full_and_into_the_file_afterwards() 
     agent.actions.clear();
     agent.pass(1_000);
     assert_eq!(agent.notices.last(), Some(&Notice::SpoolRecovered));
-    // The file learns what is gone, then what may be stored over there, then what is new.
+    // The file records first the deletions, then the batches that may have been sent, then the new batches.
     let [
         Action::Delete { through: 6, .. },
         Action::Append { batches: none, totals },
@@ -48,7 +48,7 @@ fn batches_go_from_memory_while_the_disk_is_full_and_into_the_file_afterwards() 
 }
 
 #[test]
-fn it_fails_and_recovers_once_however_often_it_is_tried() {
+fn failure_and_recovery_are_reported_once() {
     let mut agent = failing();
     agent.cut(2);
     (0..20).for_each(|_| agent.pass(1_000));
@@ -85,8 +85,8 @@ fn an_acknowledgement_that_comes_during_the_write_is_not_forgotten() {
 }
 
 #[test]
-fn a_process_killed_meanwhile_loses_what_was_not_stored_and_repeats_nothing() {
-    // Two are in the file, undeleted though acknowledged; two more were stored from memory.
+fn process_killed_with_full_disk_repeats_nothing() {
+    // Two batches are in the file, acknowledged but not deleted; two more were stored from memory.
     let mut agent = Agent::up(config());
     agent.cut(2);
     agent.broken = true;
@@ -106,8 +106,9 @@ fn a_process_killed_meanwhile_loses_what_was_not_stored_and_repeats_nothing() {
 }
 
 #[test]
-fn nothing_goes_from_memory_before_the_file_knows_what_may_be_stored() {
-    // A process that met nobody wrote two batches; the next one meets the aggregator and a full disk at once.
+fn unspooled_batches_wait_until_file_records_sending() {
+    // A process without a connection wrote two batches. The next process meets the aggregator and a full disk at the
+    // same time.
     let mut agent = Agent::new(config());
     agent.cut(2);
     let mut agent = agent.restart();
@@ -118,12 +119,12 @@ fn nothing_goes_from_memory_before_the_file_knows_what_may_be_stored() {
     assert_eq!(agent.numbers(), [0; 0], "the file cannot be read either");
     agent.broken = false;
     agent.pass(1_000);
-    assert_eq!(agent.file.reached, [Reached { process: 2, number: 4 }]);
+    assert_eq!(agent.file.reached, [NewestSentBatch { process: 2, number: 4 }]);
     assert_eq!(agent.deliver(), [1, 2, 3, 4]);
 }
 
 #[test]
-fn what_a_full_disk_and_a_full_memory_cannot_hold_is_dropped_and_counted() {
+fn events_beyond_disk_and_memory_are_counted_as_dropped() {
     let memory = Usage { events: 6, bytes: 1 << 20 };
     let mut agent = Agent::new(SendingConfig { memory, ..config() });
     agent.broken = true;
@@ -141,7 +142,7 @@ fn what_a_full_disk_and_a_full_memory_cannot_hold_is_dropped_and_counted() {
     assert_eq!((is.produced, is.stored, is.dropped), (21, 7, 14));
 }
 
-/// The events missing in the gaps of what is in the file.
+/// Returns the number of events that the gaps in the file report.
 fn told(file: &File) -> u64 {
     let gap = |event: &Event| match event {
         Event::Gap(gap) => gap.count,
@@ -152,7 +153,7 @@ fn told(file: &File) -> u64 {
 }
 
 #[test]
-fn what_a_full_disk_cannot_hold_is_counted_there_while_it_goes_on() {
+fn losses_are_counted_while_disk_is_full() {
     let memory = Usage { events: 6, bytes: 1 << 20 };
     let mut agent = Agent::new(SendingConfig { memory, ..config() });
     agent.cut(2);
@@ -165,7 +166,7 @@ fn what_a_full_disk_cannot_hold_is_counted_there_while_it_goes_on() {
     assert!(is.trouble.is_some(), "a count that fits is no recovery");
     let failed = agent.notices.iter().filter(|notice| matches!(notice, Notice::SpoolFailed(_))).count();
     assert_eq!((failed, agent.notices.len()), (1, 1), "{:?}", agent.notices);
-    // Killed: of what was in memory nobody knows, of what was dropped before the file does.
+    // After a kill the events in memory are unknown, but the file knows the number of events that were dropped before.
     let mut agent = agent.restart();
     agent.cut(1);
     let is = agent.accounting();
@@ -173,11 +174,11 @@ fn what_a_full_disk_cannot_hold_is_counted_there_while_it_goes_on() {
 }
 
 #[test]
-fn what_only_memory_holds_at_the_end_is_counted_and_told_after_the_next_start() {
+fn events_lost_with_memory_are_reported_after_restart() {
     let memory = Usage { events: 6, bytes: 1 << 20 };
     let mut agent = Agent::new(SendingConfig { memory, ..config() });
     agent.cut(2);
-    // One loss is told in a gap that is safe, the next in one that is not.
+    // One loss is reported in a gap that is in the spool, the next one in a gap that is not.
     agent.broken = true;
     agent.offer(8);
     agent.broken = false;

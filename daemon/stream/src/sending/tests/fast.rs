@@ -1,17 +1,17 @@
-//! Fast links: knowing what is on the way does not slow down what goes there.
+//! Fast links: flow control must not reduce the throughput.
 
 use super::super::Compression;
-use super::link::{Link, Setting};
+use super::link::{Link, LinkSettings};
 use super::*;
 
-/// Events of 16 KiB, more than any store here takes.
+/// Number of events of 16 KiB per second, more than any of the stores accepts.
 const EVENTS_PER_S: i64 = 1_500;
 
 fn long(n: i64) -> String {
     format!("{n:16384}")
 }
 
-/// As agents have it, but for compression.
+/// Returns the agents' usual configuration without compression.
 fn usual() -> SendingConfig {
     SendingConfig {
         window: 32,
@@ -21,8 +21,8 @@ fn usual() -> SendingConfig {
     }
 }
 
-/// Events that are stored within four seconds, of a connection that has existed for two, out of a backlog.
-fn stored(setting: Setting) -> u64 {
+/// Returns the number of events stored within four seconds on a connection that is two seconds old, with a backlog.
+fn stored(setting: LinkSettings) -> u64 {
     let mut link = Link::new(usual(), setting);
     link.run(4);
     link.connect();
@@ -36,12 +36,12 @@ fn stored(setting: Setting) -> u64 {
 
 #[test]
 fn a_fast_link_carries_what_the_store_takes() {
-    // Bytes a second, one-way delay, what a commit takes, and of each second what the aggregator's host is busy with
-    // something else. The last three in milliseconds.
+    // Bytes per second; then in milliseconds the one-way delay, the duration of a commit, and the time per second in
+    // which the aggregator's host is busy with other work.
     for (bytes_per_s, one_way, commit, deaf) in
         [(1_250_000_000, 0, 300, 0), (1_250_000_000, 10, 300, 50), (12_500_000, 1, 10, 50)]
     {
-        let setting = Setting {
+        let setting = LinkSettings {
             bytes_per_s,
             one_way,
             step: 1,
@@ -52,19 +52,19 @@ fn a_fast_link_carries_what_the_store_takes() {
             text: long,
         };
         let with = stored(setting);
-        let without = stored(Setting { controlled: false, ..setting });
+        let without = stored(LinkSettings { controlled: false, ..setting });
         let seen = format!(
             "{bytes_per_s} B/s, {one_way} ms, commits of {commit} ms, {deaf} ms away: {with} events, {without} without \
              control"
         );
         println!("{seen}");
-        // A commit more or less is some percent.
+        // One commit more or less makes a difference of some percent.
         assert!(10 * with >= 9 * without, "{seen}");
     }
 }
 
-/// Milliseconds from the connection until two megabytes are stored.
-fn begun(setting: Setting) -> i64 {
+/// Returns the milliseconds from the connection until two megabytes are stored.
+fn begun(setting: LinkSettings) -> i64 {
     let mut link = Link::new(usual(), setting);
     link.run(1);
     link.connect();
@@ -76,9 +76,9 @@ fn begun(setting: Setting) -> i64 {
 }
 
 #[test]
-fn a_connection_soon_carries_all_that_it_can() {
+fn window_grows_to_capacity_of_link() {
     for one_way in [0, 1, 10, 25] {
-        let setting = Setting {
+        let setting = LinkSettings {
             bytes_per_s: 1_250_000_000,
             one_way,
             step: 1,
@@ -88,9 +88,9 @@ fn a_connection_soon_carries_all_that_it_can() {
             events_per_s: EVENTS_PER_S,
             text: long,
         };
-        let (with, without) = (begun(setting), begun(Setting { controlled: false, ..setting }));
+        let (with, without) = (begun(setting), begun(LinkSettings { controlled: false, ..setting }));
         println!("{one_way} ms: after {with} ms, {without} ms without control");
-        // It begins with 4 KiB and doubles: a megabyte after eight round trips.
+        // The allowance begins with 4 KiB and doubles: a megabyte after eight round trips.
         assert!(
             with <= without + 10 * (2 * one_way + 1),
             "{one_way} ms: after {with} ms, {without} ms without"

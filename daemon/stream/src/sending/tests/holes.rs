@@ -1,15 +1,15 @@
-//! Batches that somebody deleted from the file.
+//! Batches that were deleted from the file by someone else.
 
 use super::*;
 
-/// A file of ten batches without these.
+/// Returns an agent with a file of ten batches that lacks some.
 fn without(numbers: &[u64]) -> Agent {
     let mut agent = Agent::new(config());
     agent.cut(10);
     numbers.iter().for_each(|number| assert!(agent.file.batches.remove(number).is_some()));
     let state = agent.file.state();
     let mut agent = agent.restart();
-    // The file says that it holds them: they went after it was opened.
+    // The file states that it holds them, because they were deleted after it was opened.
     let lost = numbers.len() as u64;
     let held = Usage { events: state.held.events + lost, bytes: state.held.bytes + lost * 10 };
     let described = agent.sending.host.clone();
@@ -19,12 +19,12 @@ fn without(numbers: &[u64]) -> Agent {
 }
 
 #[test]
-fn a_hole_is_passed_counted_and_told_to_the_aggregator() {
+fn hole_is_skipped_counted_and_reported() {
     let mut agent = without(&[4, 5]);
     agent.connect();
     agent.welcome(0, None);
     assert_eq!(agent.deliver(), [1, 2, 3]);
-    // The one behind the hole cannot be checked by anyone.
+    // The chain of the batch after the gap cannot be checked.
     let hello = agent.hellos.last().expect("a hello").clone();
     assert_eq!((agent.hellos.len(), hello.oldest, hello.first), (2, 7, 1));
     agent.welcome(3, None);
@@ -40,7 +40,7 @@ fn a_hole_is_passed_counted_and_told_to_the_aggregator() {
 }
 
 #[test]
-fn a_hole_up_to_the_end_is_passed_as_well() {
+fn hole_up_to_end_is_skipped() {
     let mut agent = without(&[8, 9, 10]);
     agent.connect();
     agent.welcome(0, None);
@@ -83,7 +83,7 @@ fn several_holes_are_passed_one_after_the_other() {
 }
 
 #[test]
-fn a_hole_in_what_is_compared_deletes_nothing_that_may_not_be_stored() {
+fn hole_in_compared_batches_deletes_no_unstored_batch() {
     let mut agent = without(&[6]);
     agent.connect();
     agent.welcome(6, Some(Chain::from_bytes([9; 16])));

@@ -1,11 +1,11 @@
-//! An aggregator that lies: nothing panics, and nothing that is not stored disappears.
+//! An aggregator that sends wrong messages: the agent never panics, and no event is lost without being stored.
 
 use proptest::prelude::*;
 
 use super::*;
 
 #[test]
-fn an_acknowledgement_of_what_was_never_sent_is_a_reason_to_ask() {
+fn acknowledgement_of_unsent_batch_causes_new_hello() {
     let mut agent = Agent::up(config());
     agent.cut(5);
     assert_eq!(agent.numbers(), [1, 2, 3]);
@@ -54,7 +54,7 @@ proptest! {
                 }
             }
         }
-        // An honest one then gets everything that is left.
+        // An aggregator that behaves correctly then receives all remaining batches.
         agent.broken = false;
         agent.sending.disconnected();
         for _ in 0..10 {

@@ -1,26 +1,26 @@
-//! An agent, an aggregator and the way between them in simulated time.
+//! An agent, an aggregator and the link between them in simulated time.
 
 use std::collections::VecDeque;
 
-use super::super::super::{Arrival, Greeting, Known, Mark, Receiving, ReceivingConfig};
+use super::super::super::{Arrival, Greeting, Mark, Receiving, ReceivingConfig, StreamRecord};
 use super::*;
 
-/// The length of a live update of one pipeline, compressed by nobody.
+/// Length of a live update of one pipeline without compression.
 const LIVE_BYTES: usize = 1_500;
 const LIVE_EVERY_MS: i64 = 250;
 
 /// One direction of a link.
-pub(super) struct Way<T> {
+pub(super) struct OneWayPath<T> {
     pub(super) bytes_per_s: i64,
     delay_ms: i64,
-    /// When the last byte that was handed over will have left, microseconds.
+    /// Time in microseconds at which the last handed-over byte will have left.
     pub(super) busy_us: i64,
-    /// How long it was busy.
+    /// Time in microseconds during which the direction was busy.
     pub(super) used_us: i64,
     under_way: VecDeque<(i64, T)>,
 }
 
-impl<T> Way<T> {
+impl<T> OneWayPath<T> {
     const fn new(bytes_per_s: i64, delay_ms: i64) -> Self {
         Self { bytes_per_s, delay_ms, busy_us: 0, used_us: 0, under_way: VecDeque::new() }
     }
@@ -38,61 +38,61 @@ impl<T> Way<T> {
     }
 }
 
-pub(super) enum Sent {
+pub(super) enum SentMessage {
     Frame(Bytes),
-    /// A live update that was made then.
+    /// A live update, with the time at which it was made.
     Live(i64),
 }
 
-/// What surrounds the two machines; times in milliseconds.
+/// Environment of the two state machines; times in milliseconds.
 #[derive(Clone, Copy)]
-pub(super) struct Setting {
+pub(super) struct LinkSettings {
     pub(super) bytes_per_s: i64,
     pub(super) one_way: i64,
-    /// A step of the simulation, and how often the agent looks after its lanes.
+    /// Step of the simulation, and the interval at which the agent sends.
     pub(super) step: i64,
-    /// How long a commit takes; what comes meanwhile is the next.
+    /// Duration of a commit. Batches that arrive meanwhile form the next commit.
     pub(super) commit: i64,
-    /// Of every second, how long the aggregator hears nothing, because others have its processors.
+    /// Time per second in which the aggregator processes nothing, because its host is busy.
     pub(super) deaf: i64,
-    /// Whether the agent knows what is on its way; else all of it counts as arrived.
+    /// `true` if the agent controls the flow; otherwise everything it sends counts as arrived.
     pub(super) controlled: bool,
     pub(super) events_per_s: i64,
-    /// What an event says.
+    /// Text of an event.
     pub(super) text: fn(i64) -> String,
 }
 
-/// An agent, an aggregator, and a link with a speed.
+/// An agent, an aggregator, and a link of limited speed.
 pub(super) struct Link {
     pub(super) agent: Agent,
-    pub(super) setting: Setting,
-    pub(super) up: Way<Sent>,
+    pub(super) setting: LinkSettings,
+    pub(super) up: OneWayPath<SentMessage>,
     receiving: Receiving,
-    down: Way<ToAgent>,
-    /// What waits for the next commit, what is in the one at hand, and when that ends.
+    down: OneWayPath<ToAgent>,
+    /// Batches that wait for the next commit; those of the current commit and its end.
     waiting: Vec<BatchHead>,
     committing: (Vec<BatchHead>, i64),
     pub(super) stored: u64,
-    /// When the newest live update that came was made.
+    /// Time at which the newest received live update was made.
     shown: i64,
     due: bool,
-    /// How far the live picture was behind, at most, since this was last cleared.
+    /// Largest delay of the live figures since it was last reset.
     pub(super) behind: i64,
     pub(super) hellos: usize,
     pub(super) repeated: usize,
 }
 
 impl Link {
-    pub(super) fn new(config: SendingConfig, setting: Setting) -> Self {
+    pub(super) fn new(config: SendingConfig, setting: LinkSettings) -> Self {
         Self {
             agent: Agent::new(config),
             setting,
-            up: Way::new(setting.bytes_per_s, setting.one_way),
+            up: OneWayPath::new(setting.bytes_per_s, setting.one_way),
             receiving: Receiving::new(ReceivingConfig {
                 most_window: config.window,
                 ..ReceivingConfig::new("base".parse().expect("a name"))
             }),
-            down: Way::new(10_000_000, setting.one_way),
+            down: OneWayPath::new(10_000_000, setting.one_way),
             waiting: Vec::new(),
             committing: (Vec::new(), 0),
             stored: 0,
@@ -105,7 +105,7 @@ impl Link {
     }
 
     fn offer(&mut self) {
-        let Setting { step, events_per_s, text, .. } = self.setting;
+        let LinkSettings { step, events_per_s, text, .. } = self.setting;
         let now = self.agent.millis;
         let (before, after) = ((now - step) * events_per_s / 1_000, now * events_per_s / 1_000);
         for n in before..after {
@@ -124,22 +124,22 @@ impl Link {
         self.due |= now % LIVE_EVERY_MS == 0;
         if self.due && self.agent.sending.may_show() {
             self.agent.sending.shown(LIVE_BYTES);
-            self.up.send(LIVE_BYTES, Sent::Live(now), now);
+            self.up.send(LIVE_BYTES, SentMessage::Live(now), now);
             self.due = false;
         }
         self.send();
         let hears = now % 1_000 >= self.setting.deaf;
         while hears && let Some(sent) = self.up.arrived(now) {
             match sent {
-                Sent::Live(made) => self.shown = made,
-                Sent::Frame(frame) => self.take(frame),
+                SentMessage::Live(made) => self.shown = made,
+                SentMessage::Frame(frame) => self.take(frame),
             }
         }
         self.commit();
         self.behind = self.behind.max(now - self.shown);
     }
 
-    /// Does all that the agent wants.
+    /// Performs all actions of the agent.
     fn send(&mut self) {
         loop {
             let mut asked = None;
@@ -150,7 +150,7 @@ impl Link {
                 };
                 match codec::decode(&frame) {
                     Ok(ToAggregator::Echo { bytes, .. }) if !self.setting.controlled => asked = Some(bytes),
-                    _ => self.up.send(frame.len(), Sent::Frame(frame.into()), self.agent.millis),
+                    _ => self.up.send(frame.len(), SentMessage::Frame(frame.into()), self.agent.millis),
                 }
             }
             let Some(bytes) = asked else { return };
@@ -194,7 +194,7 @@ impl Link {
             ToAggregator::Hello(hello) => {
                 self.hellos += 1;
                 self.agent.hellos.push(hello.clone());
-                let greeting = self.receiving.hello(&hello, Known::default(), now);
+                let greeting = self.receiving.hello(&hello, StreamRecord::default(), now);
                 let Greeting::Welcome { reply, .. } = greeting else { panic!("{greeting:?}") };
                 self.reply(reply);
             }

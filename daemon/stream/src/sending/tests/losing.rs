@@ -1,4 +1,4 @@
-//! What does not fit is counted, and everything is accounted for.
+//! Events that do not fit are dropped and counted, and the counts add up.
 
 use super::super::super::{EndReason, RunEnded};
 use super::*;
@@ -22,7 +22,7 @@ fn a_full_spool_drops_the_newest_and_a_gap_takes_their_place() {
 }
 
 #[test]
-fn deletion_makes_room_for_what_is_new() {
+fn deletion_frees_capacity_for_new_events() {
     let mut agent = Agent::up(SendingConfig { spool_bytes: 4_000, ..config() });
     for _ in 0..100 {
         agent.offer(1);
@@ -32,7 +32,7 @@ fn deletion_makes_room_for_what_is_new() {
 }
 
 #[test]
-fn events_that_come_faster_than_the_disk_takes_them_wait_in_memory_up_to_its_limit() {
+fn events_wait_in_memory_for_slow_disk() {
     let memory = Usage { events: 1_000, bytes: 2_000 };
     let mut agent = Agent::new(SendingConfig { memory, batch_nodes: 100, ..config() });
     // The first batch is being written all the time.

@@ -1,4 +1,4 @@
-//! The agent's end by hand, with a spool file that can be broken and an aggregator that says what the test wants.
+//! The agent's end with a simulated spool file that can fail, and with an aggregator that is controlled by the test.
 
 mod batches;
 mod catching_up;
@@ -25,7 +25,7 @@ use super::super::{
 };
 use super::{Action, Notice, Sending, SendingConfig};
 use crate::spool::{SpoolState, SpooledBatch, Usage};
-use crate::totals::{Reached, Totals};
+use crate::totals::{NewestSentBatch, Totals};
 use peernet_logger::HostId;
 
 fn at(millis: i64) -> Stamp {
@@ -43,7 +43,7 @@ fn incident(text: &str) -> Event {
     })
 }
 
-/// One event a batch, so that events and batches can be counted alike; and each counts as one in a window.
+/// Returns a configuration with one event per batch, each of which counts as one in a window.
 fn config() -> SendingConfig {
     SendingConfig {
         batch_nodes: 1,
@@ -54,7 +54,7 @@ fn config() -> SendingConfig {
     }
 }
 
-/// What the spool keeps when the process ends.
+/// Content of the spool after the end of the process.
 #[derive(Clone, Debug)]
 struct File {
     stream: StreamId,
@@ -64,8 +64,8 @@ struct File {
     before: Chain,
     newest: (u64, Chain),
     totals: Totals,
-    reached: Vec<Reached>,
-    /// How many processes opened it.
+    reached: Vec<NewestSentBatch>,
+    /// Number of processes that opened it.
     processes: u64,
     batches: BTreeMap<u64, SpooledBatch>,
 }
@@ -137,24 +137,24 @@ impl File {
     }
 }
 
-/// An agent, its spool, and what it said.
+/// An agent, its spool, and its output.
 struct Agent {
     config: SendingConfig,
     host: HostId,
     file: File,
     sending: Sending,
     millis: i64,
-    /// The spool fails.
+    /// `true` while the spool fails.
     broken: bool,
-    /// It takes no batches.
+    /// `true` while the spool accepts no batches.
     full: bool,
     sent: Vec<BatchHead>,
-    /// What came of a batch in parts.
+    /// Received parts of a batch.
     parts: Vec<u8>,
     hellos: Vec<Hello>,
     proofs: Vec<Proof>,
     notices: Vec<Notice>,
-    /// What was asked of the spool.
+    /// Actions that the spool was asked to perform.
     actions: Vec<Action>,
 }
 
@@ -193,7 +193,7 @@ impl Agent {
         }
     }
 
-    /// An agent that is connected and welcomed.
+    /// Creates an agent that is connected and welcomed.
     fn up(config: SendingConfig) -> Self {
         let mut agent = Self::new(config);
         agent.connect();
@@ -201,7 +201,7 @@ impl Agent {
         agent
     }
 
-    /// The process is killed and started anew.
+    /// Kills the process and starts a new one.
     fn restart(self) -> Self {
         Self::open(self.config, self.host, self.file)
     }
@@ -210,7 +210,7 @@ impl Agent {
         at(self.millis)
     }
 
-    /// Does all there is to do.
+    /// Performs all actions.
     fn settle(&mut self) {
         while let Some(action) = self.sending.next(self.now().mono) {
             let _ = self.accounting();
@@ -250,7 +250,7 @@ impl Agent {
             None => match codec::decode(&frame) {
                 Ok(ToAggregator::Hello(hello)) => self.hellos.push(hello),
                 Ok(ToAggregator::Proof(proof)) => self.proofs.push(proof),
-                // The way is short.
+                // The simulated path has no delay.
                 Ok(ToAggregator::Echo { bytes, .. }) => {
                     self.sending.received(&ToAgent::Echo { bytes }, self.now());
                 }
@@ -297,7 +297,7 @@ impl Agent {
         self.settle();
     }
 
-    /// Offers events, one a batch, and cuts the last.
+    /// Offers events, one per batch, and cuts the last batch.
     fn cut(&mut self, batches: usize) {
         self.offer(batches);
         self.pass(self.config.batch_age.nanos() / 1_000_000);
@@ -324,7 +324,7 @@ impl Agent {
         self.welcome_after(stored, chain, None);
     }
 
-    /// The batch that is stored last came from this process.
+    /// Sends a welcome whose last stored batch came from `process`.
     fn welcome_after(&mut self, stored: u64, chain: Option<Chain>, process: Option<u64>) {
         let (aggregator, stream) = ("base".parse().expect("a name"), self.stream());
         self.receive(&ToAgent::Welcome { aggregator, stream, stored, chain, process, window: 100 });
@@ -335,17 +335,17 @@ impl Agent {
         self.receive(&ToAgent::Ack { stream, through, window: 100 });
     }
 
-    /// The stream it speaks of.
+    /// Returns the stream of the last hello.
     fn stream(&self) -> StreamId {
         self.hellos.last().map_or(self.file.stream, |hello| hello.stream)
     }
 
-    /// Numbers of the batches that were sent since the last call.
+    /// Returns the numbers of the batches that were sent since the last call.
     fn numbers(&mut self) -> Vec<u64> {
         self.sent.drain(..).map(|head| head.number).collect()
     }
 
-    /// What became of the events; it must add up.
+    /// Returns the numbers of events by state, which must add up.
     fn accounting(&self) -> Accounting {
         let is = self.sending.accounting();
         assert_eq!(is.produced, is.stored + is.waiting + is.dropped, "{is:?}");
@@ -353,7 +353,7 @@ impl Agent {
         is
     }
 
-    /// Acknowledges whatever is sent until nothing is.
+    /// Acknowledges batches until no more are sent. Returns their numbers.
     fn deliver(&mut self) -> Vec<u64> {
         let mut delivered: Vec<u64> = Vec::new();
         loop {
@@ -365,7 +365,7 @@ impl Agent {
         }
     }
 
-    /// Chain of a batch in the file.
+    /// Returns the chain of a batch in the file.
     fn chain(&self, number: u64) -> Option<Chain> {
         self.file.batches.get(&number).map(|batch| batch.chain)
     }

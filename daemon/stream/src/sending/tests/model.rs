@@ -1,5 +1,5 @@
-//! The agent's end against an aggregator that keeps its word, while processes are killed, the power is cut, the disk
-//! fails and connections break: what survives in the file is stored once.
+//! The agent's end with a correct aggregator, while processes are killed, the power fails, the disk fails and
+//! connections end. Every event that survives in the file must be stored exactly once.
 
 use std::collections::{BTreeSet, HashMap, VecDeque};
 
@@ -7,7 +7,7 @@ use proptest::prelude::*;
 
 use super::*;
 
-/// The aggregator: its marks, what its connection knows, and the names of the events it stores.
+/// The aggregator: its marks, the state of its connection, and the names of the events it stored.
 #[derive(Default)]
 struct Store {
     marks: HashMap<StreamId, (u64, Chain, Option<u64>)>,
@@ -70,29 +70,29 @@ fn names(body: &[u8], count: u32) -> Vec<u64> {
     codec::events(body, count).expect("readable").into_iter().filter_map(name).collect()
 }
 
-struct World {
+struct Simulation {
     agent: Agent,
-    /// What the disk is to do, in order.
+    /// Actions for the disk, in order.
     jobs: VecDeque<Action>,
     up: VecDeque<Bytes>,
     down: VecDeque<ToAgent>,
     store: Store,
     offered: u64,
-    /// The file as it was after each job that a power cut may undo.
+    /// State of the file before each action that a power failure may undo.
     unsynced: Vec<File>,
     /// Events that were in a file when a process began, or at the end.
     survived: BTreeSet<u64>,
 }
 
-impl World {
+impl Simulation {
     fn new() -> Self {
         let mut config = SendingConfig { batch_nodes: 2, batch_bytes: 100, spool_bytes: 2_000, ..config() };
         config.memory = Usage { events: 12, bytes: 400 };
         let (jobs, up, down, store, unsynced, survived) = Default::default();
-        let mut world =
+        let mut simulation =
             Self { agent: Agent::new(config), jobs, up, down, store, offered: 0, unsynced, survived };
-        world.reconnect();
-        world
+        simulation.reconnect();
+        simulation
     }
 
     fn run(&mut self) {
@@ -119,7 +119,7 @@ impl World {
 
     fn work(&mut self) {
         let Some(job) = self.jobs.pop_front() else { return };
-        // The file is synced at once when it says how far the sending may go.
+        // The file is synced at once when it records which batches may be sent.
         let at_once =
             matches!(&job, Action::Append { batches, .. } if batches.is_empty()) && !self.agent.broken;
         let before = self.agent.file.clone();
@@ -153,8 +153,8 @@ impl World {
         self.run();
     }
 
-    /// The process is gone, with what it asked for; and with the power what was not synced. The next one meets the
-    /// aggregator or not.
+    /// Starts a new process after a kill, which loses the requested actions, or after a power failure, which loses what
+    /// was not synced. `connect` tells whether the new process connects.
     fn start(&mut self, file: File, connect: bool) {
         self.up.clear();
         self.down.clear();
@@ -233,29 +233,29 @@ proptest! {
 
     #[test]
     fn what_survives_in_the_file_is_stored_once(steps in prop::collection::vec(step(), 1..80)) {
-        let mut world = World::new();
+        let mut simulation = Simulation::new();
         for step in steps {
             match step {
-                Step::Offer(count) => (0..count).for_each(|_| world.offer()),
-                Step::Pass(millis) => world.pass(millis.into()),
-                Step::Work(count) => (0..count).for_each(|_| world.work()),
-                Step::Deliver(count) => (0..count).for_each(|_| world.deliver()),
-                Step::Answer(count) => (0..count).for_each(|_| world.answer()),
-                Step::Reconnect => world.reconnect(),
+                Step::Offer(count) => (0..count).for_each(|_| simulation.offer()),
+                Step::Pass(millis) => simulation.pass(millis.into()),
+                Step::Work(count) => (0..count).for_each(|_| simulation.work()),
+                Step::Deliver(count) => (0..count).for_each(|_| simulation.deliver()),
+                Step::Answer(count) => (0..count).for_each(|_| simulation.answer()),
+                Step::Reconnect => simulation.reconnect(),
                 Step::Break(broken) => {
-                    // A full disk has lost nothing of what was on it before.
-                    world.unsynced.clear();
-                    world.agent.broken = broken;
+                    // A full disk has lost nothing that was on it before.
+                    simulation.unsynced.clear();
+                    simulation.agent.broken = broken;
                 }
-                Step::Kill { connect } => world.start(world.agent.file.clone(), connect),
+                Step::Kill { connect } => simulation.start(simulation.agent.file.clone(), connect),
                 Step::Cut { back, connect } => {
-                    let index = world.unsynced.len().saturating_sub(usize::from(back) % 8);
-                    let file = world.unsynced.get(index).unwrap_or(&world.agent.file).clone();
-                    world.start(file, connect);
+                    let index = simulation.unsynced.len().saturating_sub(usize::from(back) % 8);
+                    let file = simulation.unsynced.get(index).unwrap_or(&simulation.agent.file).clone();
+                    simulation.start(file, connect);
                 }
-                Step::Sync => world.unsynced.clear(),
+                Step::Sync => simulation.unsynced.clear(),
             }
         }
-        world.end();
+        simulation.end();
     }
 }

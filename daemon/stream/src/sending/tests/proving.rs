@@ -1,4 +1,4 @@
-//! The proof that this host is who it says it is.
+//! The proof that this host is the one it claims to be.
 
 use super::super::super::{AGENT_STREAM_VERSIONS, Nonce};
 use super::*;
@@ -54,7 +54,7 @@ fn challenge_of_another_stream_is_not_answered() {
 }
 
 #[test]
-fn agent_that_is_in_answers_no_challenge() {
+fn agent_with_session_answers_no_challenge() {
     let mut agent = Agent::new(SendingConfig::default());
     agent.connect();
     let stream = agent.hellos[0].stream;

@@ -1,18 +1,18 @@
-//! Slow links: what is live stays so, the link is put to use, nothing is lost or repeated.
+//! Slow links: live figures stay recent, the link is used, and nothing is lost or repeated.
 
-use super::link::{Link, Setting};
+use super::link::{Link, LinkSettings};
 use super::*;
 
 fn usual() -> SendingConfig {
     SendingConfig { window: 4, first_pause: Span::from_seconds(1), ..SendingConfig::default() }
 }
 
-/// What says something new does not compress.
+/// Returns a text that hardly compresses, because it is different for each event.
 fn news(n: i64) -> String {
     (0..8).map(|part| Chain::START.then(part, &n.to_be_bytes()).to_string()).collect()
 }
 
-/// Goes on for so long; how far the live picture was behind at most, and how much of the link was in use.
+/// Runs for some seconds. Returns the largest delay of the live figures, and the used share of the link.
 fn watch(link: &mut Link, seconds: i64) -> (i64, f64) {
     (link.behind, link.up.used_us) = (0, 0);
     let queued = link.up.busy_us - link.agent.millis * 1_000;
@@ -21,7 +21,7 @@ fn watch(link: &mut Link, seconds: i64) -> (i64, f64) {
     (link.behind, (link.up.used_us + queued.max(0) - left) as f64 / (seconds * 1_000_000) as f64)
 }
 
-/// The link becomes fast: all arrives, each once.
+/// Makes the link fast, and checks that every event arrives exactly once.
 fn finish(mut link: Link) {
     (link.up.bytes_per_s, link.setting.events_per_s) = (10_000_000, 0);
     for _ in 0..20 {
@@ -36,8 +36,8 @@ fn finish(mut link: Link) {
 }
 
 #[test]
-fn a_live_picture_stays_fresh_on_a_link_that_is_too_slow_for_the_events() {
-    // Bytes a second, one-way delay, and how far behind the picture may be, in milliseconds.
+fn live_updates_stay_fresh_on_slow_link() {
+    // Bytes per second, one-way delay, and largest delay of the live figures, both in milliseconds.
     for (rate, delay, most) in [
         (6_250, 0, 1_500),
         (6_250, 300, 3_000),
@@ -46,8 +46,8 @@ fn a_live_picture_stays_fresh_on_a_link_that_is_too_slow_for_the_events() {
         (62_500, 300, 2_500),
     ] {
         for offline in [0, 60] {
-            // More than the link carries; and a backlog in batches that are as long as they get.
-            let setting = Setting {
+            // More events than the link carries, and a backlog of batches of the largest size.
+            let setting = LinkSettings {
                 bytes_per_s: rate,
                 one_way: delay,
                 step: 5,

@@ -1,4 +1,4 @@
-//! How much is under way, and what happens when no answer comes.
+//! Batches in flight, and the behaviour without answers.
 
 use super::super::super::MOST_UNDER_WAY;
 use super::*;
@@ -36,14 +36,14 @@ fn small_batches_are_under_way_in_greater_number() {
     let stream = agent.stream();
     agent.receive(&ToAgent::Resend { stream, from: 150 });
     assert_eq!(agent.numbers(), (150..=194).collect::<Vec<_>>());
-    // However small they are, there is an end to it.
+    // Their number is limited however small they are.
     let mut agent = Agent::up(SendingConfig { batch_bytes: 1 << 20, ..config });
     agent.cut(1_100);
     assert_eq!(agent.numbers().len(), MOST_UNDER_WAY);
 }
 
 #[test]
-fn what_is_asked_for_again_is_sent_again() {
+fn requested_batch_is_sent_again() {
     let mut agent = Agent::up(config());
     agent.cut(4);
     assert_eq!(agent.numbers(), [1, 2, 3]);
@@ -86,7 +86,7 @@ fn without_an_answer_the_greeting_is_repeated() {
 }
 
 #[test]
-fn a_refusal_is_told_and_the_greeting_repeated_later() {
+fn refused_greeting_is_repeated_later() {
     let mut agent = Agent::new(config());
     agent.connect();
     agent.receive(&ToAgent::Refused { reason: "the name is taken".into() });

@@ -9,7 +9,7 @@ use crate::zone::Zone;
 
 #[test]
 fn the_title_answers_whether_delays_can_be_trusted() {
-    let say = |link: &LinkPicture| title(&Subject::live(link), Zone::Utc);
+    let say = |link: &LinkSnapshot| title(&Subject::live(link), Zone::Utc);
     let mixed = link(Some(0.00065), &[]);
     assert_eq!(
         say(&mixed),

@@ -9,8 +9,8 @@ mod origin;
 mod panels;
 
 use super::course::Course;
-use super::{LinkPicture, Subject};
+use super::{LinkSnapshot, Subject};
 
-fn course(link: &LinkPicture) -> Course {
+fn course(link: &LinkSnapshot) -> Course {
     Course::live(&link.history, Subject::live(link).end, 600)
 }

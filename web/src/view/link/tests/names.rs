@@ -5,7 +5,7 @@ use crate::tests::samples::link;
 
 #[test]
 fn a_link_is_found_by_its_two_names() {
-    let picture = peernet_aggregator::Picture {
+    let picture = peernet_aggregator::LiveState {
         links: vec![std::sync::Arc::new(link(Some(0.00065), &[]))],
         ..crate::tests::samples::picture(Vec::new(), Vec::new())
     };

@@ -45,7 +45,7 @@ fn narrow_bound_names_its_sources_and_needs_no_time_daemon() {
         let half = Span::from_micros(30);
         offset.bounds = Interval { lo: offset.estimate - half, hi: offset.estimate + half };
     }
-    let told = |link: &LinkPicture| {
+    let told = |link: &LinkSnapshot| {
         let origin = Origin::of(&Subject::live(link), &course(link));
         (origin.why[0].clone(), origin.hints)
     };
@@ -133,7 +133,7 @@ fn why_probes_are_not_answered_is_told_where_it_is_known() {
     assert!(answers.contains("key_file") && hint.contains("key_file"), "{answers} {hint}");
 }
 
-fn inconsistent(sources: usize) -> LinkPicture {
+fn inconsistent(sources: usize) -> LinkSnapshot {
     let mut link = link(Some(0.0005), &[]);
     let ms = Span::from_millis;
     let away = Interval { lo: ms(249), hi: ms(250) };

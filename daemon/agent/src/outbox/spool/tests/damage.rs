@@ -1,4 +1,4 @@
-//! Files that are broken, and rows that are.
+//! Tests of broken files and broken rows.
 
 use std::fs;
 use std::io::{Seek, SeekFrom, Write};
@@ -11,7 +11,7 @@ use super::*;
 use crate::outbox::spool::aside::{beside, condemn, condemned};
 
 #[tokio::test]
-async fn a_file_that_is_no_database_is_put_aside_and_a_new_one_begins() {
+async fn invalid_database_is_quarantined_and_replaced() {
     let place = Place::new();
     fs::write(place.path(), b"this is no database at all, and long enough to be seen as none".repeat(100))
         .expect("written");
@@ -32,7 +32,7 @@ async fn a_file_that_is_no_database_is_put_aside_and_a_new_one_begins() {
 }
 
 #[tokio::test]
-async fn a_file_that_never_was_a_spool_is_left_alone() {
+async fn file_of_another_program_is_kept() {
     let place = Place::new();
     let notes = place.folder.path().join("notes");
     fs::write(&notes, "not for you").expect("written");
@@ -40,7 +40,7 @@ async fn a_file_that_never_was_a_spool_is_left_alone() {
     assert!(refused.contains("notes is not a spool") && refused.contains("[spool] file"), "{refused}");
     assert_eq!(fs::read(&notes).expect("there"), b"not for you");
 
-    // Another program's database, by the name of the agent's own or not, and also while all of it is in its log.
+    // The database of another program is refused, also at the default path, and also while all of it is in its log.
     let options = SqliteConnectOptions::new().filename(place.path()).create_if_missing(true);
     let options = options.journal_mode(SqliteJournalMode::Wal);
     let mut other = options.connect().await.expect("opens");
@@ -57,7 +57,7 @@ async fn a_file_that_never_was_a_spool_is_left_alone() {
 }
 
 #[tokio::test]
-async fn a_spool_of_a_killed_process_is_one_while_all_of_it_is_in_its_log() {
+async fn spool_that_is_only_in_log_is_recognised() {
     let place = Place::new();
     let (file, state) = place.sound().await;
     let killed = Place::new();
@@ -70,12 +70,12 @@ async fn a_spool_of_a_killed_process_is_one_while_all_of_it_is_in_its_log() {
 }
 
 #[tokio::test]
-async fn a_file_whose_tables_are_broken_is_put_aside() {
+async fn file_with_broken_tables_is_quarantined() {
     let place = Place::new();
     let (mut file, _) = place.sound().await;
     file.append(&batches(Chain::START, 1..=20, 1000), &totals(60)).await.expect("appends");
     drop(file.close().await);
-    // All pages but the first, which says what kind of file it is.
+    // All pages but the first, which has the header.
     let length = fs::metadata(place.path()).expect("there").len();
     let mut broken = fs::File::options().write(true).open(place.path()).expect("opens");
     broken.seek(SeekFrom::Start(4096)).expect("seeks");
@@ -89,7 +89,7 @@ async fn a_file_whose_tables_are_broken_is_put_aside() {
 }
 
 #[tokio::test]
-async fn a_rotten_batch_ends_the_list_and_is_named() {
+async fn damaged_batch_ends_list_and_is_named() {
     let place = Place::new();
     let (mut file, _) = place.sound().await;
     let written = batches(Chain::START, 1..=5, 100);
@@ -100,15 +100,15 @@ async fn a_rotten_batch_ends_the_list_and_is_named() {
         .expect("changed");
     let loaded = file.load(1, usize::MAX).await.expect("loads");
     assert_eq!(loaded.batches, written[..2]);
-    let said = loaded.rotten.expect("said");
+    let said = loaded.damage.expect("said");
     assert!(said.contains("batch 3") && said.contains("not what was written"), "{said}");
     let loaded = file.load(3, usize::MAX).await.expect("loads");
-    assert!(loaded.batches.is_empty() && loaded.rotten.is_some());
+    assert!(loaded.batches.is_empty() && loaded.damage.is_some());
     assert_eq!(file.load(4, usize::MAX).await.expect("loads").batches, written[3..], "what follows is sound");
 }
 
 #[tokio::test]
-async fn a_missing_batch_ends_the_list() {
+async fn missing_batch_ends_list() {
     let place = Place::new();
     let (mut file, _) = place.sound().await;
     let written = batches(Chain::START, 1..=5, 100);
@@ -117,7 +117,7 @@ async fn a_missing_batch_ends_the_list() {
     assert_eq!(file.load(1, usize::MAX).await.expect("loads").batches, written[..2]);
     let loaded = file.load(3, usize::MAX).await.expect("loads");
     assert!(loaded.batches.is_empty());
-    assert!(loaded.rotten.expect("said").contains("batch 3"), "named");
+    assert!(loaded.damage.expect("said").contains("batch 3"), "named");
     assert_eq!(file.load(4, usize::MAX).await.expect("loads").batches, written[3..], "what is behind it");
     drop(file.close().await);
     let (_, state) = place.sound().await;
@@ -125,7 +125,7 @@ async fn a_missing_batch_ends_the_list() {
 }
 
 #[tokio::test]
-async fn a_spool_of_a_newer_version_is_refused_and_left_alone() {
+async fn spool_of_newer_version_is_refused_and_kept() {
     let place = Place::new();
     let (mut file, _) = place.sound().await;
     sqlx::query(
@@ -142,7 +142,7 @@ async fn a_spool_of_a_newer_version_is_refused_and_left_alone() {
 }
 
 #[tokio::test]
-async fn a_damaged_page_costs_the_batches_on_it_and_no_others() {
+async fn damaged_page_loses_only_its_batches() {
     let place = Place::new();
     let (mut file, _) = place.sound().await;
     let written = batches(Chain::START, 1..=200, 2000);
@@ -154,21 +154,25 @@ async fn a_damaged_page_costs_the_batches_on_it_and_no_others() {
     broken.seek(SeekFrom::Start(50 * 4096)).expect("seeks");
     broken.write_all(&[0xa5; 4096]).expect("written");
 
-    let (mut sound, mut rotten, mut next) = (Vec::new(), 0, 1);
+    let (mut sound, mut damaged, mut next) = (Vec::new(), 0, 1);
     while next <= 200 {
         let loaded = file.load(next, usize::MAX).await.expect("what can be read is read");
         next += loaded.batches.len() as u64;
         sound.extend(loaded.batches);
-        if loaded.rotten.is_some() {
-            (rotten, next) = (rotten + 1, next + 1);
+        if loaded.damage.is_some() {
+            (damaged, next) = (damaged + 1, next + 1);
         }
     }
-    assert!((1..=3).contains(&rotten) && sound.len() == 200 - rotten, "{} sound, {rotten} not", sound.len());
+    assert!(
+        (1..=3).contains(&damaged) && sound.len() == 200 - damaged,
+        "{} sound, {damaged} not",
+        sound.len()
+    );
     assert!(sound.iter().all(|batch| written.contains(batch)));
 }
 
 #[tokio::test]
-async fn a_mark_without_its_spool_keeps_nobody_from_beginning_anew() {
+async fn mark_without_spool_allows_new_spool() {
     let place = Place::new();
     condemn(&place.path(), "a page was broken");
     let (_, state) = place.sound().await;

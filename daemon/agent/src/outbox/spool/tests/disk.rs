@@ -1,4 +1,4 @@
-//! Disks that are full, and files that go away.
+//! Tests of full disks and of files that are moved.
 
 use std::fs;
 use std::os::unix::fs::MetadataExt;
@@ -7,7 +7,7 @@ use peernet_stream::Chain;
 
 use super::*;
 
-/// Lets the file grow by so many pages and no further.
+/// Limits the growth of the file to `more` pages.
 async fn limit(file: &mut SpoolFile, more: i64) {
     let pages: i64 =
         sqlx::query_scalar("PRAGMA page_count").fetch_one(file.connection()).await.expect("counts");
@@ -16,7 +16,7 @@ async fn limit(file: &mut SpoolFile, more: i64) {
 }
 
 #[tokio::test]
-async fn a_full_disk_refuses_all_or_nothing_and_takes_again_what_there_is_room_for() {
+async fn full_disk_refuses_whole_appends_until_there_is_room() {
     let place = Place::new();
     let (mut file, _) = place.sound().await;
     let written = batches(Chain::START, 1..=40, 10_000);
@@ -37,11 +37,11 @@ async fn a_full_disk_refuses_all_or_nothing_and_takes_again_what_there_is_room_f
 }
 
 #[tokio::test]
-async fn the_room_for_deleting_outlives_the_process_whose_successor_may_find_none() {
+async fn reserve_for_deleting_survives_restart() {
     let place = Place::new();
     let reserve = || {
         let held = fs::metadata(place.folder.path().join("spool.sqlite-reserve"));
-        // Where the file system cannot hold room there is none.
+        // `None` on a file system that cannot allocate space.
         held.ok().map(|held| (held.ino(), held.blocks()))
     };
     let (file, _) = place.sound().await;
@@ -55,7 +55,7 @@ async fn the_room_for_deleting_outlives_the_process_whose_successor_may_find_non
 }
 
 #[tokio::test]
-async fn a_file_that_was_moved_is_not_written_until_it_is_back() {
+async fn moved_file_is_not_written_until_it_is_back() {
     let place = Place::new();
     let (mut file, _) = place.sound().await;
     let written = batches(Chain::START, 1..=2, 10);
@@ -73,7 +73,7 @@ async fn a_file_that_was_moved_is_not_written_until_it_is_back() {
 }
 
 #[tokio::test]
-async fn a_folder_that_cannot_be_made_is_named() {
+async fn folder_that_cannot_be_created_is_named() {
     let place = Place::new();
     fs::write(place.folder.path().join("file"), b"").expect("written");
     let path = place.folder.path().join("file").join("spool.sqlite");

@@ -1,11 +1,11 @@
-//! What is written is there again.
+//! Tests of writing a spool and reading it back.
 
-use peernet_stream::{Chain, Reached, StreamId, Usage};
+use peernet_stream::{Chain, NewestSentBatch, StreamId, Usage};
 
 use super::*;
 
 #[tokio::test]
-async fn a_new_spool_is_empty_and_keeps_its_stream() {
+async fn new_spool_is_empty_and_keeps_its_stream() {
     let place = Place::new();
     let (file, fresh) = place.sound().await;
     assert_eq!(
@@ -24,7 +24,7 @@ async fn a_new_spool_is_empty_and_keeps_its_stream() {
 }
 
 #[tokio::test]
-async fn batches_totals_and_deletions_are_there_after_it_was_opened_anew() {
+async fn batches_totals_and_deletions_survive_reopening() {
     let place = Place::new();
     let (mut file, fresh) = place.sound().await;
     let written = batches(Chain::START, 1..=9, 100);
@@ -42,15 +42,15 @@ async fn batches_totals_and_deletions_are_there_after_it_was_opened_anew() {
     assert_eq!((state.held, state.totals), (Usage { events: 18, bytes: 600 }, totals(29)));
 
     let all = file.load(4, usize::MAX).await.expect("loads");
-    assert_eq!((all.batches.as_slice(), all.rotten), (&written[3..], None));
+    assert_eq!((all.batches.as_slice(), all.damage), (&written[3..], None));
     let some = file.load(6, 150).await.expect("loads");
-    assert_eq!((some.batches.as_slice(), some.rotten), (&written[5..7], None), "until they exceed it");
+    assert_eq!((some.batches.as_slice(), some.damage), (&written[5..7], None), "until they exceed it");
     let one = file.load(6, 0).await.expect("loads");
     assert_eq!(one.batches.as_slice(), &written[5..6], "one at least");
 }
 
 #[tokio::test]
-async fn an_emptied_spool_knows_where_it_was() {
+async fn emptied_spool_keeps_its_position() {
     let place = Place::new();
     let (mut file, _) = place.sound().await;
     let written = batches(Chain::START, 1..=2, 10);
@@ -64,8 +64,8 @@ async fn an_emptied_spool_knows_where_it_was() {
 }
 
 #[tokio::test]
-async fn batches_that_were_stored_without_the_spool_leave_no_hole() {
-    // While the disk failed, batches 3 to 5 went from memory and were acknowledged.
+async fn batches_stored_without_spool_leave_no_hole() {
+    // While the disk failed, batches 3 to 5 were sent from memory and acknowledged.
     let place = Place::new();
     let (mut file, _) = place.sound().await;
     let made = batches(Chain::START, 1..=7, 10);
@@ -79,7 +79,7 @@ async fn batches_that_were_stored_without_the_spool_leave_no_hole() {
 }
 
 #[tokio::test]
-async fn a_renewed_spool_goes_on_with_its_batches_under_another_stream() {
+async fn renewed_spool_keeps_its_batches_in_another_stream() {
     let place = Place::new();
     let (mut file, fresh) = place.sound().await;
     let written = batches(Chain::START, 1..=3, 10);
@@ -94,13 +94,13 @@ async fn a_renewed_spool_goes_on_with_its_batches_under_another_stream() {
 }
 
 #[tokio::test]
-async fn who_sent_from_the_file_is_remembered() {
+async fn senders_from_file_are_remembered() {
     let place = Place::new();
     let (mut file, fresh) = place.sound().await;
     assert_eq!(fresh.reached, []);
     let written = batches(Chain::START, 1..=6, 10);
     let by = |process, number| {
-        let reached = Reached { process, number };
+        let reached = NewestSentBatch { process, number };
         (reached, Totals { reached: Some(reached), ..totals(9) })
     };
     let ((first, as_first), (second, as_second)) = (by(u64::MAX, 2), by(5, 4));
@@ -121,7 +121,7 @@ async fn who_sent_from_the_file_is_remembered() {
 }
 
 #[tokio::test]
-async fn a_repeated_append_replaces_what_is_there() {
+async fn repeated_append_replaces_batches() {
     let place = Place::new();
     let (mut file, _) = place.sound().await;
     let written = batches(Chain::START, 1..=2, 10);
@@ -131,7 +131,7 @@ async fn a_repeated_append_replaces_what_is_there() {
 }
 
 #[tokio::test]
-async fn a_second_agent_is_refused_and_another_hosts_spool_too() {
+async fn second_agent_and_other_hosts_spool_are_refused() {
     let place = Place::new();
     let (file, _) = place.sound().await;
     let refused = place.open().await.expect_err("one has it").to_string();

@@ -1,7 +1,8 @@
-//! The spools in `tests/fixtures/spools`, one of each migration, as SQL text: what waits in them is still sent.
+//! Tests that read the spools in `tests/fixtures/spools`, one of each migration, as SQL text: events that wait in
+//! them must still be sent.
 //!
-//! After a new migration, `cargo test -p peernet-agent write_missing_fixtures -- --ignored` writes its file. A file that is there
-//! is never written again.
+//! After a new migration, `cargo test -p peernet-agent write_missing_fixtures -- --ignored` writes its file. An
+//! existing file is never overwritten.
 
 use std::borrow::Cow;
 use std::fs;
@@ -12,12 +13,12 @@ use sqlx::migrate::Migrator;
 use sqlx::sqlite::SqliteConnectOptions;
 use sqlx::{AssertSqlSafe, ConnectOptions, Connection, SqliteConnection};
 
-use super::super::look::APPLICATION_ID;
+use super::super::file_kind::APPLICATION_ID;
 use super::super::open::MIGRATIONS;
 use super::tally::batch;
 use super::*;
 
-/// The texts of the events in each of them.
+/// Texts of the events in each of them.
 const WAITING: [&str; 4] = ["first", "second", "third", "fourth"];
 
 fn fixtures() -> PathBuf {
@@ -43,7 +44,7 @@ fn event(text: &str) -> Event {
     })
 }
 
-/// The same in a file as the program of that migration left it.
+/// Copies the spool to a file with the schema of an earlier migration.
 async fn as_of_version(new: &Path, old: &Path, version: i64) {
     let mut connection = connect(old).await;
     let migrations = MIGRATIONS.iter().filter(|migration| migration.version <= version).cloned().collect();
@@ -99,7 +100,7 @@ async fn spool_of_each_migration_is_readable() {
         assert_eq!((state.oldest, state.newest.0, state.held.events), (1, 1, 4));
         assert_eq!(state.totals.produced, 4);
         let loaded = file.load(1, usize::MAX).await.expect("reads");
-        assert_eq!(loaded.rotten, None);
+        assert_eq!(loaded.damage, None);
         let events =
             loaded.batches.iter().flat_map(|batch| codec::events(&batch.body, batch.events).expect("events"));
         let expected: Vec<Event> = WAITING.into_iter().map(event).collect();

@@ -1,4 +1,4 @@
-//! How much of the disk it takes.
+//! Tests of the disk space of a spool.
 
 use peernet_stream::Chain;
 
@@ -13,7 +13,7 @@ async fn pages(file: &mut SpoolFile) -> u64 {
 }
 
 #[tokio::test]
-async fn the_file_is_little_larger_than_what_it_holds_and_shrinks_after_a_backlog() {
+async fn file_size_follows_content_and_shrinks_after_backlog() {
     let place = Place::new();
     let (mut file, _) = place.sound().await;
     let written = batches(Chain::START, 1..=40, MIB as usize);
@@ -39,7 +39,7 @@ async fn the_file_is_little_larger_than_what_it_holds_and_shrinks_after_a_backlo
 }
 
 #[tokio::test]
-async fn settings_are_the_ones_that_the_promise_rests_on() {
+async fn settings_are_those_of_the_durability_promise() {
     let place = Place::new();
     let (mut file, _) = place.sound().await;
     for (pragma, expected) in [("auto_vacuum", "2"), ("journal_mode", "wal"), ("synchronous", "1")] {

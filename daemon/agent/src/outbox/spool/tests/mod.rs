@@ -1,4 +1,4 @@
-//! The spool with real files.
+//! Tests of the spool with real files.
 
 mod damage;
 mod disk;
@@ -21,7 +21,7 @@ use tempfile::TempDir;
 use super::file::SpoolFile;
 use super::{OpenSpool, SpoolError, inspect};
 
-/// Whose spool it is.
+/// Returns the id of the host that owns the spools.
 fn host() -> HostId {
     HostId::from_bytes([7; 16])
 }
@@ -44,11 +44,11 @@ impl Place {
         OpenSpool::open(&self.path(), host(), true, &clock()).await
     }
 
-    /// Opens a spool that is not broken.
+    /// Opens a spool that must not be broken.
     async fn sound(&self) -> (SpoolFile, SpoolState) {
         let OpenSpool { file, state, aside, counter } = self.open().await.expect("opens");
         assert_eq!(aside, None);
-        // Only what a test kills leaves it behind.
+        // The counter's file is left behind only by a process that is killed.
         counter.remove();
         (file, state)
     }
@@ -62,7 +62,7 @@ fn clock() -> SharedClock {
     Arc::new(ManualClock::new(WallTime::from_unix_nanos(5_000_000_000), ClockIdentity::new("boot", "system")))
 }
 
-/// Batches of these numbers that follow on a chain.
+/// Returns batches with these numbers, whose chain continues `before`.
 fn batches(mut before: Chain, numbers: impl IntoIterator<Item = u64>, bytes: usize) -> Vec<SpooledBatch> {
     let batch = |number: u64| {
         let body = Bytes::from(vec![number as u8; bytes]);
@@ -82,7 +82,7 @@ fn totals(produced: u64) -> Totals {
     Totals { produced, dropped: 2, gaps: 1, told: 2, ..Totals::default() }
 }
 
-/// The names of the files beside the spool, without those that SQLite keeps while it is open.
+/// Returns the names of the files in a folder, without those that SQLite and the agent keep beside an open spool.
 fn names(folder: &Path) -> Vec<String> {
     let entries = std::fs::read_dir(folder).expect("can be listed");
     let name = |entry: std::io::Result<std::fs::DirEntry>| {

@@ -1,7 +1,7 @@
-//! What a killed process took with it.
+//! Tests of the losses of a killed process.
 
 use peernet_logger::{RunId, Slug};
-use peernet_stream::{HandedIn, KILLED, SentUnspooled};
+use peernet_stream::{HandedInEvents, KILLED, SentUnspooled};
 
 use super::*;
 use crate::event_queue::EventCounter;
@@ -10,21 +10,21 @@ fn at(nanos: i64) -> WallTime {
     WallTime::from_unix_nanos(nanos)
 }
 
-/// So many events of a run are handed in.
+/// Counts `events` events of a run.
 fn hand_in(counter: &EventCounter, run: RunId, events: u64) {
     let pipeline: Slug = "line".parse().expect("a name");
     (0..events).for_each(|n| counter.count(Some(&pipeline), Some(run), at(n.cast_signed())));
 }
 
-/// So many events of a run are in batches, and so many lost ones are told.
-fn settled(run: RunId, events: u64, told: u64, before: &Totals) -> Totals {
-    let mut handed_in = HandedIn { last: Some(at(1)), ..HandedIn::default() };
+/// Returns totals after `events` more events of a run are in batches and `reported` lost events are in gaps.
+fn settled(run: RunId, events: u64, reported: u64, before: &Totals) -> Totals {
+    let mut handed_in = HandedInEvents { last: Some(at(1)), ..HandedInEvents::default() };
     handed_in.taken.add(Some(run), events);
-    Totals { produced: before.produced + events, told, handed_in, ..before.clone() }
+    Totals { produced: before.produced + events, told: reported, handed_in, ..before.clone() }
 }
 
 #[tokio::test]
-async fn killed_process_leaves_its_losses_until_they_are_told() {
+async fn losses_of_killed_process_stay_until_reported() {
     let (place, run) = (Place::new(), RunId::random());
     let OpenSpool { mut file, state, counter, .. } = place.open().await.expect("opens");
     hand_in(&counter, run, 10);
@@ -41,7 +41,7 @@ async fn killed_process_leaves_its_losses_until_they_are_told() {
     assert_eq!((state.totals.produced, state.totals.dropped, state.totals.told), (10, 4, 0));
     assert_eq!(lost(&state), [(Some(run), 4, KILLED.to_owned())]);
     assert_eq!((state.unreported[0].from, state.unreported[0].to), (at(1), at(9)));
-    // Killed again before it could tell of that, and with an event of its own.
+    // Killed again before it could report that, with an event of its own.
     hand_in(&counter, second, 1);
     drop((file, counter));
 
@@ -62,7 +62,7 @@ async fn killed_process_leaves_its_losses_until_they_are_told() {
 }
 
 #[tokio::test]
-async fn what_was_sent_without_the_spool_stays_open_until_it_is_resolved() {
+async fn unspooled_sends_stay_open_until_resolved() {
     let (place, run) = (Place::new(), RunId::random());
     let OpenSpool { mut file, state, counter, .. } = place.open().await.expect("opens");
     hand_in(&counter, run, 10);
@@ -107,7 +107,7 @@ async fn lost_counter_proves_nothing() {
 }
 
 #[tokio::test]
-async fn copy_of_a_spool_leaves_the_count_to_the_first() {
+async fn copied_spool_leaves_count_to_original() {
     let (place, copy, run) = (Place::new(), Place::new(), RunId::random());
     let OpenSpool { mut file, state, counter, .. } = place.open().await.expect("opens");
     file.append(&batches(Chain::START, 1..=2, 10), &settled(run, 6, 0, &state.totals))

@@ -1,4 +1,4 @@
-//! What the log says is safe.
+//! Tests of the log lines about iterations in the spool.
 
 use peernet_clock::Stamp;
 use peernet_logger::{Recorder, RunId};
@@ -23,7 +23,7 @@ fn iteration(clock: &SharedClock, run: RunId, number: u64) -> Event {
     })
 }
 
-/// What the state machine makes of events.
+/// Returns the batch that the state machine makes of these events.
 pub(super) fn batch(clock: &SharedClock, state: SpoolState, events: &[Event]) -> SpooledBatch {
     let description = HostDescription {
         id: host(),
@@ -46,17 +46,17 @@ pub(super) fn batch(clock: &SharedClock, state: SpoolState, events: &[Event]) ->
 }
 
 #[tokio::test]
-async fn every_iteration_of_a_batch_is_in_one_range_and_nothing_else_is() {
+async fn each_iteration_of_batch_is_in_one_range() {
     let (clock, place) = (clock(), Place::new());
     let (_, state) = place.sound().await;
     let mut runs = [RunId::random(), RunId::random()];
     runs.sort();
     let [first, second] = runs;
-    // Iterations in flight end in any order, and some are not there.
+    // Iterations in flight end in any order, and some are missing.
     let mixed = [(second, 7), (first, 4), (first, 2), (second, 6), (first, 3), (first, 9)];
     let events: Vec<Event> = mixed.iter().map(|(run, number)| iteration(&clock, *run, *number)).collect();
     let batch = batch(&clock, state, &events);
     assert_eq!(ranges(&batch), [(first, 2, 4), (first, 9, 9), (second, 6, 7)]);
-    let rotten = SpooledBatch { events: 99, ..batch };
-    assert!(ranges(&rotten).is_empty(), "what cannot be read is not claimed");
+    let damaged = SpooledBatch { events: 99, ..batch };
+    assert!(ranges(&damaged).is_empty(), "what cannot be read is not claimed");
 }

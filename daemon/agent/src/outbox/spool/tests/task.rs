@@ -1,17 +1,17 @@
-//! The task and its two channels.
+//! Tests of the task and its channels.
 
 use std::time::Duration;
 
 use peernet_stream::{Chain, StreamId};
 
-use super::super::error::Trouble;
+use super::super::error::SpoolFileError;
 use super::super::task::{Done, Order, SpoolTask, SpoolTaskError};
 use super::*;
 
 const HOUR: Duration = Duration::from_secs(3600);
 
 #[tokio::test]
-async fn orders_are_done_one_after_the_other_and_answered() {
+async fn orders_are_done_in_sequence_and_answered() {
     let place = Place::new();
     let (file, fresh) = place.sound().await;
     let mut task = SpoolTask::start(file, HOUR);
@@ -33,7 +33,7 @@ async fn orders_are_done_one_after_the_other_and_answered() {
 }
 
 #[tokio::test]
-async fn what_was_ordered_last_is_done_before_it_closes() {
+async fn last_order_is_done_before_closing() {
     let place = Place::new();
     let (file, _) = place.sound().await;
     let task = SpoolTask::start(file, HOUR);
@@ -44,7 +44,7 @@ async fn what_was_ordered_last_is_done_before_it_closes() {
 }
 
 #[tokio::test]
-async fn trouble_is_told_in_words() {
+async fn error_names_the_moved_file() {
     let place = Place::new();
     let (file, _) = place.sound().await;
     let mut task = SpoolTask::start(file, HOUR);
@@ -52,15 +52,15 @@ async fn trouble_is_told_in_words() {
     task.order(Order::Append { batches: batches(Chain::START, 1..=1, 10), totals: totals(3) })
         .expect("takes it");
     let Some(Done::Appended(Err(error))) = task.done().await else { panic!("fails") };
-    assert!(matches!(error, SpoolTaskError::File(Trouble::Moved(_))), "{error}");
+    assert!(matches!(error, SpoolTaskError::File(SpoolFileError::Moved(_))), "{error}");
     assert!(error.to_string().contains("spool.sqlite"), "{error}");
 }
 
 #[tokio::test]
-async fn a_file_that_turns_out_to_be_broken_is_put_aside_at_the_next_start() {
+async fn file_found_broken_is_quarantined_at_next_start() {
     let place = Place::new();
     let (mut file, _) = place.sound().await;
-    // What SQLite itself would find: the tree of the table leads to a page of another one.
+    // Damage that SQLite itself detects: the tree of the table leads to a page of another table.
     sqlx::raw_sql(
         "PRAGMA writable_schema = ON;
          UPDATE sqlite_schema SET rootpage = (SELECT rootpage FROM sqlite_schema WHERE name = 'sqlite_autoindex__sqlx_migrations_1') WHERE name = 'batch';

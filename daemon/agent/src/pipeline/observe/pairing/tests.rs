@@ -1,4 +1,4 @@
-//! Every message is resolved once, whatever comes in whatever order.
+//! Tests of pairing: each message is resolved once, whatever its order of arrival.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -57,35 +57,35 @@ fn input_without_output_is_given_up_at_its_deadline() {
 }
 
 #[test]
-fn order_pairs_the_oldest_and_never_with_a_later_input() {
+fn order_pairs_oldest_input_and_never_a_later_one() {
     let mut pairing = pairing();
     assert_eq!(pairing.take_output(None, at(0), 10), Some(Resolution::Unmatched(10)));
     pairing.take_input(None, at(1), 1);
     pairing.take_input(None, at(2), 2);
     assert_eq!(pairing.take_output(None, at(3), 11), paired(1, 11));
-    // Handed over late: it was received before the input message that waits.
+    // Passed on late: it was received before the input message that waits.
     assert_eq!(pairing.take_output(None, at(1), 12), Some(Resolution::Unmatched(12)));
     assert_eq!(pairing.take_output(None, at(4), 13), paired(2, 13));
 }
 
-/// What happens, and the milliseconds that pass before it.
+/// An event of a generated history.
 #[derive(Clone, Copy, Debug)]
-enum Happening {
+enum TopicEvent {
     Input(Option<i64>),
     Output(Option<i64>),
     Expire,
 }
 
-fn happenings() -> impl Strategy<Value = Vec<(i64, Happening)>> {
+fn topic_events() -> impl Strategy<Value = Vec<(i64, TopicEvent)>> {
     let by_key = prop_oneof![
-        4 => (0_i64..6).prop_map(|key| Happening::Input(Some(key))),
-        4 => (0_i64..6).prop_map(|key| Happening::Output(Some(key))),
-        2 => Just(Happening::Expire),
+        4 => (0_i64..6).prop_map(|key| TopicEvent::Input(Some(key))),
+        4 => (0_i64..6).prop_map(|key| TopicEvent::Output(Some(key))),
+        2 => Just(TopicEvent::Expire),
     ];
     let by_order = prop_oneof![
-        4 => Just(Happening::Input(None)),
-        4 => Just(Happening::Output(None)),
-        2 => Just(Happening::Expire),
+        4 => Just(TopicEvent::Input(None)),
+        4 => Just(TopicEvent::Output(None)),
+        2 => Just(TopicEvent::Expire),
     ];
     let step = 0_i64..40;
     prop_oneof![
@@ -94,10 +94,10 @@ fn happenings() -> impl Strategy<Value = Vec<(i64, Happening)>> {
     ]
 }
 
-/// Keys and moments of the messages of a topic, by their numbers.
+/// Keys and reception times of the messages of a topic, by number.
 type Sent = BTreeMap<u32, (Option<i64>, MonoTime)>;
 
-/// Removes what a resolution names from the messages that wait, and checks that it may be resolved so.
+/// Removes the messages of a resolution from those that wait, and checks that the resolution is allowed.
 fn settle(
     resolution: &Numbered,
     now: MonoTime,
@@ -130,38 +130,38 @@ fn settle(
 
 proptest! {
     #[test]
-    fn every_message_is_resolved_once_in_bounded_memory(happenings in happenings()) {
+    fn every_message_is_resolved_once_in_bounded_memory(topic_events in topic_events()) {
         let (mut pairing, mut now, mut number) = (pairing(), at(0), 0_u32);
         let (mut inputs, mut outputs) = (Sent::new(), Sent::new());
-        for (pause, happening) in happenings {
+        for (pause, topic_event) in topic_events {
             now = now + Span::from_millis(pause);
             number += 1;
-            let resolution = match happening {
-                Happening::Input(key) => {
+            let resolution = match topic_event {
+                TopicEvent::Input(key) => {
                     inputs.insert(number, (key, now));
                     pairing.take_input(key, now, number)
                 }
-                Happening::Output(key) => {
+                TopicEvent::Output(key) => {
                     outputs.insert(number, (key, now));
                     pairing.take_output(key, now, number)
                 }
-                Happening::Expire => None,
+                TopicEvent::Expire => None,
             };
             if let Some(resolution) = resolution {
                 settle(&resolution, now, &mut inputs, &mut outputs)?;
             }
-            if matches!(happening, Happening::Expire) {
+            if matches!(topic_event, TopicEvent::Expire) {
                 while let Some(resolution) = pairing.expire(now) {
                     settle(&resolution, now, &mut inputs, &mut outputs)?;
                 }
                 prop_assert!(pairing.next_deadline().is_none_or(|deadline| deadline > now));
             }
-            // Nothing is forgotten, and no more waits than may.
+            // No message is lost, and no more wait than the capacity.
             prop_assert!(inputs.len() <= CAPACITY && outputs.len() <= CAPACITY);
             prop_assert_eq!(pairing.inputs.len(), inputs.len());
             prop_assert_eq!(pairing.outputs.len(), outputs.len());
             prop_assert_eq!(pairing.is_settled(), inputs.is_empty());
-            // What could be paired does not wait.
+            // Messages that could be paired do not wait.
             let waiting: BTreeSet<i64> = inputs.values().filter_map(|(key, _)| *key).collect();
             prop_assert!(outputs.values().all(|(key, _)| key.is_some_and(|key| !waiting.contains(&key))));
         }

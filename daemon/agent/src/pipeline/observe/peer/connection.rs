@@ -10,7 +10,7 @@ use peernet_networks::{Address, CloseReason, SessionSettings};
 use peernet_sample::Sample;
 use peernet_stream::{IncidentKind, Outcome, PipelineState};
 
-use super::PeerTold;
+use super::PeerDescription;
 use crate::config::{ObserveConfig, PairBy, RemoteConfig};
 use crate::host::Host;
 use crate::incidents::IncidentContext;
@@ -24,9 +24,9 @@ use crate::reconnect_backoff::ReconnectBackoff;
 /// Opens sessions with the peer.
 pub(super) struct PeerConnector {
     context: PipelineContext,
-    /// The pipeline here.
+    /// Pipeline of this host.
     pipeline: Slug,
-    /// The pipeline there.
+    /// Pipeline of the peer.
     observed: Slug,
     pair_by: PairBy,
     remote: RemoteConfig,
@@ -46,10 +46,10 @@ pub(super) struct PeerConnection {
     timeout: Duration,
 }
 
-/// Why there is no session with the peer.
+/// Reason why there is no session with the peer.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) struct PeerTrouble {
-    /// It is there and does not want.
+    /// `true` if the peer answered and refused.
     is_refusal: bool,
     text: String,
 }
@@ -59,7 +59,7 @@ impl PeerTrouble {
         if self.is_refusal { IncidentKind::Refused } else { IncidentKind::Disconnected }
     }
 
-    /// The trouble and how it goes on, for people.
+    /// Returns the trouble and the time of the next attempt, for people.
     pub(super) fn describe(&self) -> String {
         let (shortest, longest) =
             (ReconnectBackoff::SHORTEST.as_secs_f64(), ReconnectBackoff::LONGEST.as_secs());
@@ -74,19 +74,19 @@ impl PeerTrouble {
         self.is_refusal
     }
 
-    /// What is wrong and what to do.
+    /// Returns what is wrong and what to do.
     pub(super) fn text(&self) -> &str {
         &self.text
     }
 
-    /// How long to wait before the next try.
+    /// Returns the pause before the next attempt.
     pub(super) fn pause(&self, reconnect_backoff: &mut ReconnectBackoff) -> Duration {
         if self.is_refusal { reconnect_backoff.refused() } else { reconnect_backoff.grow() }
     }
 }
 
 impl PeerConnector {
-    /// `None` where the pipeline has no peer.
+    /// Creates a connector; `None` if the pipeline has no peer.
     pub(super) fn new(runner: &Runner, config: &ObserveConfig) -> Option<Self> {
         let remote = RemoteConfig {
             peer: config.peer.clone()?,
@@ -106,10 +106,10 @@ impl PeerConnector {
         })
     }
 
-    /// Opens the session that a run waits for. `None` when the agent stops.
+    /// Opens the session that a run waits for. Returns `None` if the agent stops.
     pub(super) async fn connect_first(&self, runner: &Runner) -> Option<PeerConnection> {
         let mut reconnect_backoff = ReconnectBackoff::new(self.context.host.id);
-        let mut said = None;
+        let mut reported = None;
         loop {
             let trouble = match runner.stop.run_until_cancelled(self.open()).await? {
                 Ok(connection) => return Some(connection),
@@ -117,16 +117,16 @@ impl PeerConnector {
             };
             runner.display.set_state(PipelineState::Waiting(trouble.text.clone()));
             let pause = trouble.pause(&mut reconnect_backoff);
-            if said.as_ref() != Some(&trouble) {
+            if reported.as_ref() != Some(&trouble) {
                 let text = format!("{}; the run begins when the peer answers", trouble.describe());
                 self.report(trouble.kind(), None, text);
-                said = Some(trouble);
+                reported = Some(trouble);
             }
             runner.stop.run_until_cancelled(tokio::time::sleep(pause)).await?;
         }
     }
 
-    /// Opens a session and asks whether the peer has the pipeline.
+    /// Opens a session and checks that the peer has the pipeline.
     pub(super) async fn open(&self) -> Result<PeerConnection, PeerTrouble> {
         let settings = self.remote.session.clone();
         let opened = Placement::open_remote(&self.remote, settings, &self.pipeline, &self.context).await;
@@ -146,6 +146,7 @@ impl PeerConnector {
             own: self.context.host.id,
             timeout: self.timeout,
         };
+        // A request without keys shows whether the peer has the pipeline.
         match connection.ask(Vec::new()).await {
             Ok(_) => {
                 let text = format!(
@@ -166,6 +167,7 @@ impl PeerConnector {
         match failure {
             OpenFailure::Away(error) => PeerTrouble { is_refusal: false, text: error.to_string() },
             OpenFailure::Refused(error) => PeerTrouble { is_refusal: true, text: advised(error.to_string()) },
+            // Cannot happen: this session uses no model of this host.
             OpenFailure::Model(_) | OpenFailure::Panicked => {
                 let text = format!("cannot open a session with {}", self.remote.peer);
                 PeerTrouble { is_refusal: false, text }
@@ -173,7 +175,7 @@ impl PeerConnector {
         }
     }
 
-    /// Reports something of the pipeline, and of its run if there is one.
+    /// Reports an incident of the pipeline, and of its run if one is in progress.
     pub(super) fn report(&self, kind: IncidentKind, peer: Option<HostId>, text: String) {
         let events = &self.context.events;
         let run = events.runs.current(&self.pipeline);
@@ -184,7 +186,7 @@ impl PeerConnector {
         &self.context.host
     }
 
-    /// Name of the pipeline of the peer.
+    /// Returns the name of the peer's pipeline.
     pub(super) const fn observed(&self) -> &Slug {
         &self.observed
     }
@@ -193,7 +195,7 @@ impl PeerConnector {
         self.timeout
     }
 
-    /// Waits until a moment; for ever without one.
+    /// Waits until `at`; for ever if it is `None`.
     pub(super) async fn until(&self, at: Option<MonoTime>) {
         match at {
             Some(at) => tokio::time::sleep((at - self.context.host.clock.mono()).to_duration()).await,
@@ -203,10 +205,10 @@ impl PeerConnector {
 }
 
 impl PeerConnection {
-    /// Asks when the peer received messages.
+    /// Asks for the stamps of messages by their keys.
     ///
     /// # Errors
-    /// There was no answer, or one that says what to change.
+    /// When there was no answer, or one that refuses or cannot be read.
     pub(super) async fn ask(&self, keys: Vec<i64>) -> Result<StampAnswer, PeerTrouble> {
         let away = |reason: String| PeerTrouble {
             is_refusal: false,
@@ -215,7 +217,8 @@ impl PeerConnection {
         let refused = |reason: String| PeerTrouble { is_refusal: true, ..away(reason) };
         let request = StampRequest::new(self.observed.clone(), self.pair_by, keys);
         let sample = request.to_sample().map_err(|error| refused(error.to_string()))?;
-        // Not a part of any iteration: what came of it counts, and what it taught of the clocks.
+        // The recorder is not part of any iteration and is dropped. Only the answer counts, and the exchange that the
+        // link learns from.
         let log = Recorder::begin(Arc::clone(&self.clock), self.own);
         match self.placement.compute(log, &sample, self.timeout).await.result {
             Ok(answer) => {
@@ -231,21 +234,21 @@ impl PeerConnection {
         }
     }
 
-    /// Judges the delays of messages by what the link knows of the two clocks.
+    /// Judges the delays of messages by the link's clock relation.
     pub(super) fn judge(&self, up: &Crossing, down: Option<&Crossing>) -> [Option<OneWayDelay>; 2] {
         self.placement.judge_stamps(up, down)
     }
 
-    /// Returns what the run's page says of the peer.
-    pub(super) async fn told(&self) -> PeerTold {
+    /// Returns the description of the peer for the run's page.
+    pub(super) async fn peer_description(&self) -> PeerDescription {
         let mut facts =
             vec![("Peer".to_owned(), format!("{} with its pipeline {}", self.name, self.observed))];
         facts.extend(self.placement.facts());
-        // A name that cannot be looked up any more only costs the word that the peer measures there.
+        // If the name cannot be resolved any more, publishers are merely not marked as being on the peer's host.
         let found = tokio::net::lookup_host((self.address.host(), 0)).await;
         let addresses: Vec<IpAddr> =
             found.map(|found| found.map(|found| found.ip()).collect()).unwrap_or_default();
-        PeerTold {
+        PeerDescription {
             name: self.name.clone(),
             facts,
             conditions: self.placement.peer_conditions().to_vec(),
@@ -253,7 +256,7 @@ impl PeerConnection {
         }
     }
 
-    /// Waits until the session is over, and tells why.
+    /// Waits until the session is over and returns the reason.
     pub(super) async fn closed(&self) -> CloseReason {
         self.placement.closed().await
     }
@@ -263,9 +266,9 @@ impl PeerConnection {
     }
 }
 
-/// Returns the words of a refusal with what to do, where the peer itself does not say it.
+/// Returns the text of a refusal with advice, where the peer itself does not give it.
 fn advised(refusal: String) -> String {
-    // An agent of an earlier release knows models alone.
+    // An agent of an earlier release takes the request for one of a model.
     if refusal.contains(&format!("no model named {MODEL}")) {
         return format!(
             "{refusal}; its agent must be PEERNet 0.3 or later, with a [[pipeline]] that observes the same messages"
@@ -286,7 +289,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn agent_of_an_earlier_release_is_to_be_updated() {
+    fn earlier_release_of_peer_is_told_to_update() {
         let refused = |reason: String| {
             let address = "tcp://rack:5551".parse().expect("an address");
             advised(OpenError::Refused { address, reason }.to_string())

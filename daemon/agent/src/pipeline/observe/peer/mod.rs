@@ -1,7 +1,12 @@
-//! The other agent that observes the same messages on its host.
+//! The agent on another host that observes the same messages there.
 //!
-//! [`PeerStamps`] is the observer's end of a task of its own, so that waiting for the network never holds up the messages.
-//! `connection` is the session with the peer, `pending` the pairs that wait for it, without I/O, and `task` drives both.
+//! [`PeerStamps`] is the observer's end; the session runs in a task, in which iterations wait in bounded number, so
+//! that waiting for the network does not delay messages. `connection` is the session with the peer, `pending` the
+//! pairs that wait for an answer (without I/O), and `task` drives both.
+//!
+//! The first stamp of an observed message is that of another receiver and not of its departure. So a message bounds
+//! no offset: its delays are judged by the relation, which learns nothing from them, and a difference may be
+//! negative.
 
 mod connection;
 mod pending;
@@ -24,10 +29,10 @@ use crate::host::Host;
 use crate::pipeline::progress::Position;
 use crate::pipeline::runner::Runner;
 
-/// Iterations of a pipeline that may wait for the peer; more are recorded without its stamps.
+/// Largest number of pairs that may wait for the peer; further ones are recorded without its stamps.
 const MAX_PENDING: usize = 1024;
 
-/// A pair of messages that belong together.
+/// An input message and the output message that belongs to it.
 #[derive(Debug)]
 pub(in crate::pipeline::observe) struct Pair {
     pub(in crate::pipeline::observe) input: Input,
@@ -35,7 +40,7 @@ pub(in crate::pipeline::observe) struct Pair {
     pub(in crate::pipeline::observe) uncounted: Uncounted,
 }
 
-/// The tree of a pair, with what the peer knows of it.
+/// The tree of a pair, with the stamps that the peer has of it.
 #[derive(Debug)]
 pub(super) struct SettledPair {
     pub(super) position: Position,
@@ -43,20 +48,20 @@ pub(super) struct SettledPair {
     pub(super) ended: Stamp,
 }
 
-/// What the observer holds of the peer.
+/// The observer's end of the task that asks the peer.
 pub(super) struct PeerStamps {
-    /// `None` when nothing is asked any more.
+    /// Channel for questions; `None` once no more are asked.
     ask: Option<mpsc::Sender<(i64, Pair)>>,
     settled: mpsc::Receiver<SettledPair>,
-    /// Pairs that were handed over and did not come back.
+    /// Number of pairs that were sent to the task and have not come back.
     waiting: usize,
-    told: PeerTold,
+    peer_description: PeerDescription,
     task: JoinHandle<()>,
 }
 
-/// What the peer told of itself when the session was opened, for the run's page.
+/// Description of the peer from the opening of the session, for the run's page.
 #[derive(Clone, Debug)]
-pub(super) struct PeerTold {
+pub(super) struct PeerDescription {
     pub(super) name: Slug,
     pub(super) facts: Vec<(String, String)>,
     pub(super) conditions: Vec<Condition>,
@@ -64,8 +69,8 @@ pub(super) struct PeerTold {
     pub(super) addresses: Vec<IpAddr>,
 }
 
-impl PeerTold {
-    /// Whether a host of this address is the peer's.
+impl PeerDescription {
+    /// Returns whether this address is one of the peer's host.
     pub(super) fn is_at(&self, host: Option<&str>) -> bool {
         let address: Option<IpAddr> = host.and_then(|host| host.parse().ok());
         address.is_some_and(|address| self.addresses.contains(&address))
@@ -73,22 +78,23 @@ impl PeerTold {
 }
 
 impl PeerStamps {
-    /// Opens a session with the peer of a pipeline, however long that takes. `None` without a peer, and when the agent stops.
+    /// Opens a session with the peer of a pipeline, with as many attempts as it takes. Returns `None` without a peer,
+    /// and when the agent stops.
     pub(super) async fn open(runner: &Runner, config: &ObserveConfig) -> Option<Self> {
         let connector = PeerConnector::new(runner, config)?;
         let connection = connector.connect_first(runner).await?;
-        let told = connection.told().await;
-        let (ask, asked) = mpsc::channel(MAX_PENDING);
+        let peer_description = connection.peer_description().await;
+        let (ask, requests) = mpsc::channel(MAX_PENDING);
         let (settle, settled) = mpsc::channel(MAX_PENDING);
-        let task = tokio::spawn(PeerTask::new(connector, asked, settle).run(connection));
-        Some(Self { ask: Some(ask), settled, waiting: 0, told, task })
+        let task = tokio::spawn(PeerTask::new(connector, requests, settle).run(connection));
+        Some(Self { ask: Some(ask), settled, waiting: 0, peer_description, task })
     }
 
-    pub(super) const fn told(&self) -> &PeerTold {
-        &self.told
+    pub(super) const fn peer_description(&self) -> &PeerDescription {
+        &self.peer_description
     }
 
-    /// Asks the peer about a pair. Gives it back where too many wait, or nothing is asked any more.
+    /// Asks the peer about a pair. Returns the pair if too many wait, or if no more are asked.
     pub(super) fn ask(&mut self, key: i64, pair: Pair) -> Result<(), Box<Pair>> {
         let Some(ask) = self.ask.as_ref().filter(|_| self.waiting < MAX_PENDING) else {
             return Err(Box::new(pair));
@@ -98,7 +104,7 @@ impl PeerStamps {
         Ok(())
     }
 
-    /// Waits for the next pair that the peer told of, or that was given up. Dropping the future loses none.
+    /// Waits for the next pair that the peer has answered or that has expired. Dropping the future loses no pair.
     pub(super) async fn next(&mut self) -> SettledPair {
         if self.waiting > 0
             && let Some(settled) = self.settled.recv().await
@@ -107,18 +113,18 @@ impl PeerStamps {
             return settled;
         }
         if self.waiting > 0 {
-            // The task has panicked, which the log says: nothing is waited for any more.
+            // The task has panicked, which is logged: no further answers will come.
             (self.ask, self.waiting) = (None, 0);
         }
         std::future::pending().await
     }
 
-    /// Whether nothing waits.
+    /// Returns whether no pair waits for the peer.
     pub(super) const fn is_settled(&self) -> bool {
         self.waiting == 0
     }
 
-    /// Gives up all that waits. Returns it, as far as the peer told of it.
+    /// Gives up all waiting pairs. Returns them with the stamps that the peer has sent so far.
     pub(super) async fn give_up(&mut self) -> Vec<SettledPair> {
         self.ask = None;
         let mut settled = Vec::with_capacity(self.waiting);
@@ -129,7 +135,7 @@ impl PeerStamps {
         settled
     }
 
-    /// Takes leave of the peer.
+    /// Ends the session with the peer.
     pub(super) async fn close(mut self) {
         self.ask = None;
         if self.task.await.is_err() {
@@ -138,7 +144,7 @@ impl PeerStamps {
     }
 }
 
-/// Records a pair of which the peer told nothing.
+/// Records a pair without stamps of the peer.
 pub(super) fn record_without_peer(host: &Host, pair: &Pair) -> SettledPair {
     let (tree, ended) = record::answered_without_peer((&host.clock, host.id), pair);
     SettledPair { position: pair.input.position, tree, ended }

@@ -1,4 +1,4 @@
-//! Pairs of messages of which the peer is still to be asked. No I/O.
+//! Pairs of messages about which the peer has yet to be asked. No I/O.
 
 use std::collections::VecDeque;
 
@@ -7,19 +7,19 @@ use peernet_logger::HostId;
 
 use crate::observed::ObservedPair;
 
-/// Time from a question to the next one about the same messages: the peer may receive them later than this host.
-const ASK_AGAIN: Span = Span::from_millis(100);
+/// Time until the peer is asked about the same messages again, because it may receive them later than this host.
+const RETRY_INTERVAL: Span = Span::from_millis(100);
 
-/// Pairs of messages until the peer has told of them, or for as long as that is waited for.
+/// Pairs of messages that wait for the peer's stamps.
 #[derive(Debug)]
 pub(super) struct PendingPairs<P> {
-    /// How long an answer is waited for.
+    /// Longest wait for the stamps of a pair.
     timeout: Span,
-    /// The oldest first.
+    /// Waiting pairs, oldest first.
     pairs: VecDeque<Pending<P>>,
 }
 
-/// What a peer told of a pair. The session in which it did may be over.
+/// Stamps that a peer has of a pair. The session in which they came may be over.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct PeerAnswer {
     pub(super) peer: HostId,
@@ -31,7 +31,7 @@ struct Pending<P> {
     key: i64,
     ask_at: MonoTime,
     give_up_at: MonoTime,
-    /// The newest answer.
+    /// Latest answer, which has not both messages yet.
     answer: Option<PeerAnswer>,
     pair: P,
 }
@@ -41,28 +41,28 @@ impl<P> PendingPairs<P> {
         Self { timeout, pairs: VecDeque::new() }
     }
 
-    /// Takes in a pair that was completed at `now`.
+    /// Adds a pair that was completed at `now`.
     pub(super) fn add(&mut self, key: i64, pair: P, now: MonoTime) {
         let give_up_at = now + self.timeout;
         self.pairs.push_back(Pending { key, ask_at: now, give_up_at, answer: None, pair });
     }
 
-    /// Returns the keys to ask for at `now`, `most` of them; they are not due again for a while.
+    /// Returns up to `most` keys to ask for at `now`. They are due again after [`RETRY_INTERVAL`].
     pub(super) fn take_due(&mut self, now: MonoTime, most: usize) -> Vec<i64> {
         let due = self.pairs.iter_mut().filter(|pending| pending.ask_at <= now).take(most);
         due.map(|pending| {
-            pending.ask_at = now + ASK_AGAIN;
+            pending.ask_at = now + RETRY_INTERVAL;
             pending.key
         })
         .collect()
     }
 
-    /// Returns when the next pair is to be asked for.
+    /// Returns the time at which the next pair is due.
     pub(super) fn next_due(&self) -> Option<MonoTime> {
         self.pairs.iter().map(|pending| pending.ask_at).min()
     }
 
-    /// Takes in an answer. Returns the pairs of which both messages are known now.
+    /// Handles an answer. Returns the pairs for which it has both messages.
     pub(super) fn take_answer(&mut self, answer: &PeerAnswer) -> Vec<P> {
         let is_known = |pending: &Pending<P>| pending.key == answer.seen.key;
         if !answer.seen.is_complete() {
@@ -73,25 +73,27 @@ impl<P> PendingPairs<P> {
             return Vec::new();
         }
         let mut settled = Vec::new();
+        // Several pairs may have the same key.
         while let Some(index) = self.pairs.iter().position(is_known) {
             settled.extend(self.pairs.remove(index).map(|pending| pending.pair));
         }
         settled
     }
 
-    /// Gives up the next pair that has waited for too long by `now`, with what the peer knew of it; to be called until there is
-    /// none.
+    /// Removes the next pair that has waited for too long by `now`, with the latest answer about it. Call it until it
+    /// returns `None`.
     pub(super) fn expire(&mut self, now: MonoTime) -> Option<(P, Option<PeerAnswer>)> {
+        // All pairs wait for the same time, so that they expire in the order in which they were added.
         let oldest = self.pairs.pop_front_if(|oldest| oldest.give_up_at <= now)?;
         Some((oldest.pair, oldest.answer))
     }
 
-    /// Returns when the next pair is given up.
+    /// Returns the time at which the next pair expires.
     pub(super) fn next_expiry(&self) -> Option<MonoTime> {
         self.pairs.front().map(|oldest| oldest.give_up_at)
     }
 
-    /// Gives up the oldest pair, whatever its time.
+    /// Removes the oldest pair, whether it has expired or not.
     pub(super) fn give_up(&mut self) -> Option<(P, Option<PeerAnswer>)> {
         self.pairs.pop_front().map(|oldest| (oldest.pair, oldest.answer))
     }

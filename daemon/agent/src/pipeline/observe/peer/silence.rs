@@ -1,44 +1,44 @@
-//! When it is said that the peer observes other messages, or none. No I/O.
+//! Detects that the peer observes other messages, or none. No I/O.
 
 use peernet_clock::{MonoTime, Span};
 
-/// So long without a message that both hosts received, and it is reported.
-const SILENCE: Span = Span::from_seconds(10);
+/// Time without a message that both hosts received, after which it is reported.
+const REPORT_AFTER: Span = Span::from_seconds(10);
 
-/// Whether the peer knows the messages that are received here.
+/// Watches whether the peer receives the messages that are received here.
 #[derive(Debug, Default)]
 pub(super) struct SilenceWatch {
-    /// When the first of the unknown ones in a row was given up.
+    /// Time at which the first pair of the current silence expired.
     since: Option<MonoTime>,
     is_reported: bool,
 }
 
-/// What is to be reported.
+/// Change that is to be reported.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum SilenceReport {
-    /// None of the messages of the last ten seconds were known.
+    /// The peer received none of the messages of the last ten seconds.
     Began,
-    /// They are known again.
+    /// The peer receives the same messages again.
     Ended,
 }
 
 impl SilenceWatch {
-    /// Takes in that the peer knew a message, or that it did not.
+    /// Records whether the peer knew a pair.
     pub(super) fn note(&mut self, is_known: bool, now: MonoTime) -> Option<SilenceReport> {
         if is_known {
             self.since = None;
             return std::mem::take(&mut self.is_reported).then_some(SilenceReport::Ended);
         }
         let since = *self.since.get_or_insert(now);
-        if self.is_reported || now - since < SILENCE {
+        if self.is_reported || now - since < REPORT_AFTER {
             return None;
         }
         self.is_reported = true;
         Some(SilenceReport::Began)
     }
 
-    /// Begins to count anew: without a session the peer could not tell what it knows. What was reported stays so until
-    /// the peer knows a message.
+    /// Restarts the measurement of silence, because the peer cannot answer without a session. A reported silence
+    /// stays reported until the peer knows a message.
     pub(super) const fn lose_session(&mut self) {
         self.since = None;
     }

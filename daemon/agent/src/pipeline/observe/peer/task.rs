@@ -1,4 +1,4 @@
-//! Asks the peer about the pairs of messages that were observed here, and keeps the session with it.
+//! The task that asks the peer about observed pairs, and keeps the session with it.
 
 use std::pin::pin;
 use std::sync::Arc;
@@ -18,47 +18,55 @@ use crate::observed::MAX_KEYS;
 use crate::pipeline::observe::record;
 use crate::reconnect_backoff::ReconnectBackoff;
 
-/// The task of one pipeline. It ends when the observer hands over nothing more.
+/// The task of one pipeline. It ends when the observer closes its channel.
 pub(super) struct PeerTask {
     connector: Arc<PeerConnector>,
-    /// The session, while there is one.
+    /// The session, if one is open.
     connection: Option<Arc<PeerConnection>>,
-    asked: mpsc::Receiver<(i64, Pair)>,
+    requests: mpsc::Receiver<(i64, Pair)>,
     settle: mpsc::Sender<SettledPair>,
     pending: PendingPairs<Pair>,
     silence: SilenceWatch,
     throttle: LogThrottle,
 }
 
-/// What came first.
-enum Waited<T> {
-    /// What was waited for.
+/// Result of a wait.
+enum WaitResult<T> {
+    /// The future that was waited for is ready.
     Done(T),
-    /// Another pair, or the time at which one is given up.
+    /// A pair was added, or one has expired.
     Woken,
-    /// The observer hands over nothing more.
+    /// The observer has closed its channel.
     Finished,
 }
 
 impl PeerTask {
     pub(super) fn new(
         connector: PeerConnector,
-        asked: mpsc::Receiver<(i64, Pair)>,
+        requests: mpsc::Receiver<(i64, Pair)>,
         settle: mpsc::Sender<SettledPair>,
     ) -> Self {
         let pending = PendingPairs::new(Span::from(connector.timeout()));
         let (silence, throttle) = (SilenceWatch::default(), LogThrottle::default());
-        Self { connector: Arc::new(connector), connection: None, asked, settle, pending, silence, throttle }
+        Self {
+            connector: Arc::new(connector),
+            connection: None,
+            requests,
+            settle,
+            pending,
+            silence,
+            throttle,
+        }
     }
 
-    /// Asks, over one session after another, until the observer hands over nothing more.
+    /// Asks the peer, reopening the session when it is lost, until the observer closes its channel.
     pub(super) async fn run(mut self, first: PeerConnection) {
         let mut next = Some(first);
         while let Some(connection) = next.map(Arc::new) {
             self.connection = Some(Arc::clone(&connection));
-            let Some(reason) = self.converse(&connection).await else {
+            let Some(reason) = self.ask_over(&connection).await else {
                 self.give_up();
-                // The observer does not wait for the goodbye.
+                // Dropping the channels lets the observer continue: it need not wait for the goodbye.
                 drop(self);
                 connection.close().await;
                 return;
@@ -76,16 +84,16 @@ impl PeerTask {
         self.give_up();
     }
 
-    /// Asks over one session. Returns why it is over, or `None` when the observer hands over nothing more.
-    async fn converse(&mut self, connection: &PeerConnection) -> Option<CloseReason> {
+    /// Asks over one session. Returns the reason of its end, or `None` if the observer has closed its channel.
+    async fn ask_over(&mut self, connection: &PeerConnection) -> Option<CloseReason> {
         let connector = Arc::clone(&self.connector);
         let mut closed = pin!(connection.closed());
         loop {
             self.expire();
             let keys = self.pending.take_due(self.now(), MAX_KEYS);
             if !keys.is_empty() {
-                match self.attend(connection.ask(keys)).await? {
-                    // A peer tells of no more than it was asked for.
+                match self.wait_for(connection.ask(keys)).await? {
+                    // An answer is limited to as many pairs as can be asked for, whatever the peer sends.
                     Ok(answer) => answer.pairs.iter().take(MAX_KEYS).for_each(|pair| {
                         self.take_answer(&PeerAnswer { peer: connection.host, seen: *pair });
                     }),
@@ -101,59 +109,59 @@ impl PeerTask {
                 }
             };
             match self.wait(idle).await {
-                Waited::Done(Some(reason)) => return Some(reason),
-                Waited::Done(None) | Waited::Woken => {}
-                Waited::Finished => return None,
+                WaitResult::Done(Some(reason)) => return Some(reason),
+                WaitResult::Done(None) | WaitResult::Woken => {}
+                WaitResult::Finished => return None,
             }
         }
     }
 
-    /// Opens a session again, however long that takes. `None` when the observer hands over nothing more.
+    /// Reopens the session, with as many attempts as it takes. Returns `None` if the observer has closed its channel.
     async fn reconnect(&mut self) -> Option<PeerConnection> {
         let connector = Arc::clone(&self.connector);
         let mut reconnect_backoff = ReconnectBackoff::new(connector.host().id);
-        let mut said = None;
+        let mut reported = None;
         loop {
-            let trouble = match self.attend(connector.open()).await? {
+            let trouble = match self.wait_for(connector.open()).await? {
                 Ok(connection) => return Some(connection),
                 Err(trouble) => trouble,
             };
             let pause = trouble.pause(&mut reconnect_backoff);
-            // That it went away has been said.
-            if trouble.is_refusal() && said.as_ref() != Some(&trouble) {
+            // The loss itself has been reported; only a refusal is news.
+            if trouble.is_refusal() && reported.as_ref() != Some(&trouble) {
                 connector.report(trouble.kind(), None, trouble.describe());
-                said = Some(trouble);
+                reported = Some(trouble);
             }
-            self.attend(tokio::time::sleep(pause)).await?;
+            self.wait_for(tokio::time::sleep(pause)).await?;
         }
     }
 
-    /// Waits for something while pairs come in and are given up. `None` when the observer hands over nothing more.
-    async fn attend<T>(&mut self, future: impl Future<Output = T>) -> Option<T> {
+    /// Waits for a future while pairs are added and expire. Returns `None` if the observer has closed its channel.
+    async fn wait_for<T>(&mut self, future: impl Future<Output = T>) -> Option<T> {
         let mut future = pin!(future);
         loop {
             self.expire();
             match self.wait(future.as_mut()).await {
-                Waited::Done(done) => return Some(done),
-                Waited::Woken => {}
-                Waited::Finished => return None,
+                WaitResult::Done(done) => return Some(done),
+                WaitResult::Woken => {}
+                WaitResult::Finished => return None,
             }
         }
     }
 
-    async fn wait<T>(&mut self, future: impl Future<Output = T>) -> Waited<T> {
+    async fn wait<T>(&mut self, future: impl Future<Output = T>) -> WaitResult<T> {
         let connector = Arc::clone(&self.connector);
         let expiry = self.pending.next_expiry();
         tokio::select! {
-            done = future => Waited::Done(done),
-            asked = self.asked.recv() => match asked {
+            done = future => WaitResult::Done(done),
+            request = self.requests.recv() => match request {
                 Some((key, pair)) => {
                     self.pending.add(key, pair, self.now());
-                    Waited::Woken
+                    WaitResult::Woken
                 }
-                None => Waited::Finished,
+                None => WaitResult::Finished,
             },
-            () = connector.until(expiry) => Waited::Woken,
+            () = connector.until(expiry) => WaitResult::Woken,
         }
     }
 
@@ -172,9 +180,9 @@ impl PeerTask {
         }
     }
 
-    /// Records all pairs.
+    /// Records all waiting pairs.
     fn give_up(&mut self) {
-        while let Ok((key, pair)) = self.asked.try_recv() {
+        while let Ok((key, pair)) = self.requests.try_recv() {
             self.pending.add(key, pair, self.now());
         }
         while let Some((pair, answer)) = self.pending.give_up() {
@@ -193,8 +201,8 @@ impl PeerTask {
     }
 
     fn settle_with(&self, pair: &Pair, answer: &PeerAnswer) {
-        // Delays take the relation of both clocks, which a session with this peer has. Without one its stamps are kept
-        // and no delay is known.
+        // A delay needs the relation of both clocks, which only a session with this peer has. Without it the stamps
+        // are recorded and no delay is known.
         let connection = self.connection.as_ref().filter(|connection| connection.host == answer.peer);
         let judge = |up: &Crossing, down: Option<&Crossing>| {
             connection.map_or([None, None], |connection| connection.judge(up, down))
@@ -203,13 +211,13 @@ impl PeerTask {
     }
 
     fn settle(&self, settled: SettledPair) {
-        // There is room for all that the observer hands over. It is gone only where its pipeline has ended.
+        // The channel has room for all pairs that may wait. It is closed only if the pipeline has ended.
         if self.settle.try_send(settled).is_err() {
             tracing::debug!("an observed iteration is not recorded: its pipeline has ended");
         }
     }
 
-    /// Notes whether the peer knew a pair, and reports what follows. Without a session nothing follows.
+    /// Records whether the peer knew a pair, and reports a change. Nothing is reported without a session.
     fn note(&mut self, is_known: bool) {
         let Some(connection) = &self.connection else { return };
         let (name, peer) = (connection.name.to_string(), connection.host);
@@ -231,7 +239,7 @@ impl PeerTask {
         self.connector.report(kind, Some(peer), text);
     }
 
-    /// Logs why a question was not answered: it is asked again.
+    /// Logs why a question was not answered. The question is repeated.
     fn log(&mut self, trouble: &str) {
         let now = self.now();
         if let Some(times) = self.throttle.count("ask", None, now) {

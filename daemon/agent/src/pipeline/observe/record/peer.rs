@@ -1,26 +1,28 @@
-//! The tree of an iteration of which another agent observed the same messages on its host.
+//! The tree of an iteration whose messages were observed by a second agent on another host.
 
 use peernet_clock::{OneWayDelay, SharedClock, Span, Stamp};
-use peernet_logger::{Anchor, Growth, HostId, HostIndex, Measure, Name, Node, NodeId, Recorder, Tree, stage};
+use peernet_logger::{
+    Anchor, HostId, HostIndex, Measure, Name, Node, NodeId, Recorder, Tree, TreeDelta, stage,
+};
 
-use super::{add_topics, count, ends, ticket};
+use super::{add_topics, count, ends, pending};
 use crate::link::{Crossing, HostStamp};
 use crate::observed::ObservedPair;
 use crate::pipeline::iteration;
 use crate::pipeline::observe::peer::Pair;
 
-/// Input messages that the peer did not receive.
+/// Name of the number of input messages that the peer did not receive.
 const PEER_INPUT_MISSING: Name = Name::from_static("peer-input-missing");
-/// Output messages that it did not receive.
+/// Name of the number of output messages that the peer did not receive.
 const PEER_OUTPUT_MISSING: Name = Name::from_static("peer-output-missing");
-/// Iterations of which the peer was not asked, or gave no answer.
+/// Name of the number of iterations about which the peer was not asked, or did not answer.
 const PEER_UNANSWERED: Name = Name::from_static("peer-unanswered");
 
-/// The place of the peer in the tree: the only other host.
+/// Index of the peer in the tree's list of hosts; there is no other one.
 const PEER: HostIndex = HostIndex(1);
 
-/// Returns the tree of a pair of messages with what the peer received, and when the iteration ended. `judge` judges the delays of
-/// the input message and, where both are known, of the output message.
+/// Returns the tree of a pair of messages with the peer's stamps, and the time at which the iteration ended. `judge`
+/// judges the delays of the input message and, where both stamps are known, of the output message.
 pub(in crate::pipeline::observe) fn answered_by_peer(
     (clock, host): (&SharedClock, HostId),
     peer: HostId,
@@ -40,17 +42,18 @@ pub(in crate::pipeline::observe) fn answered_by_peer(
         let [up_delay, down_delay] = judge(&up, way_back.as_ref().map(|(down, _)| down));
         let upload = log.depart(stage::UPLOAD, begun);
         let nodes = way_back.map(|(down, elapsed)| at_peer(&down, elapsed, down_delay));
-        // Both ways together are known by the monotonic clocks alone: what this host waited, less what the peer took.
+        // The sum of both directions needs no clock relation: this host's waiting time minus the peer's elapsed time,
+        // each by its own monotonic clock.
         transport = way_back.map(|(_, elapsed)| total - elapsed);
         let base = u32::try_from(log.tree().nodes().len()).unwrap_or(u32::MAX);
-        let growth = Growth {
+        let delta = TreeDelta {
             base,
             anchor: Anchor { host: peer, wall: arrived.wall },
             others: Vec::new(),
             closed: (upload, arrived.wall),
             nodes: nodes.into_iter().flatten().collect(),
         };
-        match log.tree_mut().absorb(growth) {
+        match log.tree_mut().absorb(delta) {
             Ok(()) => {
                 if let Some(Measure::Transit(transit)) = log.tree_mut().measure_mut(upload) {
                     **transit = up.transit(up_delay);
@@ -69,7 +72,7 @@ pub(in crate::pipeline::observe) fn answered_by_peer(
     close(log, pair, ended, transport)
 }
 
-/// Returns the tree of a pair of messages of which nothing is known from the peer, and when the iteration ended.
+/// Returns the tree of a pair of messages without stamps of the peer, and the time at which the iteration ended.
 pub(in crate::pipeline::observe) fn answered_without_peer(
     (clock, host): (&SharedClock, HostId),
     pair: &Pair,
@@ -80,9 +83,9 @@ pub(in crate::pipeline::observe) fn answered_without_peer(
     close(log, pair, ended, None)
 }
 
-/// What happened at the peer and on the way back.
+/// Returns the nodes of the time at the peer and of the way back.
 fn at_peer(down: &Crossing, elapsed: Span, delay: Option<OneWayDelay>) -> [Node; 2] {
-    // The observed node may have had the input before the peer's agent.
+    // The observed node may receive the input before the peer's agent does.
     let elapsed = elapsed.max(Span::ZERO);
     let node = |name, start, measure| Node { parent: Some(NodeId::ROOT), name, host: PEER, start, measure };
     [
@@ -91,14 +94,14 @@ fn at_peer(down: &Crossing, elapsed: Span, delay: Option<OneWayDelay>) -> [Node;
     ]
 }
 
-/// Closes the tree; `transport` is the time of both ways together, without which it is not known what the stages are together.
+/// Closes the tree; `transport` is the sum of both directions, without which the sum of the stages is unknown.
 fn close(mut log: Recorder, pair: &Pair, ended: Stamp, transport: Option<Span>) -> (Tree, Stamp) {
     let begun = pair.input.received.message.received;
     add_topics(log.tree_mut(), &pair.input, &pair.output, ended.mono - begun.mono, pair.uncounted);
-    let ticket = ticket(pair.input.position, begun);
+    let pending_iteration = pending(pair.input.position, begun);
     let tree = match transport {
-        Some(_) => iteration::close(log, &ticket, ended.mono, true, transport),
-        None => iteration::close_without_stages(log, &ticket, ended.mono),
+        Some(_) => iteration::close(log, &pending_iteration, ended.mono, true, transport),
+        None => iteration::close_without_stages(log, &pending_iteration, ended.mono),
     };
     (tree, ended)
 }
@@ -115,7 +118,7 @@ mod tests {
     use crate::pipeline::observe::record::{Input, Received, Uncounted};
     use crate::pipeline::progress::Position;
 
-    /// The peer's clock is behind by so much.
+    /// Offset of the peer's clock.
     const BEHIND: Span = Span::from_seconds(-8);
 
     fn clock() -> Arc<ManualClock> {
@@ -132,7 +135,7 @@ mod tests {
         }
     }
 
-    /// 30 ms to the peer, 20 ms there, 5 ms back.
+    /// Returns a pair whose input took 30 ms to the peer; 20 ms passed there, and the output took 5 ms back.
     fn pair(clock: &ManualClock) -> (Pair, ObservedPair) {
         let there = |clock: &ManualClock| HostStamp {
             wall: clock.wall() + BEHIND,
@@ -151,7 +154,7 @@ mod tests {
         (Pair { input, output, uncounted: Uncounted::default() }, seen)
     }
 
-    /// A relation that knows the peer's clock exactly.
+    /// Judges delays like a relation that knows the offset exactly.
     fn judge(up: &Crossing, down: Option<&Crossing>) -> [Option<OneWayDelay>; 2] {
         let up = up.receiver.wall - up.sender.wall - BEHIND;
         let down = down.map(|down| down.receiver.wall - down.sender.wall + BEHIND);
@@ -215,7 +218,7 @@ mod tests {
     fn receivers_that_were_late_give_negative_differences() {
         let clock = clock();
         let (mut pair, seen) = pair(&clock);
-        // This host had the input message 31 ms later than the peer, and as much later than it was there.
+        // This host received the input message 31 ms later than the peer did, 61 ms after it was sent.
         let late = pair.input.received.message.received;
         let late = late + Span::from_millis(61);
         pair.input.received = received(late);

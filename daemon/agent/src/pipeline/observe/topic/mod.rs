@@ -19,23 +19,24 @@ pub(super) enum Topic {
 /// Type of the messages of an observed topic.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) struct ObservedType {
-    /// Name, as that version of ROS writes it.
+    /// Name in the notation of its version of ROS.
     pub(super) name: String,
-    /// Whether its messages begin with a `std_msgs/Header`; `None` where only the messages can show it.
+    /// `true` if its messages begin with a `std_msgs/Header`; `None` if only the messages can show it.
     pub(super) has_header: Option<bool>,
 }
 
 /// A publisher of an observed topic.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) struct PublisherPlace {
-    /// Name of the node, or of the endpoint where the node has none.
+    /// Name of the node, or of the endpoint if the node has none.
     pub(super) node: String,
-    /// Its host, unless it is this one.
+    /// Address of its host; `None` for this host.
     pub(super) host: Option<String>,
 }
 
 impl PublisherPlace {
-    /// Node and host, for people. `has_peer` where the agent that observes the same messages is on that host.
+    /// Returns node and host, for people. `has_peer` is `true` if the agent that observes the same messages is on
+    /// that host.
     pub(super) fn describe(&self, has_peer: bool) -> String {
         let node = &self.node;
         match &self.host {
@@ -50,7 +51,7 @@ impl Topic {
     /// Waits for the next message. Dropping the future loses none.
     ///
     /// # Errors
-    /// The node has ended, or the topic cannot be subscribed to with the type that it has now.
+    /// When the node has ended, or the topic cannot be subscribed to with its current type.
     pub(super) async fn next(&mut self) -> Result<TopicMessage, TopicError> {
         match self {
             Self::Ros1(topic) => topic.next().await,
@@ -61,10 +62,10 @@ impl Topic {
     /// Subscribes with the type that the publishers have now.
     ///
     /// # Errors
-    /// The type has a name that ROS does not allow, or the client fails.
+    /// When the type has a name that ROS does not allow, or the client fails.
     pub(super) fn follow_publishers(&mut self) -> Result<(), TopicError> {
         match self {
-            // The subscription takes any type.
+            // A subscription in ROS 1 accepts any type.
             Self::Ros1(_) => Ok(()),
             Self::Ros2(topic) => topic.follow_publishers(),
         }
@@ -86,7 +87,7 @@ impl Topic {
         }
     }
 
-    /// Returns why the topic has no messages at the moment; `None` while it has a publisher.
+    /// Returns the reason why the topic has no messages at the moment; `None` while it has a publisher.
     pub(super) fn trouble(&self) -> Option<String> {
         match self {
             Self::Ros1(topic) => topic.trouble(),
@@ -102,7 +103,7 @@ impl Topic {
         }
     }
 
-    /// Waits until the publishers have changed since this was called, or since they were followed.
+    /// Waits until the publishers have changed since this was called, or since `follow_publishers`.
     pub(super) async fn publishers_changed(&self) {
         match self {
             Self::Ros1(topic) => topic.publishers_changed().await,
@@ -110,11 +111,12 @@ impl Topic {
         }
     }
 
-    /// Messages that were received and dropped because the agent was too busy.
+    /// Returns the number of messages that were received and dropped because the agent was too busy.
     pub(super) fn dropped(&self) -> u64 {
         match self {
             Self::Ros1(topic) => topic.dropped(),
-            // Newer messages replace those that nobody read: their numbers are missing.
+            // In ROS 2 newer messages replace those that were not read. They are counted as missing by their sequence
+            // numbers.
             Self::Ros2(_) => 0,
         }
     }

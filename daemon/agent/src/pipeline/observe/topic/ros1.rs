@@ -23,9 +23,10 @@ impl Ros1Topic {
     /// Subscribes to a topic of any type.
     ///
     /// # Errors
-    /// The name is not allowed, or the master does not answer.
+    /// When the name is not allowed, or the master does not answer.
     pub(in crate::pipeline::observe) async fn subscribe(node: &Node, topic: &str) -> Result<Self, NodeError> {
-        // A queue that is full must not hold up the publisher, which is a part of the observed system.
+        // A full queue drops messages, because waiting would stall the publisher, which is part of the observed
+        // system.
         let options = SubscriberOptions { when_full: WhenFull::Drop, ..SubscriberOptions::default() };
         let subscriber = node.subscribe(topic, TopicType::any(), options).await?;
         Ok(Self { subscriber, gaps: SequenceGaps::default() })
@@ -70,7 +71,7 @@ impl Ros1Topic {
 
     pub(super) fn publishers(&self) -> Vec<PublisherPlace> {
         let place = |info: Arc<PublisherInfo>| {
-            // A connection within a host has the same address at both ends.
+            // A connection within one host has the same address at both ends.
             let host = (info.remote.ip() != info.local.ip()).then(|| info.remote.ip().to_string());
             PublisherPlace { node: info.node.to_string(), host }
         };

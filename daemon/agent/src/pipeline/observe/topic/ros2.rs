@@ -14,34 +14,34 @@ use tokio::sync::watch;
 use super::{ObservedType, PublisherPlace};
 use crate::pipeline::observe::message::{TopicMessage, read_header};
 
-/// Messages that wait to be read at most. Their bytes stay in memory: 64 MB of pictures of 1 MB.
+/// Largest number of unread messages. They are in memory: 64 MB of pictures of 1 MB.
 const DEPTH: u32 = 64;
 
-/// A topic of ROS 2, subscribed to as soon as a publisher shows which type it has.
+/// A topic of ROS 2. It is subscribed to once a publisher shows its type.
 pub(in crate::pipeline::observe) struct Ros2Topic {
-    // The subscription goes before its node.
+    // Fields are dropped in this order: the subscription before its node.
     subscription: Option<TypedSubscription>,
     node: Arc<Ros2Node>,
-    /// Absolute.
+    /// Absolute name of the topic.
     name: String,
-    /// Changes with what discovery finds out; what the publishers were followed by is seen.
+    /// Counter of changes that discovery has found; marked as seen when the publishers are followed.
     discovery: watch::Receiver<u64>,
-    /// Types of publishers that were reported because others of the topic have another one.
+    /// Types of publishers that were reported because the subscription has another type.
     reported_types: BTreeSet<String>,
     clock: SharedClock,
 }
 
 struct TypedSubscription {
     ends: Ros2Subscription,
-    /// Type of the messages, as `sensor_msgs/msg/Image`.
+    /// Type of the messages, such as `sensor_msgs/msg/Image`.
     type_name: String,
 }
 
 impl Ros2Topic {
-    /// Makes a topic of a node's domain, which is not subscribed to before a publisher is found.
+    /// Creates a topic of a node's domain. It is not subscribed to before a publisher is found.
     ///
     /// # Errors
-    /// The name is not allowed.
+    /// When the name is not allowed.
     pub(in crate::pipeline::observe) fn new(
         node: &Arc<Ros2Node>,
         topic: &str,
@@ -49,7 +49,7 @@ impl Ros2Topic {
     ) -> Result<Self, TopicError> {
         let settings = node.settings();
         let mut discovery = node.discovery_changes();
-        // What was found already counts as a change.
+        // Publishers that were found before this topic existed count as a change.
         discovery.mark_changed();
         Ok(Self {
             subscription: None,
@@ -76,7 +76,7 @@ impl Ros2Topic {
     }
 
     pub(super) fn follow_publishers(&mut self) -> Result<(), TopicError> {
-        // The node, and with it the sender, lives as long as this.
+        // `has_changed` fails only without a sender, which lives as long as `self.node`.
         if !self.discovery.has_changed().unwrap_or(false) {
             return Ok(());
         }
@@ -84,7 +84,7 @@ impl Ros2Topic {
         let publishers = self.node.publishers_of(&self.name);
         let current = self.subscription.as_ref().map(|subscription| subscription.type_name.as_str());
         if let Some(type_name) = type_to_subscribe(&publishers, current) {
-            // Best-effort, so that publishers that are best-effort match as well, and none of them waits for the agent.
+            // Best-effort matches best-effort publishers as well, and no publisher waits for the agent.
             let qos =
                 QosProfile { reliability: Reliability::BestEffort, depth: DEPTH, ..QosProfile::default() };
             let ends = self.node.subscription(&self.name, type_name, &qos)?;
@@ -94,7 +94,7 @@ impl Ros2Topic {
         Ok(())
     }
 
-    /// Warns of publishers whose messages are not received because of their type.
+    /// Logs publishers whose messages are not received because of their type.
     fn report_other_types(&mut self, publishers: &[FoundPublisher]) {
         let Some(TypedSubscription { type_name, .. }) = &self.subscription else { return };
         let others = publishers.iter().filter(|publisher| publisher.type_name != *type_name);
@@ -116,7 +116,8 @@ impl Ros2Topic {
 
     pub(super) fn kind(&self) -> Option<ObservedType> {
         let name = self.subscription.as_ref()?.type_name.clone();
-        // DDS tells no fields. Of std_msgs no type has a header but the header itself; of others the messages show it.
+        // DDS does not transmit the fields of a type. In std_msgs only the type Header has a header; of other
+        // packages the messages show it.
         let has_header = name.starts_with("std_msgs/msg/").then(|| name == "std_msgs/msg/Header");
         Some(ObservedType { name, has_header })
     }
@@ -156,22 +157,23 @@ impl Ros2Topic {
     }
 }
 
-/// Waits for a change that was not followed yet, and leaves it so.
+/// Waits for a change that was not followed yet, and leaves it marked as changed.
 async fn changed(discovery: &mut watch::Receiver<u64>) {
     if discovery.changed().await.is_err() {
-        // The node is shut down: there are no changes any more.
+        // The node is shut down: there will be no changes.
         std::future::pending::<()>().await;
     }
     discovery.mark_changed();
 }
 
-/// Returns the type that a topic is to be subscribed to with, unless that is the current one.
+/// Returns the type to subscribe with; `None` if the current one still has a publisher, or if the topic has no
+/// publisher.
 fn type_to_subscribe<'a>(publishers: &'a [FoundPublisher], current: Option<&str>) -> Option<&'a str> {
     let types = || publishers.iter().map(|publisher| publisher.type_name.as_str());
     if types().any(|type_name| Some(type_name) == current) { None } else { types().next() }
 }
 
-/// Makes the observed message of a received one.
+/// Converts a received sample.
 fn observed(sample: &ReceivedSample, clock: &SharedClock) -> TopicMessage {
     let header = read_header(WireForm::Cdr, &sample.payload);
     TopicMessage {
@@ -183,9 +185,9 @@ fn observed(sample: &ReceivedSample, clock: &SharedClock) -> TopicMessage {
     }
 }
 
-/// Returns the clocks at a moment shortly before `now`, of which the wall clock is known.
+/// Returns the stamp of all clocks at the wall-clock time `wall`, shortly before `now`.
 fn stamp_of(wall: WallTime, now: Stamp) -> Stamp {
-    // A clock that was set back in between would place the message in the future.
+    // If the wall clock was set back in between, the message would be in the future.
     let age = (now.wall - wall).max(Span::ZERO);
     now - age
 }

@@ -1,9 +1,9 @@
-//! Messages that are missing by the sequence numbers of their publishers. No I/O.
+//! Counts missing messages by the sequence numbers of their publishers. No I/O.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-/// Publishers of a topic whose sequence numbers are remembered: anybody on the network can publish.
+/// Largest number of publishers whose sequence numbers are kept, because anybody on the network can publish.
 const MAX_PUBLISHERS: usize = 256;
 
 /// The last sequence number of each publisher of a topic.
@@ -11,13 +11,13 @@ const MAX_PUBLISHERS: usize = 256;
 pub(super) struct SequenceGaps(BTreeMap<Arc<str>, i64>);
 
 impl SequenceGaps {
-    /// Takes in the number of a message. Returns how many messages of the same publisher should have come before it.
+    /// Records the number of a message. Returns how many messages of the same publisher should have come before it.
     pub(super) fn record(&mut self, publisher: &Arc<str>, sequence: i64) -> u64 {
         if self.0.len() >= MAX_PUBLISHERS && !self.0.contains_key(publisher) {
             self.0.clear();
         }
         let last = self.0.insert(Arc::clone(publisher), sequence);
-        // A lower number is that of a node that was started anew.
+        // A lower number means that the node was restarted.
         last.and_then(|last| u64::try_from(sequence.checked_sub(last)?.checked_sub(1)?).ok()).unwrap_or(0)
     }
 }

@@ -1,0 +1,130 @@
+//! The latest announcement of one host of a relation about its clocks. No I/O.
+
+use peernet_clock::{Discipline, Interval, RawTime, Span};
+use peernet_networks::PeerClock;
+
+/// Longest time between the reading of a host's clocks and the arrival of the announcement at the other host.
+const MAX_TRANSIT: Span = Span::from_seconds(1);
+
+/// The related clock of a host, and the host's latest announcement.
+#[derive(Debug)]
+pub(super) struct AnnouncedClock {
+    clock: PeerClock,
+    /// Time of the announcement, by this host's free-running clock.
+    at: RawTime,
+    /// `true` if the free-running clock is related, `false` if the wall clock is.
+    is_free_running: bool,
+    /// Epoch of the related clock, as far as it is known.
+    epoch: u32,
+    /// `true` if the announced claims were made before this epoch.
+    outdated: bool,
+}
+
+impl AnnouncedClock {
+    pub(super) fn new(clock: PeerClock, is_free_running: bool, at: RawTime) -> Self {
+        let epoch = epoch_of(&clock, is_free_running).unwrap_or(0);
+        Self { clock, at, is_free_running, epoch, outdated: false }
+    }
+
+    /// Handles an announcement. Returns the epoch of the related clock if it is a new one.
+    pub(super) fn announce(&mut self, clock: PeerClock, at: RawTime) -> Option<u32> {
+        let epoch = epoch_of(&clock, self.is_free_running);
+        (self.clock, self.at) = (clock, at);
+        self.outdated = epoch.is_some_and(|announced| announced < self.epoch);
+        epoch.filter(|announced| *announced > self.epoch)
+    }
+
+    /// Sets the epoch of the related clock from an exchange, which may arrive before the announcement. Returns
+    /// whether it is a new one: earlier claims are void then.
+    pub(super) fn begin_epoch(&mut self, epoch: u32) -> bool {
+        let is_new = epoch > self.epoch;
+        if is_new {
+            self.epoch = epoch;
+            self.outdated =
+                epoch_of(&self.clock, self.is_free_running).is_none_or(|announced| announced < epoch);
+        }
+        is_new
+    }
+
+    /// Returns the latest announcement.
+    pub(super) const fn clock(&self) -> &PeerClock {
+        &self.clock
+    }
+
+    /// Returns the epoch of the related clock, as far as it is known.
+    pub(super) const fn epoch(&self) -> u32 {
+        self.epoch
+    }
+
+    /// Returns the epoch of the wall clock.
+    pub(super) const fn wall_epoch(&self) -> u32 {
+        self.clock.epoch
+    }
+
+    /// Returns the claim of the time daemon about the related clock at a time of this host's free-running clock: the
+    /// clock's reading minus true time.
+    ///
+    /// The daemon's claim is about the wall clock. The announcement says how far the wall clock is ahead of the
+    /// free-running one; since then the free-running clock may have drifted from true time by the drift limit.
+    pub(super) fn claim(&self, now: RawTime, max_drift_ppm: f64) -> Option<Discipline> {
+        let claim = self.clock.discipline.filter(|_| !self.outdated)?;
+        if !self.is_free_running {
+            return Some(claim);
+        }
+        let ahead = self.clock.raw.as_ref()?.wall_ahead;
+        let age = (now - self.at).max(Span::ZERO) + MAX_TRANSIT;
+        let drift = Span::from_nanos((age.nanos() as f64 * max_drift_ppm * 1e-6).ceil() as i64);
+        let Interval { lo, hi } = claim.error;
+        Some(Discipline { error: Interval { lo: lo - ahead.hi - drift, hi: hi - ahead.lo + drift }, ..claim })
+    }
+}
+
+/// Returns the epoch of the related clock, if the host announces it.
+fn epoch_of(clock: &PeerClock, is_free_running: bool) -> Option<u32> {
+    if is_free_running { clock.raw.as_ref().map(|raw| raw.epoch) } else { Some(clock.epoch) }
+}
+
+#[cfg(test)]
+mod tests {
+    use peernet_clock::DelaySource;
+    use peernet_networks::RawClock;
+
+    use super::*;
+
+    fn claiming(raw_epoch: u32) -> PeerClock {
+        let millis = |lo, hi| Interval { lo: Span::from_millis(lo), hi: Span::from_millis(hi) };
+        PeerClock {
+            discipline: Some(Discipline { source: DelaySource::Chrony, error: millis(-1, 2) }),
+            raw: Some(RawClock {
+                epoch: raw_epoch,
+                wall_ahead: millis(5_000, 5_001),
+                clocksource: String::new(),
+            }),
+            ..PeerClock::default()
+        }
+    }
+
+    #[test]
+    fn claim_about_wall_clock_becomes_wider_one_about_free_running_clock() {
+        let at = RawTime::from_nanos(0);
+        let announced = AnnouncedClock::new(claiming(0), true, at);
+        let claim = announced.claim(at + Span::from_seconds(9), 100.0).expect("it has one");
+        let expected = Interval { lo: Span::from_millis(-5_003), hi: Span::from_millis(-4_997) };
+        assert_eq!(claim.error, expected, "10 s at 100 ppm are 1 ms at each end");
+        let by_wall = AnnouncedClock::new(claiming(0), false, at);
+        assert_eq!(by_wall.claim(at + Span::from_seconds(9), 100.0), claiming(0).discipline);
+    }
+
+    #[test]
+    fn claim_made_before_interruption_is_void_until_next_one() {
+        let at = RawTime::from_nanos(0);
+        let mut announced = AnnouncedClock::new(claiming(0), true, at);
+        assert!(announced.begin_epoch(1) && !announced.begin_epoch(1));
+        assert_eq!(announced.claim(at, 100.0), None);
+        assert_eq!(announced.announce(claiming(0), at), None);
+        assert_eq!(announced.claim(at, 100.0), None, "it was on its way");
+        assert_eq!(announced.announce(claiming(1), at), None, "known already");
+        assert!(announced.claim(at, 100.0).is_some());
+        assert_eq!(announced.announce(claiming(2), at), Some(2));
+    }
+}

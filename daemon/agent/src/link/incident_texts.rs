@@ -1,0 +1,147 @@
+//! Texts for people about steps, jumps, lost proofs and violated assumptions.
+
+use peernet_clock::Doubt;
+use peernet_logger::Slug;
+
+use super::reports::{ExcessSkew, LostProof, Restart, SuspectedJump};
+use crate::incidents::step_size_text;
+
+/// Returns the text of a restart: whose clock was stepped, and by how much.
+pub(super) fn restart_text(restart: Restart, edge: &Slug, cloud: &Slug) -> String {
+    let whose = match (restart.edge, restart.cloud) {
+        (true, false) => format!("the clock of {edge} was stepped or ran off"),
+        (false, true) => format!("the clock of {cloud} was stepped or ran off"),
+        (true, true) => format!("the clocks of {edge} and {cloud} were stepped or ran off"),
+        (false, false) => format!("the clock of {edge} or {cloud} was stepped or ran off without notice"),
+    };
+    let moved = restart.moved.map_or_else(String::new, |moved| {
+        // `moved` is the change of the cloud's clock minus the edge's. The text names the clock that moved.
+        let own = restart.edge && !restart.cloud;
+        let (moved, mover, other) = if own { (-moved, edge, cloud) } else { (moved, cloud, edge) };
+        let way = if moved.is_negative() { "back" } else { "forward" };
+        let far = step_size_text(moved);
+        format!("; the clock of {mover} went {far} {way} against that of {other}")
+    });
+    let outlook = match restart.doubt {
+        None => "their relation is learnt anew".to_owned(),
+        Some((doubt, limit)) => {
+            let seem = match doubt {
+                Doubt::Drift => "drift apart faster than [clock] max_drift_ppm",
+                Doubt::DriftChange => "change their drift faster than [clock] max_drift_change_ppm_per_s",
+            };
+            format!(
+                "not for the first time within a minute: they seem to {seem} = {limit}; nothing is believed until that has \
+                 ceased"
+            )
+        }
+    };
+    format!("{whose}{moved}; {outlook}")
+}
+
+/// Returns the text about a cloud's wall clock that was set or drifted away, on which no delay depends.
+pub(super) fn wall_set_text(cloud: &Slug) -> String {
+    format!(
+        "the wall clock of {cloud} was stepped or ran off; delays are measured by the free-running clocks and do not change"
+    )
+}
+
+/// Returns the text of a suspected jump, with both possible causes.
+pub(super) fn jump_text(jump: SuspectedJump, edge: &Slug, cloud: &Slug) -> String {
+    let way = if jump.moved.is_negative() { "back" } else { "forward" };
+    let far = step_size_text(jump.moved);
+    let others = unreported_text(jump.unreported);
+    format!(
+        "the clock of {cloud} seems to have gone {far} {way} against that of {edge} at once{others}: either the path between \
+         them changed, or a clock jumped that no step was noticed of, as when a virtual machine is paused or moved; both \
+         are allowed for, and delays are limited until the window is full again"
+    )
+}
+
+/// Returns the text of a lost proof that both processes read one clock, with the reason.
+pub(super) fn lost_proof_text(lost: &LostProof, edge: &Slug, cloud: &Slug) -> String {
+    let others = unreported_text(lost.unreported);
+    format!(
+        "the processes of {edge} and {cloud} do not prove any more that they read one clock{others}: {}; delays between them \
+         are measured until they prove it again",
+        lost.why
+    )
+}
+
+/// Returns the text about events that were not reported since the last report.
+fn unreported_text(unreported: u32) -> String {
+    match unreported {
+        0 => String::new(),
+        1 => ", and once more since the last report".to_owned(),
+        times => format!(", and {times} times more since the last report"),
+    }
+}
+
+/// Returns the text of a proven skew beyond the limit.
+pub(super) fn excess_text(excess: ExcessSkew, edge: &Slug, cloud: &Slug) -> String {
+    let ExcessSkew { proven, limit_ppm } = excess;
+    let (least, most) = (proven.least_ppm.min(proven.most_ppm), proven.most_ppm.max(proven.least_ppm));
+    format!(
+        "the exchanges prove that the clock of {cloud} gains {least:.1} to {most:.1} ppm on that of {edge}, more than [clock] \
+         max_drift_ppm = {limit_ppm} allows: no delay is believed; raise max_drift_ppm on {edge}"
+    )
+}
+
+#[cfg(test)]
+mod tests {
+    use peernet_clock::{ProvenSkew, Span};
+
+    use super::*;
+    use crate::same_clock::NotProven;
+
+    #[test]
+    fn lost_proof_names_both_hosts_and_reason() {
+        let (edge, cloud): (Slug, Slug) = ("robot".parse().expect("a name"), "desk".parse().expect("a name"));
+        let text = lost_proof_text(&LostProof { why: NotProven::PeerTime, unreported: 1 }, &edge, &cloud);
+        for part in ["robot and desk do not prove", "once more", "a preloaded library", "measured"] {
+            assert!(text.contains(part), "{text}");
+        }
+    }
+
+    #[test]
+    fn restart_names_host_and_size() {
+        let (edge, cloud): (Slug, Slug) = ("robot".parse().expect("a name"), "desk".parse().expect("a name"));
+        let by =
+            |nanos, edge, cloud| Restart { moved: Some(Span::from_nanos(nanos)), edge, cloud, doubt: None };
+        for (restart, begin, expected) in [
+            (
+                by(-3_000_007_000, true, false),
+                "the clock of robot was",
+                "the clock of robot went 3.000 s forward against that of desk;",
+            ),
+            (
+                by(-3_000_007_000, false, true),
+                "the clock of desk was",
+                "the clock of desk went 3.000 s back against that of robot;",
+            ),
+            (by(30_000, false, false), "the clock of robot or desk", "desk went 0.030 ms forward"),
+        ] {
+            let text = restart_text(restart, &edge, &cloud);
+            assert!(text.starts_with(begin) && text.contains(expected), "{text}");
+        }
+        for (doubt, key) in [
+            ((Doubt::Drift, 50.0), "max_drift_ppm = 50;"),
+            ((Doubt::DriftChange, 1.0), "max_drift_change_ppm_per_s = 1;"),
+        ] {
+            let restart = Restart { moved: None, edge: false, cloud: false, doubt: Some(doubt) };
+            let text = restart_text(restart, &edge, &cloud);
+            assert!(text.contains("robot or desk") && text.contains(key), "{text}");
+        }
+    }
+
+    #[test]
+    fn jump_names_explanations_and_number_of_unreported_ones() {
+        let (edge, cloud): (Slug, Slug) = ("robot".parse().expect("a name"), "desk".parse().expect("a name"));
+        let text = jump_text(SuspectedJump { moved: Span::from_millis(-39), unreported: 11 }, &edge, &cloud);
+        for part in ["desk seems to have gone 0.039 s back", "11 times more", "path", "clock jumped"] {
+            assert!(text.contains(part), "{text}");
+        }
+        let proven = ProvenSkew { least_ppm: 61.25, most_ppm: 140.0 };
+        let text = excess_text(ExcessSkew { proven, limit_ppm: 50.0 }, &edge, &cloud);
+        assert!(text.contains("61.2 to 140.0 ppm") && text.contains("max_drift_ppm = 50 "), "{text}");
+    }
+}

@@ -1,0 +1,63 @@
+//! The connection to the aggregator over time: dialling, open, dialling again.
+
+use std::fmt;
+use std::time::Duration;
+
+use bytes::Bytes;
+use futures::FutureExt;
+use futures::future::BoxFuture;
+use peernet_networks::Address;
+
+use super::connection::{Connection, ConnectionError};
+
+/// State of the connection.
+pub(super) enum ConnectionState {
+    /// Waiting for the next attempt, or connecting.
+    Dialling(BoxFuture<'static, Result<Connection, ConnectionError>>),
+    /// A connection is open.
+    Open(Connection),
+}
+
+impl fmt::Debug for ConnectionState {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(if matches!(self, Self::Open(_)) { "Open" } else { "Dialling" })
+    }
+}
+
+/// Event of the connection.
+pub(super) enum ConnectionEvent {
+    Connected(Connection),
+    Failed(ConnectionError),
+    Gone(ConnectionError),
+    Message(Bytes),
+    /// The socket has room again.
+    Room,
+}
+
+impl ConnectionState {
+    /// Starts a connection attempt after a pause.
+    pub(super) fn dial(address: &Address, pause: Duration) -> Self {
+        let address = address.clone();
+        let dialling = async move {
+            tokio::time::sleep(pause).await;
+            Connection::open(&address).await
+        };
+        Self::Dialling(dialling.boxed())
+    }
+
+    /// Waits for the next event; for room as well if it is `blocked`. Dropping the future loses nothing.
+    pub(super) async fn next(&mut self, blocked: bool) -> ConnectionEvent {
+        match self {
+            Self::Dialling(dialling) => match dialling.await {
+                Ok(connection) => ConnectionEvent::Connected(connection),
+                Err(reason) => ConnectionEvent::Failed(reason),
+            },
+            Self::Open(connection) => match connection.receive(blocked).await {
+                // A message that is not a single frame is invalid; decoding reports it.
+                Ok(Some(message)) => ConnectionEvent::Message(message.part_bytes(0).unwrap_or_default()),
+                Ok(None) => ConnectionEvent::Room,
+                Err(reason) => ConnectionEvent::Gone(reason),
+            },
+        }
+    }
+}

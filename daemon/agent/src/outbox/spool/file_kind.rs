@@ -1,0 +1,97 @@
+//! Recognises files before they are used as a spool: the files of others must not be overwritten or moved.
+
+use std::fs::File;
+use std::io::{self, Read};
+use std::path::Path;
+
+/// Application id in the header of every spool, `PNsp`, which distinguishes spools from other SQLite files.
+pub(super) const APPLICATION_ID: i32 = i32::from_be_bytes(*b"PNsp");
+
+/// First bytes of every SQLite file (sqlite.org/fileformat2.html, 1.3).
+const MAGIC: &[u8] = b"SQLite format 3\0";
+/// Offset of the application id in the header, four bytes.
+const ID_AT: usize = 68;
+/// Offset of the number of cells in the first page, two bytes; 0 means that the database has no table.
+const CELLS_AT: usize = 103;
+/// Number of bytes that are read.
+const HEAD: usize = 105;
+
+/// Kind of a file, by its first bytes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum FileKind {
+    /// A spool, or nothing yet: no file, an empty one, or a database without tables.
+    Spool,
+    /// A database of another program.
+    Database,
+    /// Not an SQLite file.
+    Other,
+}
+
+impl FileKind {
+    /// Reads the kind of a file without SQLite, which would create files beside it. Tables that are only in the log
+    /// of a killed process are not seen: such a file seems to have none.
+    ///
+    /// # Errors
+    /// When the file exists and cannot be read.
+    pub(crate) fn at(path: &Path) -> io::Result<Self> {
+        let mut head = Vec::with_capacity(HEAD);
+        match File::open(path) {
+            Ok(file) => file.take(HEAD as u64).read_to_end(&mut head)?,
+            Err(error) if error.kind() == io::ErrorKind::NotFound => 0,
+            Err(error) => return Err(error),
+        };
+        Ok(Self::of(&head))
+    }
+
+    fn of(head: &[u8]) -> Self {
+        if !head.iter().zip(MAGIC).all(|(found, expected)| found == expected) {
+            return Self::Other;
+        }
+        // A header that is cut off is that of an SQLite file.
+        let Some((id, cells)) = head.get(ID_AT..ID_AT + 4).zip(head.get(CELLS_AT..HEAD)) else {
+            return Self::Spool;
+        };
+        if id == APPLICATION_ID.to_be_bytes() || (id == [0; 4] && cells == [0; 2]) {
+            Self::Spool
+        } else {
+            Self::Database
+        }
+    }
+
+    /// Returns why the file cannot be used and what to do, for a file that the user named.
+    pub(crate) fn objection(self) -> Option<&'static str> {
+        match self {
+            Self::Spool => None,
+            Self::Database => Some(
+                "is the database of another program and not a spool; name another file with [spool] file",
+            ),
+            Self::Other => Some(
+                "is not a spool; name another file with [spool] file, or, if it was one that its disk has spoilt, move \
+                 it and the files with its name beside it away",
+            ),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn first_bytes_identify_file_kind() {
+        let mut head = [0; HEAD];
+        head[..MAGIC.len()].copy_from_slice(MAGIC);
+        assert_eq!(FileKind::of(&head), FileKind::Spool, "without tables");
+        head[CELLS_AT + 1] = 3;
+        assert_eq!(FileKind::of(&head), FileKind::Database, "with tables");
+        head[ID_AT..ID_AT + 4].copy_from_slice(b"PNsp");
+        assert_eq!(FileKind::of(&head), FileKind::Spool);
+        head[ID_AT] = b'X';
+        assert_eq!(FileKind::of(&head), FileKind::Database, "another program's");
+        for (text, expected) in
+            [("", FileKind::Spool), ("SQLite for", FileKind::Spool), ("d3adb33f\n", FileKind::Other)]
+        {
+            assert_eq!(FileKind::of(text.as_bytes()), expected, "{text:?}");
+        }
+    }
+}

@@ -1,0 +1,129 @@
+//! Log lines about failed iterations: the first of each kind at once, then at most one summary a minute. No I/O.
+
+use peernet_clock::{MonoTime, Span};
+use peernet_stream::Outcome;
+
+/// Time between two lines about one kind of failure.
+const INTERVAL: Span = Span::from_seconds(60);
+
+/// Failures of a run that are logged, one entry for each kind.
+#[derive(Debug, Default)]
+pub(super) struct FailureLog {
+    failed: Unlogged,
+    lost: Unlogged,
+    timed_out: Unlogged,
+}
+
+/// Failures of one kind since the last line.
+#[derive(Debug, Default)]
+struct Unlogged {
+    logged_at: Option<MonoTime>,
+    count: u64,
+    /// Number and reason of the latest.
+    latest: Option<(u64, String)>,
+}
+
+impl FailureLog {
+    /// Records the outcome of an iteration. Returns the lines that are due.
+    ///
+    /// A successful iteration makes summaries of earlier failures due as well: failures may have stopped.
+    pub(super) fn record(&mut self, number: u64, outcome: &Outcome, now: MonoTime) -> Vec<String> {
+        match outcome {
+            Outcome::Ok => {}
+            Outcome::Failed(reason) => self.failed.add(number, reason),
+            Outcome::Lost(reason) => self.lost.add(number, reason),
+            Outcome::Timeout => self.timed_out.add(number, ""),
+        }
+        self.lines(|kind| kind.is_due(now), now)
+    }
+
+    /// Returns lines about all failures that were not logged yet.
+    pub(super) fn finish(&mut self, now: MonoTime) -> Vec<String> {
+        self.lines(|_| true, now)
+    }
+
+    fn lines(&mut self, is_due: impl Fn(&Unlogged) -> bool, now: MonoTime) -> Vec<String> {
+        let kinds = [
+            (&mut self.failed, "failed"),
+            (&mut self.lost, "lost"),
+            (&mut self.timed_out, "without an answer in time"),
+        ];
+        let due = kinds.into_iter().filter(|(kind, _)| kind.count > 0 && is_due(kind));
+        due.filter_map(|(kind, what)| kind.take_line(what, now)).collect()
+    }
+}
+
+impl Unlogged {
+    fn add(&mut self, number: u64, reason: &str) {
+        self.count += 1;
+        self.latest = Some((number, reason.to_owned()));
+    }
+
+    fn is_due(&self, now: MonoTime) -> bool {
+        self.logged_at.is_none_or(|logged_at| now - logged_at >= INTERVAL)
+    }
+
+    fn take_line(&mut self, what: &str, now: MonoTime) -> Option<String> {
+        let (number, reason) = self.latest.take()?;
+        let count = std::mem::take(&mut self.count);
+        let reason = if reason.is_empty() { reason } else { format!(": {reason}") };
+        let before = self.logged_at.replace(now);
+        Some(match before {
+            None => format!("iteration {number}: {what}{reason}"),
+            Some(before) => {
+                let seconds = (now - before).seconds();
+                let iterations = if count == 1 { "iteration" } else { "iterations" };
+                format!(
+                    "{count} more {iterations} {what} in {seconds:.0} s; the latest, iteration {number}{reason}"
+                )
+            }
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn at(seconds: i64) -> MonoTime {
+        MonoTime::from_nanos(seconds * 1_000_000_000)
+    }
+
+    #[test]
+    fn first_failure_of_each_kind_is_logged_at_once() {
+        let mut log = FailureLog::default();
+        let failed = Outcome::Failed("no such file".to_owned());
+        assert_eq!(log.record(1, &Outcome::Ok, at(0)), [String::new(); 0]);
+        assert_eq!(log.record(2, &failed, at(1)), ["iteration 2: failed: no such file"]);
+        assert_eq!(log.record(3, &failed, at(2)), [String::new(); 0]);
+        assert_eq!(log.record(4, &Outcome::Timeout, at(3)), ["iteration 4: without an answer in time"]);
+        let lost = Outcome::Lost("the connection broke".to_owned());
+        assert_eq!(log.record(5, &lost, at(4)), ["iteration 5: lost: the connection broke"]);
+    }
+
+    #[test]
+    fn later_failures_are_summed_up_once_a_minute() {
+        let mut log = FailureLog::default();
+        let failed = |reason: &str| Outcome::Failed(reason.to_owned());
+        log.record(1, &failed("first"), at(0));
+        let lines: Vec<String> = (2..=600)
+            .flat_map(|n| log.record(n, &failed(&format!("reason {n}")), at(n.cast_signed() / 10)))
+            .collect();
+        assert_eq!(lines, ["599 more iterations failed in 60 s; the latest, iteration 600: reason 600"]);
+        assert_eq!(log.record(601, &failed("last"), at(61)), [String::new(); 0]);
+        assert_eq!(
+            log.record(602, &Outcome::Ok, at(120)),
+            ["1 more iteration failed in 60 s; the latest, iteration 601: last"]
+        );
+        assert_eq!(log.finish(at(121)), [String::new(); 0]);
+    }
+
+    #[test]
+    fn end_of_a_run_logs_what_is_left() {
+        let mut log = FailureLog::default();
+        log.record(1, &Outcome::Timeout, at(0));
+        log.record(2, &Outcome::Timeout, at(5));
+        let line = "1 more iteration without an answer in time in 10 s; the latest, iteration 2";
+        assert_eq!(log.finish(at(10)), [line]);
+    }
+}

@@ -1,0 +1,84 @@
+//! A clock fault that begins when the test wants it, so that nothing depends on the speed of the machine.
+
+use std::sync::OnceLock;
+
+use peernet_clock::{
+    Clock, ClockFaults, ClockIdentity, FaultyClock, MonoTime, RawTime, Readings, SharedClock, Span, WallTime,
+};
+
+/// A right clock that becomes wrong on request.
+#[derive(Debug)]
+pub(crate) struct SwitchableClock {
+    right: SharedClock,
+    rehearsed: OnceLock<FaultyClock>,
+}
+
+impl SwitchableClock {
+    pub(crate) fn new(right: SharedClock) -> Self {
+        Self { right, rehearsed: OnceLock::new() }
+    }
+
+    /// Makes the clock wrong from now on.
+    pub(crate) fn go_wrong(&self, how: ClockFaults) {
+        let identity = self.right.identity().clone();
+        let wrong = FaultyClock::new(SharedClock::clone(&self.right), identity, how);
+        self.rehearsed.set(wrong).expect("once");
+    }
+
+    fn now(&self) -> &dyn Clock {
+        match self.rehearsed.get() {
+            Some(rehearsed) => rehearsed,
+            None => &*self.right,
+        }
+    }
+}
+
+impl Clock for SwitchableClock {
+    fn wall(&self) -> WallTime {
+        self.now().wall()
+    }
+
+    fn mono(&self) -> MonoTime {
+        self.right.mono()
+    }
+
+    fn raw(&self) -> RawTime {
+        self.now().raw()
+    }
+
+    fn identity(&self) -> &ClockIdentity {
+        self.right.identity()
+    }
+
+    fn readings(&self) -> Readings {
+        self.now().readings()
+    }
+
+    fn epoch(&self) -> u32 {
+        self.now().epoch()
+    }
+
+    fn begin_epoch(&self) {
+        self.now().begin_epoch();
+    }
+
+    fn wall_epoch(&self) -> u32 {
+        self.now().wall_epoch()
+    }
+
+    fn begin_wall_epoch(&self) {
+        self.now().begin_wall_epoch();
+    }
+
+    fn last_step(&self) -> Option<Span> {
+        self.now().last_step()
+    }
+
+    fn adopt(&self, system: WallTime) -> WallTime {
+        self.now().adopt(system)
+    }
+
+    fn rehearsal(&self) -> Option<&ClockFaults> {
+        self.now().rehearsal()
+    }
+}

@@ -1,0 +1,151 @@
+//! The figures of one second of one pipeline, and their merge into windows.
+
+use peernet_analysis::deadline::{DEADLINE_MISSED, Misses};
+use peernet_clock::Verdict;
+use peernet_logger::{Name, stage};
+use peernet_statistics::{Merge, Summary};
+use peernet_stream::{OutcomeCounts, Second};
+
+use super::MOST_NAMES;
+use crate::live_state::{LiveSecond, Window};
+use peernet_store::{Bound, Figures, Transfers, rank};
+
+/// Figures of one or more seconds. A list is faster than a map here, because there are few names.
+#[derive(Clone, Debug, Default)]
+pub(super) struct SecondFigures {
+    counts: OutcomeCounts,
+    values: Vec<(Name, Summary)>,
+    /// Half-widths of the clock bounds by stage.
+    bounds: Vec<(Name, Summary)>,
+    /// Number of iterations by stage and clock verdict.
+    verdicts: Vec<(Name, Verdict, u64)>,
+}
+
+impl SecondFigures {
+    /// Creates the figures from an agent's report of a second, cut to `MOST_NAMES`. The number of removed names is
+    /// added to `left_out`.
+    pub(super) fn of(second: Second, left_out: &mut u64) -> Self {
+        let Second { counts, mut values, mut bounds, verdicts, .. } = second;
+        let mut limit = |names: &mut Vec<(Name, Summary)>| {
+            *left_out += names.len().saturating_sub(MOST_NAMES) as u64;
+            names.truncate(MOST_NAMES);
+            names.shrink_to_fit();
+        };
+        limit(&mut values);
+        limit(&mut bounds);
+        let known =
+            |(stage, verdict, count): (Name, Name, u64)| Some((stage, Verdict::from_name(&verdict)?, count));
+        // Verdicts of a later version are unknown here and left out.
+        let verdicts = verdicts.into_iter().filter_map(known).take(MOST_NAMES).collect();
+        Self { counts, values, bounds, verdicts }
+    }
+
+    /// Returns the summary of the total latency; `None` if no iteration succeeded.
+    pub(super) fn total(&self) -> Option<&Summary> {
+        self.values.iter().find(|(name, _)| *name == stage::TOTAL).map(|(_, summary)| summary)
+    }
+
+    /// Returns the second in the form of the live charts.
+    pub(super) fn draw(&self, at: i64) -> LiveSecond {
+        let mut means: Vec<(Name, f64)> = self
+            .values
+            .iter()
+            .filter(|(_, summary)| summary.count() > 0)
+            .map(|(name, summary)| (name.clone(), summary.moments.mean))
+            .collect();
+        means.sort_by(|(a, _), (b, _)| rank(a).cmp(&rank(b)));
+        let total_p95 = self.total().and_then(Figures::of).and_then(|figures| figures.p95);
+        let (transfers, verdicts) = (self.transfers(), self.verdicts.clone());
+        LiveSecond { at, counts: self.counts, means, total_p95, transfers, verdicts }
+    }
+
+    /// Returns the data rates of both directions.
+    fn transfers(&self) -> Transfers {
+        Transfers::of(|name| {
+            let (_, summary) = self.values.iter().find(|(known, _)| known == name)?;
+            Some((summary.count(), summary.moments.mean))
+        })
+    }
+
+    /// Returns the figures of a window of `seconds` complete seconds, of which `covered_s` seconds have data.
+    pub(super) fn window(&self, seconds: u32, covered_s: f64) -> Window {
+        let total = self.counts.total();
+        let figures = |(name, summary): &(Name, Summary)| Some((name.clone(), Figures::of(summary)?));
+        let mut values: Vec<(Name, Figures)> = self.values.iter().filter_map(figures).collect();
+        values.sort_by(|(a, _), (b, _)| rank(a).cmp(&rank(b)));
+        // A second without any answer lists the name without samples.
+        let late = self.values.iter().find(|(name, _)| *name == *DEADLINE_MISSED);
+        let late = late.map(|(_, late)| (late.moments.mean * late.count() as f64).round() as u64);
+        let misses = late.map(|late| Misses::new(self.counts.ok, late, total - self.counts.ok));
+        Window {
+            seconds,
+            covered_s,
+            counts: self.counts,
+            rate_hz: total as f64 / covered_s,
+            lost_fraction: (total > 0).then(|| (total - self.counts.ok) as f64 / total as f64),
+            miss_rate: misses.and_then(Misses::rate),
+            values,
+            transfers: self.transfers(),
+            bounds: self.directions(),
+        }
+    }
+
+    /// Returns the clock bounds of both directions.
+    fn directions(&self) -> Vec<Bound> {
+        [stage::UPLOAD, stage::DOWNLOAD]
+            .into_iter()
+            .filter_map(|stage| {
+                let half_width = self.bounds.iter().find(|(name, _)| *name == stage);
+                let half_width = half_width.and_then(|(_, summary)| Figures::of(summary));
+                let mut verdicts: Vec<(Verdict, u64)> = Vec::new();
+                for known in Verdict::ALL {
+                    let given =
+                        |(name, verdict, _): &&(Name, Verdict, u64)| *name == stage && verdict == known;
+                    let count = self.verdicts.iter().filter(given).map(|(_, _, count)| *count).sum();
+                    if count > 0 {
+                        verdicts.push((*known, count));
+                    }
+                }
+                (half_width.is_some() || !verdicts.is_empty()).then_some(Bound {
+                    stage,
+                    half_width,
+                    verdicts,
+                })
+            })
+            .collect()
+    }
+}
+
+impl Merge for SecondFigures {
+    fn merge(&mut self, other: &Self) {
+        self.counts.merge(&other.counts);
+        merge_named(&mut self.values, &other.values);
+        merge_named(&mut self.bounds, &other.bounds);
+        for (stage, verdict, count) in &other.verdicts {
+            let known = self.verdicts.iter().position(|(name, known, _)| name == stage && known == verdict);
+            match known {
+                Some(at) => self.verdicts[at].2 = self.verdicts[at].2.saturating_add(*count),
+                None if self.verdicts.len() < MOST_NAMES => {
+                    self.verdicts.push((stage.clone(), *verdict, *count));
+                }
+                None => {}
+            }
+        }
+    }
+}
+
+/// Merges summaries by name, up to `MOST_NAMES`.
+fn merge_named(into: &mut Vec<(Name, Summary)>, from: &[(Name, Summary)]) {
+    for (position, (name, summary)) in from.iter().enumerate() {
+        // Fast path: most seconds list the same names in the same order.
+        let known = match into.get(position) {
+            Some((known, _)) if known == name => Some(position),
+            _ => into.iter().position(|(known, _)| known == name),
+        };
+        match known {
+            Some(at) => into[at].1.merge(summary),
+            None if into.len() < MOST_NAMES => into.push((name.clone(), summary.clone())),
+            None => {}
+        }
+    }
+}

@@ -1,0 +1,129 @@
+//! Tests of a full queue and of data that arrives hours after its time.
+
+use peernet_logger::{HostId, RunId};
+use peernet_stream::{Event, Incident, IncidentKind};
+
+use crate::generate;
+use crate::scripted_agent::{Reply, ScriptedAgent};
+use crate::testbed::Testbed;
+
+/// Returns a batch of nearly the largest size.
+fn large(scripted_agent: &mut ScriptedAgent) -> Vec<u8> {
+    let incident = Incident {
+        at: generate::at(1.0),
+        kind: IncidentKind::Control,
+        pipeline: None,
+        run: None,
+        peer: None,
+        text: "x".repeat(4_000_000),
+    };
+    scripted_agent.next_of(&[Event::Incident(incident)])
+}
+
+#[tokio::test]
+async fn deferred_batches_are_requested_when_room_is_free() {
+    let mut testbed = Testbed::new().await;
+    let mut agents = Vec::new();
+    for name in ["one", "two", "late"] {
+        let mut scripted_agent = ScriptedAgent::welcome(&testbed, name).await;
+        scripted_agent.send_next().await;
+        scripted_agent.expect(Reply::Ack(1)).await;
+        agents.push(scripted_agent);
+    }
+    let mut holder = testbed.connection().await;
+    sqlx::raw_sql("BEGIN EXCLUSIVE").execute(&mut holder).await.expect("locks");
+    // Compressed they are small on the network, but their room is that of the decompressed events.
+    for scripted_agent in &mut agents[..2] {
+        for _ in 0..16 {
+            let frame = large(scripted_agent);
+            scripted_agent.socket.send_frame(frame).await;
+        }
+    }
+    let late = agents[2].next();
+    testbed.picture("that there is no room", |picture| picture.totals.arrivals.deferred >= 6).await;
+    let deferred = large(&mut agents[2]);
+    agents[2].socket.send_frame(late.clone()).await;
+    agents[2].socket.send_frame(deferred.clone()).await;
+    testbed
+        .picture("that there is none for others either", |picture| {
+            picture
+                .hosts
+                .iter()
+                .any(|host| host.description.name.as_str() == "late" && host.arrivals.deferred > 0)
+        })
+        .await;
+    sqlx::raw_sql("ROLLBACK").execute(&mut holder).await.expect("unlocks");
+    // The aggregator requests the deferred batches, and stores all of them.
+    let mut resent = 0;
+    loop {
+        match agents[2].socket.receive().await {
+            peernet_stream::ToAgent::Resend { from, .. } => {
+                resent += 1;
+                let again = [&late, &deferred];
+                for frame in &again[usize::try_from(from).expect("small") - 2..] {
+                    agents[2].socket.send_frame((*frame).clone()).await;
+                }
+            }
+            peernet_stream::ToAgent::Ack { through: 3, .. } => break,
+            peernet_stream::ToAgent::Ack { .. } => {}
+            other => panic!("{other:?}"),
+        }
+    }
+    assert!(resent > 0);
+    assert_eq!(
+        testbed
+            .count("SELECT stored FROM stream JOIN host ON host.id = stream.host WHERE name = 'late'")
+            .await,
+        3
+    );
+    testbed.stop().await;
+}
+
+#[tokio::test]
+async fn late_data_is_counted_in_buckets_of_its_time() {
+    let mut testbed = Testbed::new().await;
+    let mut agent = testbed.agent("edge").await;
+    let run = RunId::random();
+    let hosts = (agent.id, HostId::from_bytes([7; 16]));
+    let mut random = generate::Numbers::new(5);
+    agent.offer([generate::run_started(run, "line", generate::at(0.0))]);
+    // Hours apart and unordered, each part in a separate commit, with a restart between them.
+    for (part, hour) in [5, 0, 3, 5, 1].into_iter().enumerate() {
+        let began = f64::from(hour) * 3600.0 + part as f64 * 7.0;
+        agent.offer((0..60_u32).map(|n| {
+            let at = generate::at(began + f64::from(n) * 0.31);
+            let number = part as u64 * 60 + u64::from(n) + 1;
+            Event::Iteration(generate::iteration_at(run, number, hosts, at, &mut random))
+        }));
+        agent.until_stored().await;
+        if part == 2 {
+            testbed.stop().await;
+            testbed.start().await;
+        }
+    }
+    assert_eq!(testbed.count("SELECT count(*) FROM iteration").await, 300);
+    let wrong = testbed.count(
+        "WITH width (s) AS (VALUES (1), (10), (60), (3600)), \
+         truth AS (SELECT s, started_ns / 1000000000 / s * s AS bucket, count(*) AS count FROM width, iteration GROUP BY 1, 2), \
+         told AS (SELECT resolution_s, bucket_s, count FROM rollup JOIN name ON name.id = rollup.name \
+                  WHERE name.text = 'total' AND quantity = 0 AND resolution_s > 0) \
+         SELECT (SELECT count(*) FROM (SELECT * FROM truth EXCEPT SELECT * FROM told)) \
+              + (SELECT count(*) FROM (SELECT * FROM told EXCEPT SELECT * FROM truth))",
+    );
+    assert_eq!(wrong.await, 0);
+    testbed.stop().await;
+}
+
+#[tokio::test]
+async fn a_run_is_pinned_while_others_are_stored() {
+    let mut testbed = Testbed::new().await;
+    let mut agent = testbed.agent("edge").await;
+    agent.offer([generate::run_started(RunId::random(), "line", generate::at(0.0))]);
+    agent.until_stored().await;
+    assert!(testbed.aggregator().pin(1, true).await.expect("writes"));
+    assert!(!testbed.aggregator().pin(2, true).await.expect("writes"), "there is no such run");
+    assert_eq!(testbed.count("SELECT pinned FROM run").await, 1);
+    assert!(testbed.aggregator().pin(1, false).await.expect("writes"));
+    assert_eq!(testbed.count("SELECT pinned FROM run").await, 0);
+    testbed.stop().await;
+}

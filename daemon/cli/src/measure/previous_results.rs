@@ -1,0 +1,364 @@
+//! Safe replacement of earlier results: they are kept until new ones are complete.
+//!
+//! A run can be killed at any moment. `run.json` shows the state: it is the first file that is moved away, the last that is
+//! restored, and the last important file that a new run writes. If it is in the folder, the results there are complete and the
+//! moved ones are obsolete.
+
+use std::fs::{File, read_dir, remove_file, rename};
+use std::io::{BufRead, BufReader, ErrorKind};
+use std::path::{Path, PathBuf};
+
+use crate::exit::{Exit, Failure};
+use crate::output::complain;
+use anyhow::Context;
+use peernet_results::ResultFolder;
+use tempfile::TempDir;
+
+/// Prefix of the folders that hold moved results.
+const PREFIX: &str = ".replaced-";
+/// The file that makes results complete.
+const RECORD: &str = "run.json";
+const DATA: &str = "data.csv";
+/// Names of the rows of runs without results: killed ones, and ones whose results did not fit on the disk.
+const NOTHING: [&str; 2] = [KILLED, UNFINISHED];
+const KILLED: &str = "killed";
+const UNFINISHED: &str = "unfinished";
+
+/// Results that were moved away. Dropping it restores them.
+#[derive(Debug)]
+pub(super) struct PreviousResultsGuard {
+    results_dir: PathBuf,
+    /// Folder in `results_dir` that holds them; `None` if there is nothing to restore.
+    kept: Option<TempDir>,
+}
+
+impl PreviousResultsGuard {
+    /// Moves the results of a folder away.
+    ///
+    /// # Errors
+    /// When they cannot be moved (73).
+    pub(super) fn move_away(results_dir: &Path) -> Result<Self, Failure> {
+        let mut guard = Self { results_dir: results_dir.to_owned(), kept: None };
+        if !ResultFolder::replaced(results_dir).any(|name| results_dir.join(name).is_file()) {
+            return Ok(guard);
+        }
+        let kept = tempfile::Builder::new().prefix(PREFIX).tempdir_in(results_dir);
+        let kept =
+            kept.with_context(|| format!("cannot write to {}", results_dir.display())).map_err(unwritten)?;
+        let kept = guard.kept.insert(kept).path().to_owned();
+        for name in record_first(results_dir) {
+            let from = results_dir.join(&name);
+            rename_if_exists(&from, &kept.join(&name))
+                .with_context(|| format!("cannot replace {}", from.display()))
+                .map_err(unwritten)?;
+        }
+        Ok(guard)
+    }
+
+    /// Returns whether a run that has moved results here was killed, or is still running.
+    pub(super) fn is_left(results_dir: &Path) -> bool {
+        leftover_folders(results_dir).next().is_some()
+    }
+
+    /// Restores results that a killed run had moved away, or removes them if its new results are complete. The rows of the killed
+    /// run are kept under another name. No other program may write to the folder meanwhile.
+    ///
+    /// # Errors
+    /// When they cannot be moved (73).
+    pub(super) fn recover(results_dir: &Path) -> Result<(), Failure> {
+        let mut folders: Vec<PathBuf> = leftover_folders(results_dir).collect();
+        folders.sort_by_key(|folder| !folder.join(RECORD).is_file());
+        let Some(kept) = folders.first() else { return Ok(()) };
+        for other in &folders[1..] {
+            complain(format_args!("results that were put aside are in {} as well", other.display()));
+        }
+        let failed = |error: std::io::Error| {
+            let text = format!("cannot put the results of {} back", kept.display());
+            unwritten(anyhow::Error::new(error).context(text))
+        };
+        if results_dir.join(RECORD).is_file() {
+            std::fs::remove_dir_all(kept).map_err(failed)?;
+            complain(format_args!(
+                "a run was killed that had replaced the results in {}; what was left of the earlier ones is removed",
+                results_dir.display()
+            ));
+            return Ok(());
+        }
+        let measured = if kept.join(DATA).is_file() {
+            keep_measured(results_dir, KILLED).map_err(failed)?
+        } else {
+            None
+        };
+        move_back(kept, results_dir).and_then(|()| std::fs::remove_dir_all(kept)).map_err(failed)?;
+        let measured = measured.map_or_else(String::new, |name| format!("; what it measured is in {name}"));
+        complain(format_args!(
+            "a run was killed that was to replace the results in {}: they are back{measured}",
+            results_dir.display()
+        ));
+        Ok(())
+    }
+
+    /// Renames the new rows, which exist nowhere else, so that they stay when the earlier results are restored. Returns the new
+    /// name; `None` if there are no rows or nothing will be restored.
+    pub(super) fn keep_rows(&self) -> Option<String> {
+        self.kept.as_ref()?;
+        keep_measured(&self.results_dir, UNFINISHED).unwrap_or_else(|error| {
+            complain(format_args!("the new data.csv cannot be given another name: {error}"));
+            None
+        })
+    }
+
+    /// Removes the incomplete new results and restores the earlier ones. Returns a text to be appended to a message, which is empty
+    /// if there were no earlier results.
+    pub(super) fn restore(mut self) -> String {
+        let Some(kept) = self.kept.take() else { return String::new() };
+        let removed = record_first(&self.results_dir).iter().try_for_each(|name| {
+            match remove_file(self.results_dir.join(name)) {
+                Err(error) if error.kind() != ErrorKind::NotFound => Err(error),
+                _ => Ok(()),
+            }
+        });
+        match removed.and_then(|()| move_back(kept.path(), &self.results_dir)) {
+            Ok(()) => "; the earlier results are back".to_owned(),
+            Err(error) => format!("; the earlier results are in {}: {error}", kept.keep().display()),
+        }
+    }
+
+    /// Removes the earlier results because new ones are complete, and the rows of runs without results.
+    pub(super) fn remove(&mut self) {
+        let closed = self.kept.take().map_or(Ok(()), TempDir::close);
+        let removed = rows_without_results(&self.results_dir).into_iter().try_for_each(remove_file);
+        if let Err(error) = closed.and(removed) {
+            complain(format_args!("the results that were replaced are not all removed: {error}"));
+        }
+    }
+}
+
+impl Drop for PreviousResultsGuard {
+    fn drop(&mut self) {
+        let Some(kept) = self.kept.take() else { return };
+        if std::thread::panicking() {
+            // New rows may be in their place by now.
+            let folder = kept.keep();
+            return complain(format_args!("the earlier results are in {}", folder.display()));
+        }
+        if let Err(error) = move_back(kept.path(), &self.results_dir) {
+            let folder = kept.keep();
+            complain(format_args!("the earlier results are in {}: {error}", folder.display()));
+        }
+    }
+}
+
+fn unwritten(error: anyhow::Error) -> Failure {
+    Failure::new(Exit::Unwritten, error)
+}
+
+/// Returns the folder with the earlier results while the run that is to replace them is active or was killed.
+pub(crate) fn put_aside(results_dir: &Path) -> Option<PathBuf> {
+    leftover_folders(results_dir)
+        .find(|kept| kept.join(RECORD).is_file() && !results_dir.join(RECORD).is_file())
+}
+
+/// Returns files with the rows of runs without results.
+fn rows_without_results(results_dir: &Path) -> Vec<PathBuf> {
+    let is_one = |path: &PathBuf| {
+        let stem = path.file_name().and_then(|name| name.to_str()?.strip_suffix(".csv"));
+        let rest = stem.and_then(|stem| NOTHING.iter().find_map(|name| stem.strip_prefix(name)));
+        rest.is_some_and(|rest| {
+            rest.is_empty() || rest.strip_prefix('-').is_some_and(|number| number.parse::<u32>().is_ok())
+        })
+    };
+    let entries = read_dir(results_dir).into_iter().flatten().filter_map(Result::ok);
+    entries.map(|entry| entry.path()).filter(is_one).collect()
+}
+
+/// Returns the folders in `results_dir` with moved results.
+fn leftover_folders(results_dir: &Path) -> impl Iterator<Item = PathBuf> {
+    let entries = read_dir(results_dir).into_iter().flatten().filter_map(Result::ok);
+    let has_prefix = |name: &std::ffi::OsStr| name.to_string_lossy().starts_with(PREFIX);
+    entries.filter(move |entry| has_prefix(&entry.file_name())).map(|entry| entry.path())
+}
+
+/// Returns the names of the replaced files in a folder, in the order in which they are moved away.
+fn record_first(dir: &Path) -> Vec<String> {
+    let mut names: Vec<String> = ResultFolder::replaced(dir).collect();
+    names.sort_by_key(|name| name != RECORD);
+    names
+}
+
+fn move_back(kept: &Path, results_dir: &Path) -> std::io::Result<()> {
+    record_first(kept)
+        .iter()
+        .rev()
+        .try_for_each(|name| rename_if_exists(&kept.join(name), &results_dir.join(name)))
+}
+
+/// Moves a file if it exists.
+fn rename_if_exists(from: &Path, to: &Path) -> std::io::Result<()> {
+    match rename(from, to) {
+        Err(error) if error.kind() != ErrorKind::NotFound => Err(error),
+        _ => Ok(()),
+    }
+}
+
+/// Renames the rows of a run without results, `killed.csv` for `killed`, if there are any.
+fn keep_measured(results_dir: &Path, stem: &str) -> std::io::Result<Option<String>> {
+    let data = results_dir.join(DATA);
+    let rows = File::open(&data).map(|file| BufReader::new(file).lines().nth(1).is_some());
+    if !rows.unwrap_or(false) {
+        return Ok(None);
+    }
+    let free = |name: &String| !results_dir.join(name).exists();
+    let numbered = (2_u32..).map(|number| format!("{stem}-{number}.csv"));
+    let name = std::iter::once(format!("{stem}.csv")).chain(numbered).find(free);
+    if let Some(name) = &name {
+        rename(&data, results_dir.join(name))?;
+    }
+    Ok(name)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn dropped_guard_restores_results_unless_replaced() {
+        let results_dir = tempfile::tempdir().expect("a folder");
+        let (data, mine) = (results_dir.path().join("data.csv"), results_dir.path().join("mine.txt"));
+        std::fs::write(&data, "earlier").expect("writable");
+        std::fs::write(&mine, "mine").expect("writable");
+        let guard = PreviousResultsGuard::move_away(results_dir.path()).expect("moved");
+        assert!(!data.exists() && mine.exists());
+        drop(guard);
+        assert_eq!(std::fs::read_to_string(&data).expect("is back"), "earlier");
+
+        let mut guard = PreviousResultsGuard::move_away(results_dir.path()).expect("moved");
+        std::fs::write(&data, "later").expect("writable");
+        guard.remove();
+        drop(guard);
+        assert_eq!(std::fs::read_to_string(&data).expect("is there"), "later");
+        assert_eq!(
+            std::fs::read_dir(results_dir.path()).expect("a folder").count(),
+            2,
+            "nothing is left over"
+        );
+    }
+
+    #[test]
+    fn unreplaced_results_are_restored_and_new_rows_kept() {
+        let results_dir = tempfile::tempdir().expect("a folder");
+        let read = |name: &str| std::fs::read_to_string(results_dir.path().join(name)).expect("it is there");
+        for name in [DATA, RECORD] {
+            std::fs::write(results_dir.path().join(name), "earlier").expect("writable");
+        }
+        let begin = || {
+            let guard = PreviousResultsGuard::move_away(results_dir.path()).expect("moved");
+            for (name, text) in [(DATA, "iteration\n1\n"), (RECORD, "{"), ("summary.md", "#")] {
+                std::fs::write(results_dir.path().join(name), text).expect("writable");
+            }
+            guard
+        };
+        // All rows are elsewhere.
+        assert_eq!(begin().restore(), "; the earlier results are back");
+        assert_eq!(
+            (names(results_dir.path()), read(DATA).as_str()),
+            (vec![DATA.into(), RECORD.into()], "earlier")
+        );
+        let guard = begin();
+        assert_eq!(guard.keep_rows().as_deref(), Some("unfinished.csv"));
+        assert_eq!(guard.restore(), "; the earlier results are back");
+        assert_eq!(names(results_dir.path()), [DATA, RECORD, "unfinished.csv"]);
+        let texts = ["unfinished.csv", DATA, RECORD].map(read);
+        assert_eq!(texts, ["iteration\n1\n", "earlier", "earlier"]);
+        let empty = tempfile::tempdir().expect("a folder");
+        let guard = PreviousResultsGuard::move_away(empty.path()).expect("nothing to move");
+        std::fs::write(empty.path().join(DATA), "iteration\n1\n").expect("writable");
+        assert_eq!((guard.keep_rows(), guard.restore()), (None, String::new()));
+        assert_eq!(names(empty.path()), [DATA], "there were none");
+    }
+
+    /// Leaves a folder as a killed run does: without dropping anything.
+    fn killed(results_dir: &Path, measured: &str) {
+        let mut guard = PreviousResultsGuard::move_away(results_dir).expect("moved");
+        let _ = guard.kept.take().map(TempDir::keep);
+        std::fs::write(results_dir.join(DATA), measured).expect("writable");
+    }
+
+    fn names(results_dir: &Path) -> Vec<String> {
+        let mut names: Vec<String> = read_dir(results_dir)
+            .expect("a folder")
+            .map(|entry| entry.expect("readable").file_name().to_string_lossy().into_owned())
+            .collect();
+        names.sort();
+        names
+    }
+
+    #[test]
+    fn results_moved_by_killed_run_are_restored() {
+        let results_dir = tempfile::tempdir().expect("a folder");
+        let read = |name: &str| std::fs::read_to_string(results_dir.path().join(name)).expect("it is there");
+        for name in [DATA, RECORD] {
+            std::fs::write(results_dir.path().join(name), "earlier").expect("writable");
+        }
+        assert!(!PreviousResultsGuard::is_left(results_dir.path()));
+        killed(results_dir.path(), "iteration\n");
+        assert!(PreviousResultsGuard::is_left(results_dir.path()));
+        PreviousResultsGuard::recover(results_dir.path()).expect("recovered");
+        assert_eq!(
+            (names(results_dir.path()), read(DATA)),
+            (vec![DATA.to_owned(), RECORD.to_owned()], "earlier".to_owned())
+        );
+        for (name, rows) in [("killed.csv", "iteration\n1\n"), ("killed-2.csv", "iteration\n1\n2")] {
+            killed(results_dir.path(), rows);
+            PreviousResultsGuard::recover(results_dir.path()).expect("recovered");
+            assert_eq!((read(DATA).as_str(), read(name).as_str()), ("earlier", rows));
+        }
+        assert_eq!(names(results_dir.path()), [DATA, "killed-2.csv", "killed.csv", RECORD]);
+        let mine = results_dir.path().join("killed-by-me.csv");
+        std::fs::write(&mine, "mine").expect("writable");
+        let mut guard = PreviousResultsGuard::move_away(results_dir.path()).expect("moved");
+        std::fs::write(results_dir.path().join(DATA), "later").expect("writable");
+        assert!(put_aside(results_dir.path()).is_some(), "the earlier ones are hidden");
+        std::fs::write(results_dir.path().join(RECORD), "later").expect("writable");
+        guard.remove();
+        assert_eq!(
+            names(results_dir.path()),
+            [DATA, "killed-by-me.csv", RECORD],
+            "later ones take all places"
+        );
+        assert_eq!(put_aside(results_dir.path()), None);
+    }
+
+    #[test]
+    fn run_killed_after_completion_has_replaced_results() {
+        let results_dir = tempfile::tempdir().expect("a folder");
+        std::fs::write(results_dir.path().join(DATA), "earlier").expect("writable");
+        killed(results_dir.path(), "later");
+        std::fs::write(results_dir.path().join(RECORD), "later").expect("writable");
+        PreviousResultsGuard::recover(results_dir.path()).expect("recovered");
+        assert_eq!(names(results_dir.path()), [DATA, RECORD]);
+        assert_eq!(std::fs::read_to_string(results_dir.path().join(DATA)).expect("there"), "later");
+    }
+
+    #[test]
+    fn run_killed_while_moving_results_loses_none() {
+        let results_dir = tempfile::tempdir().expect("a folder");
+        for name in [DATA, RECORD, "summary.md"] {
+            std::fs::write(results_dir.path().join(name), name).expect("writable");
+        }
+        let kept = results_dir.path().join(format!("{PREFIX}x"));
+        std::fs::create_dir(&kept).expect("made");
+        for name in record_first(results_dir.path()).into_iter().take(2) {
+            rename_if_exists(&results_dir.path().join(&name), &kept.join(&name)).expect("moved");
+            let before = names(results_dir.path());
+            PreviousResultsGuard::recover(results_dir.path()).expect("recovered");
+            assert_eq!(
+                names(results_dir.path()),
+                [DATA, RECORD, "summary.md"],
+                "after {name}, of {before:?}"
+            );
+            std::fs::create_dir(&kept).expect("made anew");
+            rename_if_exists(&results_dir.path().join(RECORD), &kept.join(RECORD)).expect("moved");
+        }
+    }
+}

@@ -1,0 +1,96 @@
+//! Progress of a run, for its display.
+
+use std::fmt;
+
+use peernet_statistics::number;
+use peernet_stream::Condition;
+use serde::{Deserialize, Serialize};
+
+use crate::foreground::{describe_quantiles, duration};
+
+/// Progress of a run.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub(crate) struct ProgressReport {
+    /// Current activity.
+    pub(crate) phase: Phase,
+    /// Number of finished iterations.
+    pub(crate) done: u64,
+    /// Total number of iterations; `None` if a time limits the run.
+    pub(crate) of: Option<u64>,
+    /// Iterations per second since the first.
+    pub(crate) rate: f64,
+    /// Median of the total so far, seconds.
+    pub(crate) p50: Option<f64>,
+    /// 99th percentile of the total, once there are enough values.
+    pub(crate) p99: Option<f64>,
+    /// Estimated remaining time, seconds; `None` while unknown.
+    pub(crate) left_s: Option<f64>,
+    /// Description of an unexpected wait.
+    pub(crate) trouble: Option<String>,
+}
+
+impl fmt::Display for ProgressReport {
+    /// Writes it in words: `120 of 10005, 9.8 /s, total p50 101 ms, p99 104 ms, 17 min left`.
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        if self.phase == Phase::Starting {
+            return f.write_str("starting");
+        }
+        write!(f, "{}", self.done)?;
+        if let Some(of) = self.of {
+            write!(f, " of {of}")?;
+        }
+        write!(f, ", {} /s", number::fixed(self.rate, 1))?;
+        // There is no median during the warm-up.
+        if let Some(p50) = self.p50 {
+            write!(f, ", total {}", describe_quantiles(p50, self.p99))?;
+        }
+        self.left_s.map_or(Ok(()), |left| write!(f, ", {} left", duration(left)))
+    }
+}
+
+/// Activity of a run.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub(crate) enum Phase {
+    /// It sets up sensor and model, and connects to the peer.
+    Starting,
+    /// It measures iterations that are left out of statistics.
+    WarmUp,
+    /// It measures.
+    Measuring,
+    /// It waits for an absent peer.
+    Waiting,
+    /// It writes its files.
+    Writing,
+}
+
+/// Display of a run's progress.
+pub(crate) trait ProgressDisplay {
+    /// Shows the conditions of the hosts when the run begins.
+    fn begun(&mut self, _conditions: &[Condition]) {}
+
+    /// Shows the progress, several times a second.
+    fn show(&mut self, report: &ProgressReport);
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn progress_is_shown_in_one_line() {
+        let report = ProgressReport {
+            phase: Phase::Measuring,
+            done: 120,
+            of: Some(10_005),
+            rate: 9.81,
+            p50: Some(0.1012),
+            p99: None,
+            left_s: Some(1007.6),
+            trouble: None,
+        };
+        assert_eq!(report.to_string(), "120 of 10005, 9.8 /s, total p50 101 ms, 17 min left");
+        let warming_up = ProgressReport { done: 3, p50: None, ..report };
+        assert_eq!(warming_up.to_string(), "3 of 10005, 9.8 /s, 17 min left");
+    }
+}

@@ -1,0 +1,272 @@
+//! Recording of a run's measurements from the agent's events.
+
+use std::convert::Infallible;
+
+use peernet_agent::config::{Limit, PipelineConfig, PlacementConfig};
+use peernet_agent::{Cloud, Running};
+use peernet_analysis::rows::{Outcome, Row, Rows, Units};
+use peernet_clock::{MonoTime, SharedClock, Span, WallTime};
+use peernet_logger::Slug;
+use peernet_networks::OpenError;
+use peernet_results::RowWriter;
+use peernet_statistics::Summary;
+use peernet_stream::{Event, HostClock, HostDescription, IncidentKind, PipelineState, RunDescription};
+
+use super::{Phase, ProgressDisplay, ProgressReport};
+use crate::foreground::{Ended, PeerWait, PipelineActivity, RunObserver, p99};
+
+/// Observer of the agent.
+pub(super) struct RunRecorder<'a> {
+    clock: SharedClock,
+    progress_display: &'a mut dyn ProgressDisplay,
+    peer_wait: PeerWait,
+    most: Span,
+    progress: RunProgress,
+    pipeline: Slug,
+    /// Address of the peer, then its name; `None` for a run without a peer.
+    peer: Option<String>,
+    /// `true` if the peer refused the first attempt.
+    refused: bool,
+    recorded: RecordedRun,
+    writer: RowWriter,
+}
+
+/// Progress of a run towards its limit.
+struct RunProgress {
+    limit: Limit,
+    /// Minimum number of warm-up iterations.
+    warm_up: u64,
+    began: Option<MonoTime>,
+    /// Number of finished iterations.
+    done: u64,
+    /// Totals of the iterations that count, seconds.
+    totals: Summary,
+}
+
+impl RunProgress {
+    fn new(limit: Limit, warm_up: u64) -> Self {
+        Self { limit, warm_up, began: None, done: 0, totals: Summary::default() }
+    }
+
+    fn add(&mut self, row: &Row) {
+        self.done += 1;
+        if let Some(total) = row.value("total").or(row.value("sensing")).filter(|_| row.counts()) {
+            self.totals.record(total);
+        }
+    }
+
+    /// Returns the number of iterations, if it limits the run.
+    fn iterations(&self) -> Option<u64> {
+        let counted = self.limit.iterations.map(|limit| limit.get().saturating_add(self.warm_up));
+        let total = self.limit.total.map(std::num::NonZero::get);
+        counted.into_iter().chain(total).min()
+    }
+
+    fn is_complete(&self) -> bool {
+        self.limit.total.is_some_and(|total| self.done >= total.get())
+    }
+
+    /// Returns the state to be shown in this phase.
+    fn show(&self, phase: Phase, trouble: Option<String>, now: MonoTime) -> ProgressReport {
+        let (done, of) = (self.done, self.iterations());
+        let elapsed = self.began.map_or(0.0, |began| (now - began).seconds());
+        let rate = if elapsed > 0.0 { done as f64 / elapsed } else { 0.0 };
+        let by_count = of.filter(|_| rate > 0.0).map(|of| of.saturating_sub(done) as f64 / rate);
+        let by_time = self.limit.duration_s.filter(|_| self.began.is_some());
+        let by_time = by_time.map(|seconds| (seconds - elapsed).max(0.0));
+        ProgressReport {
+            phase,
+            done,
+            of,
+            rate,
+            p50: self.totals.quantile(0.5),
+            p99: p99(&self.totals),
+            left_s: by_count.into_iter().chain(by_time).reduce(f64::min),
+            trouble,
+        }
+    }
+}
+
+/// Recorded measurements.
+#[derive(Default)]
+pub(super) struct RecordedRun {
+    pub(super) rows: Rows,
+    /// Units of the columns that the run logs itself.
+    pub(super) units: Units,
+    /// Description of the run from its start.
+    pub(super) description: Option<RunDescription>,
+    /// Time of its end by the edge's wall clock.
+    pub(super) ended: Option<WallTime>,
+    /// Host that sensed.
+    pub(super) edge: Option<HostDescription>,
+    /// Host that served.
+    pub(super) cloud: Option<Cloud>,
+    /// Description of the edge's clock discipline.
+    pub(super) edge_clock: Option<String>,
+    /// Description of the cloud's clock discipline.
+    pub(super) cloud_clock: Option<String>,
+    /// Error because of which some rows are not in the file.
+    pub(super) unwritten: Option<String>,
+}
+
+impl<'a> RunRecorder<'a> {
+    pub(super) fn new(
+        pipeline: &PipelineConfig,
+        most: Span,
+        writer: RowWriter,
+        clock: SharedClock,
+        progress_display: &'a mut dyn ProgressDisplay,
+    ) -> Self {
+        let peer = match &pipeline.placement {
+            PlacementConfig::Remote(remote) => Some(remote.peer.to_string()),
+            PlacementConfig::Local { .. } | PlacementConfig::None {} | PlacementConfig::Observe(_) => None,
+        };
+        Self {
+            peer_wait: PeerWait::new(clock.mono()),
+            clock,
+            progress_display,
+            most,
+            progress: RunProgress::new(pipeline.limit, pipeline.warm_up.iterations),
+            pipeline: pipeline.name.clone(),
+            peer,
+            refused: false,
+            recorded: RecordedRun::default(),
+            writer,
+        }
+    }
+
+    /// Returns everything that was recorded, after writing the rows to the file as far as there is room.
+    pub(super) fn finish(self) -> RecordedRun {
+        let mut recorded = self.recorded;
+        recorded.unwritten = self.writer.end().err().map(|error| error.to_string());
+        recorded
+    }
+
+    fn began(&mut self, run: RunDescription) {
+        let now = self.clock.mono();
+        self.peer_wait.record_answer(now);
+        self.progress.began.get_or_insert(now);
+        self.progress_display.begun(&run.conditions);
+        if let (Some(peer), Some(name)) = (&mut self.peer, &run.placement.peer) {
+            *peer = name.to_string();
+        }
+        self.recorded.description = Some(run);
+    }
+
+    /// Notes who serves: it may be another program after an absence.
+    fn record_hosts(&mut self, running: Option<&Running>) {
+        let cloud = running.and_then(|running| running.serving_cloud(&self.pipeline));
+        self.recorded.cloud = cloud.or(self.recorded.cloud.take());
+        let Some(live) = running.map(Running::live) else { return };
+        let words = |clock: HostClock| Some(clock.text).filter(|text| !text.is_empty());
+        let peer = self.recorded.cloud.as_ref().map(|cloud| cloud.id);
+        let link = live.links.into_iter().find(|link| Some(link.peer) == peer);
+        self.recorded.edge_clock = words(live.clock).or(self.recorded.edge_clock.take());
+        self.recorded.cloud_clock =
+            link.and_then(|link| link.cloud).and_then(words).or(self.recorded.cloud_clock.take());
+    }
+
+    fn row(&mut self, row: &Row) {
+        // A failure is an answer, too.
+        if matches!(row.outcome, Outcome::Ok | Outcome::Failed) {
+            self.peer_wait.record_answer(self.clock.mono());
+        }
+        self.progress.add(row);
+        self.writer.write(row);
+        self.recorded.rows.push(row);
+    }
+
+    fn report(&self, trouble: Option<String>) -> ProgressReport {
+        let phase = match (&trouble, self.progress.began, self.recorded.rows.last()) {
+            (_, None, _) => Phase::Starting,
+            (Some(_), ..) => Phase::Waiting,
+            (None, _, last) if last.is_none_or(|row| row.warm_up()) => Phase::WarmUp,
+            _ => Phase::Measuring,
+        };
+        self.progress.show(phase, trouble, self.clock.mono())
+    }
+}
+
+impl RunObserver for RunRecorder<'_> {
+    type OwnReason = Infallible;
+
+    fn handle_event(&mut self, event: Event, running: Option<&Running>) -> Option<Ended> {
+        match event {
+            Event::RunStarted(run) => {
+                self.began(run);
+                self.recorded.edge = running.map(Running::description).or(self.recorded.edge.take());
+                self.record_hosts(running);
+            }
+            Event::Iteration(iteration) => {
+                let row = self.recorded.units.row(&iteration);
+                self.row(&row);
+            }
+            Event::RunEnded(run) => {
+                self.recorded.ended = Some(run.ended);
+                // The claim of a time daemon may have arrived only since the run began.
+                self.record_hosts(running);
+                return Some(Ended::of_run(run.reason, "run"));
+            }
+            Event::Incident(incident) => match incident.kind {
+                // Later ones are part of the run's end, or ignored.
+                IncidentKind::PipelineFailed if self.recorded.description.is_none() => {
+                    return Some(Ended::Failed(incident.text));
+                }
+                IncidentKind::Refused if self.recorded.description.is_none() => self.refused = true,
+                IncidentKind::Connected => {
+                    self.record_hosts(running);
+                    if running.is_some() {
+                        self.peer_wait.record_answer(self.clock.mono());
+                    }
+                }
+                _ => {}
+            },
+            Event::Clock(_) | Event::Gap(_) => {}
+        }
+        None
+    }
+
+    fn poll_state(&mut self, running: &Running) -> Option<Ended> {
+        self.writer.flush();
+        // The peer may leave with the last answer: there is no need for it to return.
+        if self.progress.is_complete() {
+            return Some(Ended::Finished);
+        }
+        let pipelines = running.live().pipelines;
+        // Its last events were sent before, if there was room for them.
+        match pipelines.into_iter().next().map(|one| one.state) {
+            Some(PipelineState::Failed(reason)) => return Some(Ended::Failed(reason)),
+            Some(PipelineState::Finished) => return Some(Ended::Finished),
+            _ => {}
+        }
+        let activity = PipelineActivity::of(running);
+        let reason = activity.waits_for();
+        if let (true, Some(reason)) = (self.refused, reason) {
+            return Some(Ended::Failed(reason.to_owned()));
+        }
+        // The advice concerns a configuration, which does not exist here.
+        let reason = reason.map(|reason| reason.strip_suffix(OpenError::LOADING).unwrap_or(reason));
+        let full = self.writer.trouble().map(|trouble| format!("{trouble}; the rows are kept in memory"));
+        let now = self.clock.mono();
+        let slow = activity.slow_sensor(now);
+        let Some(peer) = &self.peer else {
+            let report = self.report(slow.or(full));
+            self.progress_display.show(&report);
+            return None;
+        };
+        self.peer_wait.update(&activity, now);
+        let trouble = match (&self.progress.began, reason) {
+            (None, None) => None,
+            _ => self.peer_wait.describe_trouble(peer, reason, now, self.most),
+        };
+        let spent = self.peer_wait.reason_to_give_up(reason, now, self.most);
+        let report = self.report(slow.or(trouble).or(full));
+        self.progress_display.show(&report);
+        spent.map(Ended::Failed)
+    }
+
+    fn end_decided(&mut self) {
+        let report = ProgressReport { phase: Phase::Writing, ..self.report(None) };
+        self.progress_display.show(&report);
+    }
+}

@@ -1,0 +1,38 @@
+//! Display of a client's progress.
+
+use peernet_clock::SharedClock;
+use peernet_stream::{Condition, Grade};
+
+use crate::foreground::{Progress, remark};
+use crate::measure::{Phase, ProgressDisplay, ProgressReport};
+
+/// A bar, or lines without a terminal.
+pub(crate) struct ClientProgress {
+    clock: SharedClock,
+    progress: Progress,
+}
+
+impl ClientProgress {
+    pub(crate) fn new(quiet: bool, clock: SharedClock) -> Self {
+        Self { progress: Progress::new(quiet, clock.mono()), clock }
+    }
+}
+
+impl ProgressDisplay for ClientProgress {
+    /// Prints conditions that impair the figures while the run can still be restarted; the rest is in the report.
+    fn begun(&mut self, conditions: &[Condition]) {
+        for condition in conditions.iter().filter(|condition| condition.grade >= Grade::Doubtful) {
+            self.progress.say(remark(condition));
+        }
+    }
+
+    fn show(&mut self, report: &ProgressReport) {
+        if report.phase == Phase::Writing {
+            self.progress.end();
+            return;
+        }
+        let share = report.of.map_or(0.0, |of| report.done as f64 / of.max(1) as f64);
+        let state = || (report.to_string(), share);
+        self.progress.show(self.clock.mono(), report.trouble.clone(), state);
+    }
+}

@@ -1,0 +1,139 @@
+//! Locks of the folders with the identities of the runs' agents. An experiment holds them from its beginning to its end.
+//!
+//! Two agents cannot be the same host to an aggregator, so the second of two experiments with hosts of the same names could not
+//! measure a single run. The locks refuse it at its start.
+
+use std::collections::BTreeSet;
+use std::fs::{self, File, TryLockError};
+use std::io::ErrorKind;
+use std::path::{Path, PathBuf};
+
+use crate::exit::{Exit, Failure};
+use anyhow::anyhow;
+
+use super::plan::{Plan, Run};
+use crate::measure::{AgentStateDir, OF_AGENT, Waiting, undelivered, undelivered_in};
+
+/// File that an experiment locks.
+const LOCK: &str = "experiment.lock";
+
+/// Locks of folders that no other experiment uses; dropping it releases them.
+#[derive(Debug)]
+pub(super) struct AgentStateDirs {
+    _locks: Vec<File>,
+}
+
+impl AgentStateDirs {
+    /// Locks the folders of the agents of these runs. Without an aggregator each agent has a temporary folder, which needs no lock.
+    ///
+    /// # Errors
+    /// When another experiment or agent uses one of them, or one cannot be created (69).
+    pub(super) fn acquire(plan: &Plan, runs: &[Run]) -> Result<Self, Failure> {
+        Self::lock(&folders(plan, runs)?)
+    }
+
+    fn lock(folders: &BTreeSet<PathBuf>) -> Result<Self, Failure> {
+        let locks = folders.iter().map(|folder| {
+            fs::create_dir_all(folder).map_err(|error| cannot("make", folder, &error))?;
+            let path = folder.join(LOCK);
+            let lock = File::options().create(true).append(true).open(&path);
+            let lock = lock.map_err(|error| cannot("write", &path, &error))?;
+            ensure_free(&lock, folder, &path)?;
+            let path = folder.join(OF_AGENT);
+            match File::options().append(true).open(&path) {
+                // Only checked and released: the agents of the runs will lock it.
+                Ok(agents) => ensure_free(&agents, folder, &path)?,
+                Err(error) if error.kind() == ErrorKind::NotFound => {}
+                Err(error) => return Err(cannot("write", &path, &error)),
+            }
+            Ok(lock)
+        });
+        Ok(Self { _locks: locks.collect::<Result<_, _>>()? })
+    }
+}
+
+fn folders(plan: &Plan, runs: &[Run]) -> Result<BTreeSet<PathBuf>, Failure> {
+    let mut folders = BTreeSet::new();
+    for run in runs {
+        let configuration = plan.configuration(run);
+        if configuration.agent.agent.aggregator.is_none() {
+            continue;
+        }
+        for user in 0..configuration.users {
+            let mut agent = configuration.agent.agent.clone();
+            agent.name = plan.agent_name(run, user);
+            folders.insert(AgentStateDir::of(&agent)?.folder().to_owned());
+        }
+    }
+    Ok(folders)
+}
+
+/// Returns events that wait on the hosts of a plan for their aggregators. No run may be active.
+///
+/// # Errors
+/// When there is no place for the hosts' folders (69).
+pub(super) async fn undelivered_events(plan: &Plan) -> Result<Vec<Waiting>, Failure> {
+    let mut waiting = Vec::new();
+    for folder in folders(plan, &plan.runs)? {
+        waiting.extend(undelivered(&folder).await);
+    }
+    let mut named = BTreeSet::new();
+    for agent in plan.configurations.iter().map(|configuration| &configuration.agent) {
+        let (Some(file), Some(aggregator)) = (&agent.spool.file, &agent.agent.aggregator) else { continue };
+        if named.insert(file) {
+            waiting.extend(undelivered_in(file, aggregator).await);
+        }
+    }
+    Ok(waiting)
+}
+
+fn ensure_free(lock: &File, folder: &Path, path: &Path) -> Result<(), Failure> {
+    match lock.try_lock() {
+        Ok(()) => Ok(()),
+        Err(TryLockError::WouldBlock) => {
+            let text = format!(
+                "another peernet is at work as the host that keeps its id in {}, as this experiment is to; wait for it or \
+                 end it, or give this experiment a [agent] name of its own",
+                folder.display()
+            );
+            Err(Failure::new(Exit::Unavailable, anyhow!("{text}")))
+        }
+        Err(TryLockError::Error(error)) => Err(cannot("lock", path, &error)),
+    }
+}
+
+fn cannot(action: &str, path: &Path, error: &std::io::Error) -> Failure {
+    Failure::new(Exit::Unavailable, anyhow!("cannot {action} {}: {error}", path.display()))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn host_belongs_to_one_experiment_at_a_time() {
+        let state = tempfile::tempdir().expect("a folder");
+        let named =
+            |names: &[&str]| names.iter().map(|name| state.path().join(name)).collect::<BTreeSet<_>>();
+        let first = AgentStateDirs::lock(&named(&["robot-1", "robot-2"])).expect("they are free");
+        let refused = AgentStateDirs::lock(&named(&["robot-2", "robot-3"])).expect_err("one is taken");
+        assert!(refused.to_string().contains("robot-2, as this experiment"), "{refused}");
+        assert!(refused.to_string().contains("[agent] name of its own"), "{refused}");
+        assert_eq!(refused.exit as u8, Exit::Unavailable as u8);
+        AgentStateDirs::lock(&named(&["robot-3"])).expect("what was refused holds nothing");
+        drop(first);
+        AgentStateDirs::lock(&named(&["robot-1", "robot-2"])).expect("they are free again");
+    }
+
+    #[test]
+    fn running_agent_is_detected_and_lock_admits_own_agents() {
+        let state = tempfile::tempdir().expect("a folder");
+        let folders = BTreeSet::from([state.path().to_owned()]);
+        let agent = File::create(state.path().join(OF_AGENT)).expect("writable");
+        agent.try_lock().expect("it is free");
+        AgentStateDirs::lock(&folders).expect_err("an agent has it");
+        agent.unlock().expect("let go");
+        let _agent_state_dirs = AgentStateDirs::lock(&folders).expect("it is free");
+        agent.try_lock().expect("the experiment's own agent takes it");
+    }
+}

@@ -1,0 +1,54 @@
+//! Settings from an experiment's file that are not in its plan, so that they may change while the experiment lasts.
+
+use peernet_analysis::record::{NetworkConfig, RunRecord};
+
+use super::plan::Run;
+
+/// Settings besides the plan.
+pub(super) struct ExternalFiles {
+    /// `true` if each run draws its figures.
+    pub(super) plots: bool,
+    /// File of devices of each configuration: the plan holds the address in place of the device's name.
+    pub(super) networks: Vec<Option<NetworkConfig>>,
+}
+
+impl ExternalFiles {
+    /// Returns the file that names a run's peer.
+    pub(super) fn network(&self, run: &Run) -> Option<&NetworkConfig> {
+        self.networks.get(run.configuration)?.as_ref()
+    }
+
+    /// Returns a note if a run was measured with another text of that file.
+    pub(super) fn changed_since(&self, run_record: &RunRecord, run: &Run) -> Option<String> {
+        let (now, then) = (self.network(run)?, run_record.network_config.as_ref()?);
+        (now.text != then.text).then(|| {
+            format!(
+                "{} has changed since some runs were measured, not in the addresses that they use; each run.json has the text of its time",
+                now.file
+            )
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn only_changed_text_of_devices_file_is_reported() {
+        let network =
+            |file: &str, text: &str| Some(NetworkConfig { file: file.to_owned(), text: text.to_owned() });
+        let external_files =
+            ExternalFiles { plots: false, networks: vec![None, network("net.yaml", "devices: {a: b}")] };
+        let run = |configuration| Run { number: 1, configuration, repeat: 0, folder: "001-r1".to_owned() };
+        let message = |then: Option<NetworkConfig>, configuration| {
+            let record = RunRecord { network_config: then, ..RunRecord::default() };
+            external_files.changed_since(&record, &run(configuration))
+        };
+        let text = message(network("net.yaml", "devices: {a: b, c: d}"), 1).expect("it has changed");
+        assert!(text.starts_with("net.yaml has changed"), "{text}");
+        assert_eq!(message(network("other.yaml", "devices: {a: b}"), 1), None);
+        // An earlier version recorded no file, and a peer with an address needs none.
+        assert_eq!((message(None, 1), message(network("net.yaml", "x"), 0)), (None, None));
+    }
+}

@@ -1,0 +1,44 @@
+//! Requests to end the program by signals. One request may arrive as two signals.
+
+use std::time::Duration;
+
+use tokio::signal::unix::SignalKind;
+use tokio::time::Instant;
+
+/// Time within which signals of one kind are one request: `timeout` signals a process and then its group, to which the process
+/// belongs.
+const ONE_REQUEST: Duration = Duration::from_millis(500);
+
+/// Detection of signals that repeat a request.
+#[derive(Debug, Default)]
+pub struct ShutdownRequests {
+    last: Option<(SignalKind, Instant)>,
+}
+
+impl ShutdownRequests {
+    /// Returns whether a signal that arrives at `now` is another request.
+    pub fn is_another(&mut self, kind: SignalKind, now: Instant) -> bool {
+        let repeats = |(before, at): (SignalKind, Instant)| before == kind && now - at < ONE_REQUEST;
+        if self.last.is_some_and(repeats) {
+            return false;
+        }
+        self.last = Some((kind, now));
+        true
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn equal_signals_within_moment_are_one_request() {
+        let (mut shutdown_requests, begin) = (ShutdownRequests::default(), Instant::now());
+        let mut come = |kind, ms| shutdown_requests.is_another(kind, begin + Duration::from_millis(ms));
+        let (terminate, interrupt) = (SignalKind::terminate(), SignalKind::interrupt());
+        assert!(come(terminate, 0));
+        assert!(!come(terminate, 0) && !come(terminate, 499));
+        assert!(come(terminate, 500), "somebody insists");
+        assert!(come(interrupt, 501), "another signal is another wish");
+    }
+}

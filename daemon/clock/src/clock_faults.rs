@@ -1,0 +1,140 @@
+//! Description of the faults that are injected into the clocks of a host.
+
+use std::fmt;
+
+use serde::{Deserialize, Serialize};
+
+use crate::{RawTime, Span, WallTime};
+
+/// Faults of the wall clock and the free-running clock: `shown = true + offset + drift × (true − since) + steps of this
+/// clock so far`.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct ClockFaults {
+    /// Offset from the start on.
+    pub offset: Span,
+    /// Drift in parts per million; positive if the clock is fast.
+    pub drift_ppm: f64,
+    /// Steps, in any order.
+    pub steps: Vec<ClockFaultStep>,
+    /// True wall-clock time of the start, from which drift and steps count.
+    pub since: WallTime,
+}
+
+/// A step of a clock with injected faults.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct ClockFaultStep {
+    /// Time of the step after the start.
+    pub at: Span,
+    /// Size of the step.
+    pub by: Span,
+    /// Clock that is stepped. The serialised form omits the wall clock, which is the only one that earlier releases
+    /// step.
+    #[serde(default, skip_serializing_if = "SteppedClock::is_wall")]
+    pub clock: SteppedClock,
+}
+
+impl ClockFaultStep {
+    /// Creates a step of the wall clock.
+    pub const fn of_wall(at: Span, by: Span) -> Self {
+        Self { at, by, clock: SteppedClock::Wall }
+    }
+}
+
+/// Clock that an injected step applies to.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum SteppedClock {
+    /// The wall clock, as when an administrator sets it. The step is noticed at once.
+    #[default]
+    Wall,
+    /// The free-running clock, as when a virtual machine is paused. Nothing on the host notices the step.
+    Raw,
+}
+
+impl SteppedClock {
+    /// Returns whether it is the wall clock.
+    pub fn is_wall(&self) -> bool {
+        *self == Self::Wall
+    }
+}
+
+/// Formats the faults, such as `offset +1000 ms, drift -50 ppm, step +3000 ms after 20 s`.
+impl fmt::Display for ClockFaults {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let millis = |span: Span| span.nanos() as f64 / 1e6;
+        write!(f, "offset {:+} ms", millis(self.offset))?;
+        if self.drift_ppm != 0.0 {
+            write!(f, ", drift {:+} ppm", self.drift_ppm)?;
+        }
+        for step in &self.steps {
+            let of = if step.clock.is_wall() { "" } else { " of the free-running clock" };
+            write!(f, ", step{of} {:+} ms after {} s", millis(step.by), step.at.seconds())?;
+        }
+        Ok(())
+    }
+}
+
+impl ClockFaults {
+    /// Returns the time that the wall clock shows when the true one shows `truth`.
+    pub fn shown(&self, truth: WallTime) -> WallTime {
+        truth + self.error_at(truth)
+    }
+
+    /// Returns how far the wall clock is ahead when the true one shows `truth`.
+    pub fn error_at(&self, truth: WallTime) -> Span {
+        self.error_after(truth - self.since, SteppedClock::Wall)
+    }
+
+    /// Returns the time that the free-running clock shows when the true one shows `truth` and showed `since` at the
+    /// start.
+    pub fn raw_shown(&self, truth: RawTime, since: RawTime) -> RawTime {
+        truth + self.error_after(truth - since, SteppedClock::Raw)
+    }
+
+    /// Returns the true wall-clock time at which this clock showed `shown`, to the nanosecond.
+    ///
+    /// A clock that was set back shows some times twice, and one that was set forward skips some. The result is then
+    /// the last such time, or the time of the step.
+    pub fn true_of(&self, shown: WallTime) -> WallTime {
+        let steps = self.steps.iter().filter(|step| step.clock.is_wall());
+        let mut begins: Vec<WallTime> = steps.map(|step| self.since + step.at).collect();
+        begins.push(WallTime::from_unix_nanos(i64::MIN));
+        // From the last step back, because the last such time is wanted.
+        begins.sort_unstable_by(|a, b| b.cmp(a));
+        let mut end = WallTime::from_unix_nanos(i64::MAX);
+        for begin in begins {
+            let stepped: Span =
+                self.steps_within(begin - self.since, SteppedClock::Wall).map(|step| step.by).sum();
+            let truth = self.smooth_true_of(shown - stepped);
+            if truth >= begin {
+                return truth.min(end);
+            }
+            end = begin;
+        }
+        end
+    }
+
+    /// Returns how far a clock is ahead at a time after the start.
+    fn error_after(&self, elapsed: Span, clock: SteppedClock) -> Span {
+        let drift = elapsed.nanos() as f64 * self.drift_ppm * 1e-6;
+        let steps: Span = self.steps_within(elapsed, clock).map(|step| step.by).sum();
+        self.offset + Span::from_nanos(drift.round() as i64) + steps
+    }
+
+    /// Returns the true time at which the clock showed `shown`, without steps.
+    fn smooth_true_of(&self, shown: WallTime) -> WallTime {
+        let ahead = shown - self.offset;
+        let elapsed = (ahead - self.since).nanos() as f64;
+        let drift = elapsed - elapsed / (1.0 + self.drift_ppm * 1e-6);
+        ahead - Span::from_nanos(drift.round() as i64)
+    }
+
+    /// Returns the steps of a clock up to a time after the start.
+    pub(crate) fn steps_within(
+        &self,
+        elapsed: Span,
+        clock: SteppedClock,
+    ) -> impl Iterator<Item = &ClockFaultStep> {
+        self.steps.iter().filter(move |step| step.clock == clock && step.at <= elapsed)
+    }
+}

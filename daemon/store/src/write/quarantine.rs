@@ -1,0 +1,104 @@
+//! Quarantine of batches that cannot be stored: they are kept as they arrived, and their events are recorded as missing.
+
+use std::collections::BTreeMap;
+
+use bytes::Bytes;
+use peernet_clock::WallTime;
+use peernet_logger::RunId;
+use peernet_stream::{BatchHead, Event, Gap, codec};
+use sqlx::SqliteConnection;
+
+use super::entities::{Entities, Reporter};
+use super::prepared::Prepared;
+use super::{Aside, Refusal, records};
+use crate::stored::Stored;
+
+/// A batch to be quarantined.
+pub(super) struct RejectedBatch<'a> {
+    pub(super) head: BatchHead,
+    frame: Bytes,
+    events: Option<Vec<Event>>,
+    reason: &'a str,
+}
+
+impl<'a> RejectedBatch<'a> {
+    /// Makes it of a batch that was found invalid before it reached the database.
+    pub(super) fn unstorable(unstorable: &'a Aside) -> Self {
+        let events =
+            unstorable.body.as_ref().and_then(|body| codec::events(body, unstorable.head.events).ok());
+        Self { head: unstorable.head, frame: unstorable.frame.clone(), events, reason: &unstorable.reason }
+    }
+
+    /// Makes it of a batch that the database refused.
+    pub(super) fn refused(batch: &Prepared, reason: &'a str) -> Self {
+        let (head, body) = (batch.head, &batch.body);
+        let frame = Bytes::from(codec::batch_frame(&head, body, false));
+        Self { head, frame, events: codec::events(body, head.events).ok(), reason }
+    }
+
+    /// Returns the reason why it cannot be stored.
+    pub(super) fn reason(&self) -> &str {
+        self.reason
+    }
+
+    /// Stores the frame and records its events as missing: by run if they can be decoded, otherwise as many as its head claims,
+    /// if it is long enough for them. Returns the additions to the counters of its host.
+    pub(super) async fn put(
+        self,
+        connection: &mut SqliteConnection,
+        entities: &mut Entities,
+        reporter: Reporter,
+        now: WallTime,
+    ) -> Result<Stored, Refusal> {
+        let kept = (self.events.as_ref().map(Vec::len), &self.frame);
+        records::quarantine(connection, reporter.row, self.head, kept, self.reason, now).await?;
+        let gap = |run, at, count| Gap {
+            pipeline: None,
+            run,
+            from: at,
+            to: at,
+            count,
+            reason: format!("a batch was put aside: {}", self.reason),
+        };
+        let gaps = match &self.events {
+            Some(events) => {
+                let mut runs = BTreeMap::<Option<RunId>, Gap>::new();
+                for event in events {
+                    let (run, at) = (event.claim().run, event_time(event));
+                    let run = match run {
+                        Some(run) => entities.known_run(connection, reporter, run).await?.and(Some(run)),
+                        None => None,
+                    };
+                    let at = at.unwrap_or(now);
+                    let known = runs.entry(run).or_insert_with(|| gap(run, at, 0));
+                    (known.from, known.to) = (known.from.min(at), known.to.max(at));
+                    known.count += 1;
+                }
+                runs.into_values().collect()
+            }
+            None => {
+                let claimed = self.head.events as usize;
+                // An event takes at least one byte.
+                let count = if claimed <= self.frame.len() { claimed as u64 } else { 0 };
+                vec![gap(None, now, count)]
+            }
+        };
+        for gap in &gaps {
+            records::gap(connection, entities, reporter, gap).await?;
+        }
+        let missing = gaps.iter().map(|gap| gap.count).sum();
+        Ok(Stored { quarantined: 1, gaps: gaps.len() as u64, missing, ..Stored::default() })
+    }
+}
+
+/// Returns the time of an event on its host's clock.
+fn event_time(event: &Event) -> Option<WallTime> {
+    match event {
+        Event::RunStarted(run) => Some(run.started),
+        Event::RunEnded(end) => Some(end.ended),
+        Event::Iteration(iteration) => iteration.tree.anchors().first().map(|edge| edge.wall),
+        Event::Incident(incident) => Some(incident.at),
+        Event::Gap(gap) => Some(gap.to),
+        Event::Clock(sample) => Some(sample.at),
+    }
+}

@@ -1,0 +1,262 @@
+//! The simulated aggregator: session, queue of the writer, and database.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use bytes::Bytes;
+
+use super::super::*;
+use super::{SECRET, names, told};
+
+/// Work for the writer.
+#[derive(Clone, Debug)]
+enum Work {
+    /// A host sent a hello with this stream and left another one: one transaction.
+    Hello(StreamId, Option<StreamId>, Option<LackingBatches>),
+    Batch {
+        head: BatchHead,
+        body: Bytes,
+    },
+    Damaged(BatchHead),
+    MissingBatches(MissingBatches),
+}
+
+/// Content of a stream.
+#[derive(Clone, Debug, PartialEq)]
+pub(in super::super) enum Entry {
+    /// A batch and its events.
+    Batch { number: u64, names: Vec<u64>, told: u64 },
+    /// A batch that was quarantined.
+    Damaged { number: u64, chain: Chain },
+    /// Batches that neither end had, and their number of events.
+    Gap { from: u64, through: u64, events: Option<u64> },
+}
+
+#[derive(Clone, Debug, Default)]
+pub(in super::super) struct Database {
+    pub(in super::super) marks: BTreeMap<StreamId, Mark>,
+    pub(in super::super) entries: BTreeMap<StreamId, Vec<Entry>>,
+    pub(in super::super) replaced: Vec<StreamId>,
+    came: BTreeSet<StreamId>,
+    last: Option<StreamId>,
+}
+
+#[derive(Clone, Debug)]
+pub(in super::super) struct Aggregator {
+    pub(in super::super) receiving: Receiving,
+    pub(in super::super) database: Database,
+    pub(in super::super) backup: Option<Database>,
+    challenges: Challenges<u64>,
+    /// `true` if hosts must prove their identity.
+    pub(in super::super) asks_for_proofs: bool,
+    /// Number of challenges, so that each nonce is different.
+    challenged: u64,
+    queue: Vec<Work>,
+    capacity: usize,
+    /// Connection with the host's session.
+    route: Option<u64>,
+    /// Streams that the host used, including those in the queue, and the last one.
+    came: BTreeSet<StreamId>,
+    last: Option<StreamId>,
+    /// Number of welcomes that reported missing batches.
+    pub(in super::super) missing: u32,
+}
+
+impl Aggregator {
+    pub(super) fn new(capacity: usize) -> Self {
+        Self {
+            receiving: receiving(),
+            database: Database::default(),
+            backup: None,
+            challenges: challenges(),
+            asks_for_proofs: true,
+            challenged: 0,
+            queue: Vec::new(),
+            capacity,
+            route: None,
+            came: BTreeSet::new(),
+            last: None,
+            missing: 0,
+        }
+    }
+
+    pub(in super::super) const fn is_idle(&self) -> bool {
+        self.queue.is_empty()
+    }
+
+    pub(super) fn live(&mut self, connection: u64, host: HostId, now: MonoTime) -> Option<ToAgent> {
+        if self.route != Some(connection) {
+            return Some(ToAgent::Unknown);
+        }
+        self.receiving.live(host, now)
+    }
+
+    /// Handles a frame. Returns the answer for its connection.
+    pub(super) fn frame(&mut self, connection: u64, frame: &Bytes, now: MonoTime) -> Option<ToAgent> {
+        if let Some(part) = codec::part(frame) {
+            if self.route != Some(connection) {
+                return Some(ToAgent::Unknown);
+            }
+            let whole = self.receiving.part(&part, now)?;
+            return self.frame(connection, &whole, now);
+        }
+        if let Some(head) = codec::batch_head(frame) {
+            if self.route != Some(connection) {
+                return Some(ToAgent::Unknown);
+            }
+            if self.queue.len() >= self.capacity {
+                self.receiving.deferred(head.stream);
+                return None;
+            }
+            let body = codec::batch_body(frame.clone());
+            return match self.receiving.batch(&head, body.is_ok(), now) {
+                Arrival::Accept => {
+                    let body = body.expect("only what is intact is accepted");
+                    self.queue.push(Work::Batch { head, body });
+                    None
+                }
+                Arrival::AcceptDamaged => {
+                    self.queue.push(Work::Damaged(head));
+                    None
+                }
+                Arrival::Duplicate(reply) | Arrival::Unknown(reply) => Some(reply),
+                Arrival::Hole(reply) => reply,
+                Arrival::Pending => None,
+            };
+        }
+        match codec::decode(frame).ok()? {
+            ToAggregator::Hello(hello) if !self.asks_for_proofs => self.hello(connection, &hello, now),
+            ToAggregator::Hello(hello) => {
+                self.challenged += 1;
+                let mut nonce = [0; 32];
+                nonce[..8].copy_from_slice(&self.challenged.to_be_bytes());
+                Some(self.challenges.challenge(connection, hello, false, Nonce::from_bytes(nonce), now))
+            }
+            ToAggregator::Proof(proof) => match self.challenges.prove(&connection, proof, Some(&SECRET)) {
+                ProofResult::Yes { hello, .. } => self.hello(connection, &hello, now),
+                ProofResult::Unasked => Some(ToAgent::Unknown),
+                ProofResult::No(hello) => panic!("the proof of {hello:?} is wrong"),
+            },
+            ToAggregator::Echo { host, bytes } if self.route == Some(connection) => {
+                Some(self.receiving.echo(host, bytes, now))
+            }
+            ToAggregator::Echo { .. } => Some(ToAgent::Unknown),
+            ToAggregator::Live(_) | ToAggregator::Goodbye(_) => unreachable!("never sent here"),
+        }
+    }
+
+    fn hello(&mut self, connection: u64, hello: &Hello, now: MonoTime) -> Option<ToAgent> {
+        let mark_of = |stream| self.database.marks.get(&stream).copied();
+        let known = StreamRecord {
+            mark: mark_of(hello.stream),
+            came: self.came.contains(&hello.stream),
+            last: self.last,
+            previous: hello.previous.and_then(mark_of),
+            seniority: None,
+        };
+        match self.receiving.hello(hello, known, now) {
+            Greeting::Welcome { reply, missing, replaced, lacking, .. } => {
+                self.route = Some(connection);
+                self.missing += u32::from(missing.is_some());
+                self.queue.push(Work::Hello(hello.stream, replaced, lacking));
+                self.queue.extend(missing.map(Work::MissingBatches));
+                self.last = Some(hello.stream);
+                self.came.insert(hello.stream);
+                Some(reply)
+            }
+            Greeting::Refused { reply, .. } => Some(reply),
+            Greeting::Wait => None,
+        }
+    }
+
+    /// Applies the next `count` works to the database. Returns the entries that they stored.
+    pub(super) fn commit(&mut self, count: usize) -> Vec<(StreamId, Entry)> {
+        let count = count.min(self.queue.len());
+        let works: Vec<Work> = self.queue.drain(..count).collect();
+        works.into_iter().filter_map(|work| self.database.apply(work)).collect()
+    }
+
+    /// Reports the commit. Returns the messages for the connection of the host.
+    pub(super) fn committed(&mut self, mut streams: Vec<StreamId>) -> Vec<(u64, ToAgent)> {
+        streams.dedup();
+        let marks = &self.database.marks;
+        let mut replies: Vec<_> =
+            streams.into_iter().filter_map(|stream| self.receiving.stored(stream, marks[&stream])).collect();
+        replies.extend(self.receiving.room(self.capacity.saturating_sub(self.queue.len())));
+        self.routed(replies)
+    }
+
+    /// Lets the next commit fail, together with all waiting works.
+    pub(super) fn fail(&mut self) -> Vec<(u64, ToAgent)> {
+        let mut replies = Vec::new();
+        for work in std::mem::take(&mut self.queue) {
+            match work {
+                Work::Batch { head, .. } | Work::Damaged(head) => {
+                    replies.extend(self.receiving.failed(head.stream));
+                }
+                Work::MissingBatches(missing) => replies.extend(self.receiving.failed(missing.stream)),
+                kept @ Work::Hello(..) => self.queue.push(kept),
+            }
+        }
+        self.routed(replies)
+    }
+
+    pub(in super::super) fn kill(&mut self) {
+        self.queue.clear();
+        (self.receiving, self.challenges) = (receiving(), challenges());
+        self.route = None;
+        self.last = self.database.last;
+        self.came = self.database.came.clone();
+    }
+
+    fn routed(&self, replies: Vec<(HostId, ToAgent)>) -> Vec<(u64, ToAgent)> {
+        replies.into_iter().filter_map(|(_, reply)| Some((self.route?, reply))).collect()
+    }
+}
+
+fn challenges() -> Challenges<u64> {
+    Challenges::new("base".parse().expect("a name"))
+}
+
+impl Database {
+    /// Applies a work. Returns the stored entry and its stream.
+    fn apply(&mut self, work: Work) -> Option<(StreamId, Entry)> {
+        let (stream, mark, entry) = match work {
+            Work::Hello(stream, replaced, lacking) => {
+                self.last = Some(stream);
+                if self.came.insert(stream) {
+                    self.replaced.extend(replaced);
+                    if let Some(LackingBatches { stream, from, through, events }) = lacking {
+                        let gap = Entry::Gap { from, through, events };
+                        self.entries.entry(stream).or_default().push(gap);
+                    }
+                }
+                return None;
+            }
+            Work::Batch { head, body } => {
+                let before = self.marks.get(&head.stream);
+                if let Some(before) = before {
+                    assert_eq!(head.number, before.stored + 1, "stored out of order");
+                    assert_eq!(head.before, before.chain, "stored behind another batch than its own");
+                }
+                assert_eq!(head.chain, head.before.then(head.events, &body));
+                let (names, told) = (names(head.events, &body), told(head.events, &body));
+                let entry = Entry::Batch { number: head.number, names, told };
+                (head.stream, Mark::from(head), entry)
+            }
+            Work::Damaged(head) => {
+                let entry = Entry::Damaged { number: head.number, chain: head.chain };
+                (head.stream, Mark::from(head), entry)
+            }
+            Work::MissingBatches(missing) => {
+                let MissingBatches { stream, from, through, events, .. } = missing;
+                if let Some(before) = self.marks.get(&stream) {
+                    assert_eq!(from, before.stored + 1, "a gap follows what is stored");
+                }
+                (stream, Mark::from(missing), Entry::Gap { from, through, events })
+            }
+        };
+        self.marks.insert(stream, mark);
+        self.entries.entry(stream).or_default().push(entry.clone());
+        Some((stream, entry))
+    }
+}

@@ -1,0 +1,172 @@
+//! Expected content of the database, from an observer of everything that happens.
+
+use std::collections::{BTreeMap, BTreeSet, HashMap};
+
+use bytes::Bytes;
+
+use super::super::*;
+use super::aggregator::{Aggregator, Database, Entry};
+use super::{SpoolFile, names, told};
+
+#[derive(Clone, Debug, Default)]
+pub(in super::super) struct ExpectedContent {
+    /// Events that were in a spool and not deleted with it.
+    spooled: BTreeSet<u64>,
+    /// All places of each event in the database so far.
+    places: BTreeMap<u64, BTreeSet<(StreamId, u64)>>,
+    /// Content of the sent batches by their chains: events, and the number of events that their gaps report.
+    contents: HashMap<Chain, (Vec<u64>, u64)>,
+    /// Number of events of each batch sent in each stream.
+    sizes: BTreeMap<(StreamId, u64), u64>,
+    /// Sent parts of a batch.
+    parts: Vec<u8>,
+    /// Wire form of their events, each batch once.
+    pub(in super::super) bodies: Vec<(u32, Bytes)>,
+    /// Streams whose spool was deleted.
+    deleted: BTreeSet<StreamId>,
+    /// `true` if a spool was copied: events that both copies hold may be in two streams.
+    pub(super) copied: bool,
+    /// `true` if the database was replaced by an older copy.
+    pub(super) restored: bool,
+}
+
+impl ExpectedContent {
+    pub(super) fn sent(&mut self, frame: &Bytes) {
+        if let Some(part) = codec::part(frame) {
+            self.parts.truncate(part.offset as usize);
+            self.parts.extend_from_slice(&part.bytes);
+            if self.parts.len() == part.total as usize {
+                let whole = std::mem::take(&mut self.parts);
+                self.sent(&whole.into());
+            }
+            return;
+        }
+        let Some(head) = codec::batch_head(frame) else { return };
+        let body = codec::batch_body(frame.clone()).expect("a batch is intact when it is sent");
+        self.sizes.insert((head.stream, head.number), head.events.into());
+        if self.contents.insert(head.chain, (names(head.events, &body), told(head.events, &body))).is_none() {
+            self.bodies.push((head.events, body));
+        }
+    }
+
+    pub(super) fn is_damaged(&self, frame: &Bytes) -> bool {
+        codec::batch_head(frame).is_some() && codec::batch_body(frame.clone()).is_err()
+    }
+
+    pub(super) fn appended(&mut self, batch: &SpooledBatch) {
+        self.spooled.extend(names(batch.events, &batch.body));
+    }
+
+    /// Checks that the deleted batches are stored.
+    pub(super) fn deleted(&self, batches: &[SpooledBatch]) {
+        for name in batches.iter().flat_map(|batch| names(batch.events, &batch.body)) {
+            assert!(self.places.contains_key(&name), "event {name} was deleted before it was stored");
+        }
+    }
+
+    /// Records that a spool was deleted with its content.
+    pub(super) fn lost(&mut self, file: &SpoolFile) {
+        self.deleted.insert(file.stream);
+        for name in file.batches.values().flat_map(|batch| names(batch.events, &batch.body)) {
+            self.spooled.remove(&name);
+        }
+    }
+
+    pub(super) fn committed(&mut self, stream: StreamId, entry: &Entry) {
+        for (number, name) in self.events(entry) {
+            self.places.entry(name).or_default().insert((stream, number));
+        }
+    }
+
+    /// Returns the events of an entry with their batch numbers. A quarantined batch counts, too.
+    fn events(&self, entry: &Entry) -> Vec<(u64, u64)> {
+        let (number, names) = match entry {
+            Entry::Batch { number, names, .. } => (*number, names.clone()),
+            Entry::Damaged { number, chain } => {
+                (*number, self.contents.get(chain).cloned().unwrap_or_default().0)
+            }
+            Entry::Gap { .. } => return Vec::new(),
+        };
+        names.into_iter().map(|name| (number, name)).collect()
+    }
+
+    /// Checks the database when no event waits.
+    pub(super) fn check(&self, aggregator: &Aggregator) {
+        let database = &aggregator.database;
+        let mut stored: BTreeMap<u64, u32> = BTreeMap::new();
+        for entries in database.entries.values() {
+            let names: Vec<u64> =
+                entries.iter().flat_map(|entry| self.events(entry)).map(|(_, name)| name).collect();
+            assert!(
+                names.windows(2).all(|pair| pair[0] < pair[1]),
+                "in order and once in a stream: {names:?}"
+            );
+            names.iter().for_each(|name| *stored.entry(*name).or_default() += 1);
+        }
+        for (name, times) in &stored {
+            assert!(*times == 1 || self.copied, "event {name} is stored {times} times");
+        }
+        for name in self.spooled.iter().filter(|name| !stored.contains_key(name)) {
+            assert!(self.restored && self.is_accounted(*name, database), "event {name} is lost");
+        }
+        self.check_deleted(database);
+        self.check_gaps(database);
+    }
+
+    /// Checks that every event that was handed in is stored or reported in a gap, whenever processes were killed.
+    pub(super) fn check_sum(&self, offered: u64, aggregator: &Aggregator) {
+        if self.restored || self.copied || !self.deleted.is_empty() {
+            return;
+        }
+        let entries = aggregator.database.entries.values().flatten();
+        let (mut stored, mut missing) = (0, 0);
+        for entry in entries {
+            stored += self.events(entry).len() as u64;
+            missing += match entry {
+                Entry::Batch { told, .. } => *told,
+                Entry::Damaged { chain, .. } => self.contents.get(chain).map_or(0, |(_, told)| *told),
+                Entry::Gap { .. } => 0,
+            };
+        }
+        assert_eq!(stored + missing, offered, "{stored} stored and {missing} in gaps");
+    }
+
+    /// Checks that a gap states the number of events of its batches. With two copies it is unknown which batches the
+    /// database lacks.
+    fn check_gaps(&self, database: &Database) {
+        for (stream, entry) in
+            database.entries.iter().flat_map(|(stream, all)| all.iter().map(move |one| (stream, one)))
+        {
+            let Entry::Gap { from, through, events } = entry else { continue };
+            let held = (*from..=*through).map(|number| self.sizes.get(&(*stream, number)));
+            if let (false, Some(held)) = (self.copied, held.sum::<Option<u64>>()) {
+                // A restored database may also lack batches after the last one in a spool.
+                let is_right = *events == Some(held) || self.restored && *events > Some(held);
+                assert!(is_right, "{events:?} events of batches {from} to {through}, which held {held}");
+            }
+        }
+    }
+
+    /// Returns whether an event that a restored database lacks is covered by a gap, or its spool was deleted. With two
+    /// copies the database may lack different batches with the same numbers.
+    fn is_accounted(&self, name: u64, database: &Database) -> bool {
+        self.places.get(&name).into_iter().flatten().any(|(stream, number)| {
+            let entries = database.entries.get(stream).into_iter().flatten();
+            let covers = |entry: &Entry| matches!(entry, Entry::Gap { from, through, .. } if (from..=through).contains(&number));
+            entries.clone().any(covers) || self.deleted.contains(stream) || self.copied
+        })
+    }
+
+    fn check_deleted(&self, database: &Database) {
+        if self.restored || self.copied {
+            return;
+        }
+        let mut replaced = database.replaced.clone();
+        replaced.sort();
+        replaced.dedup();
+        assert_eq!(replaced.len(), database.replaced.len(), "a replaced spool is reported once");
+        assert!(replaced.is_empty() || !self.deleted.is_empty(), "none is reported when none was deleted");
+        let known = self.deleted.iter().filter(|stream| database.entries.contains_key(stream));
+        known.for_each(|stream| assert!(replaced.contains(stream), "a deleted spool is reported"));
+    }
+}

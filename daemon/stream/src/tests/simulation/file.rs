@@ -1,0 +1,152 @@
+//! The simulated spool file, which survives the process.
+
+use std::collections::BTreeMap;
+
+use super::super::*;
+
+/// A spool file.
+#[derive(Clone, Debug)]
+pub(in super::super) struct SpoolFile {
+    pub(in super::super) stream: StreamId,
+    previous: Option<StreamId>,
+    first: u64,
+    events_before_first: Option<u64>,
+    before: Chain,
+    newest: (u64, Chain),
+    totals: Totals,
+    reached: Vec<NewestSentBatch>,
+    /// Losses that no gap reports yet, each with the number of reported events after its report.
+    unreported: Vec<(u64, Gap)>,
+    unresolved: Option<UnresolvedBatches>,
+    /// Counts in shared memory, which survive the process.
+    pub(super) counted: CountedEvents,
+    pub(in super::super) batches: BTreeMap<u64, SpooledBatch>,
+}
+
+impl SpoolFile {
+    pub(super) fn new(stream: StreamId) -> Self {
+        Self {
+            stream,
+            previous: None,
+            first: 1,
+            events_before_first: Some(0),
+            before: Chain::START,
+            newest: (0, Chain::START),
+            totals: Totals::default(),
+            reached: Vec::new(),
+            unreported: Vec::new(),
+            unresolved: None,
+            counted: CountedEvents::default(),
+            batches: BTreeMap::new(),
+        }
+    }
+
+    pub(super) fn open(&self) -> SpoolState {
+        let oldest = self.batches.values().next();
+        SpoolState {
+            stream: self.stream,
+            previous: self.previous,
+            first: self.first,
+            events_before_first: self.events_before_first,
+            oldest: oldest.map_or(self.newest.0 + 1, |batch| batch.number),
+            before: self.before,
+            newest: self.newest,
+            since: oldest.map(|batch| batch.since),
+            held: self.batches.values().fold(Usage::default(), |sum, batch| sum + batch.usage()),
+            totals: self.totals.clone(),
+            reached: self.reached.clone(),
+            unreported: self.unreported.iter().map(|(_, gap)| gap.clone()).collect(),
+            unresolved: self.unresolved.clone(),
+        }
+    }
+
+    /// Opens the file for a new process: records the losses of the process before, and starts counting again.
+    pub(super) fn start(&mut self) -> SpoolState {
+        let mut state = self.open();
+        state.lose_tail(std::mem::take(&mut self.counted), self.totals.handed_in.settled());
+        state.totals.handed_in = HandedInEvents::default();
+        self.totals = state.totals.clone();
+        self.unresolved = state.unresolved.clone();
+        self.tell(&state.unreported);
+        state
+    }
+
+    /// Sets the losses to be reported.
+    fn tell(&mut self, unreported: &[Gap]) {
+        let mut told = self.totals.told;
+        let told_through = |gap: &Gap| (told += gap.count, (told, gap.clone())).1;
+        self.unreported = unreported.iter().map(told_through).collect();
+    }
+
+    /// Records a batch that is sent without being in the file.
+    pub(super) fn sends(&mut self, sent: SentUnspooled) {
+        let all = &mut self.counted.sent;
+        all.retain(|other| {
+            other.number % MOST_SENT_UNSPOOLED as u64 != sent.number % MOST_SENT_UNSPOOLED as u64
+        });
+        all.push(sent);
+    }
+
+    pub(super) fn append(&mut self, batches: &[SpooledBatch], mut totals: Totals) {
+        self.unreported.retain(|(told_through, _)| *told_through > totals.told);
+        for batch in batches {
+            let (newest, chain) = self.newest;
+            assert_eq!(batch.number, newest + 1, "numbers in the spool are contiguous");
+            assert_eq!(batch.chain, chain.then(batch.events, &batch.body), "and so are chains");
+            self.newest = (batch.number, batch.chain);
+            self.batches.insert(batch.number, batch.clone());
+        }
+        if let Some(reached) = totals.reached {
+            self.reached.retain(|other| other.process != reached.process);
+            self.reached.push(reached);
+        }
+        let unreported = totals.unreported.take();
+        self.totals = totals;
+        if let Some(unreported) = unreported {
+            self.unresolved = None;
+            self.tell(&unreported);
+        }
+    }
+
+    pub(super) fn load(&self, from: u64, bytes: usize) -> Vec<SpooledBatch> {
+        let mut room = bytes;
+        let mut found = Vec::new();
+        for number in from.. {
+            let Some(batch) = self.batches.get(&number) else { break };
+            if !found.is_empty() && batch.body.len() > room {
+                break;
+            }
+            room = room.saturating_sub(batch.body.len());
+            found.push(batch.clone());
+        }
+        found
+    }
+
+    /// Deletes batches, and returns them.
+    pub(super) fn delete(&mut self, through: u64, chain: Chain) -> Vec<SpooledBatch> {
+        let kept = self.batches.split_off(&(through + 1));
+        let deleted = std::mem::replace(&mut self.batches, kept);
+        if let Some(last) = deleted.get(&through) {
+            assert_eq!(last.chain, chain, "the chain is that of the last one deleted");
+        }
+        self.before = chain;
+        if through > self.newest.0 {
+            // The aggregator stored batches that were never written to the file.
+            self.newest = (through, chain);
+        }
+        deleted.into_values().collect()
+    }
+
+    pub(super) fn renew(
+        &mut self,
+        stream: StreamId,
+        previous: StreamId,
+        first: u64,
+        events_before_first: u64,
+    ) {
+        assert_eq!(previous, self.stream);
+        assert_eq!(first, self.open().oldest, "the new stream begins with what is held");
+        (self.stream, self.previous, self.first) = (stream, Some(previous), first);
+        self.events_before_first = Some(events_before_first);
+    }
+}

@@ -1,0 +1,378 @@
+//! Both ends, a spool on disk and a database, with a transport that loses, repeats, reorders and damages frames.
+
+mod aggregator;
+mod expected_content;
+mod file;
+
+use std::collections::VecDeque;
+
+use bytes::Bytes;
+
+use self::aggregator::Aggregator;
+use self::expected_content::ExpectedContent;
+pub(super) use self::file::SpoolFile;
+use super::*;
+
+/// Secret of the host, which copies of its state directory share.
+const SECRET: HostSecret = HostSecret::from_bytes([7; 32]);
+
+/// Simulated milliseconds in which all waiting events must be stored after the faults end.
+const PATIENCE_MS: i64 = 300_000;
+
+/// Largest number of turns of both ends in that time.
+const MOST_TURNS: usize = 5_000;
+
+#[derive(Clone, Debug)]
+pub(super) struct Simulation {
+    pub(super) now: i64,
+    config: SendingConfig,
+    host: HostId,
+    offered: u64,
+    processes: u64,
+    /// Machines with the same host id, each with its own spool file. One of them runs.
+    pub(super) sites: Vec<SpoolFile>,
+    pub(super) site: usize,
+    pub(super) sending: Sending,
+    /// Actions for the spool, in order.
+    pub(super) jobs: VecDeque<Action>,
+    /// `true` while the spool's disk fails.
+    pub(super) broken: bool,
+    connection: u64,
+    pub(super) aggregator: Aggregator,
+    pub(super) up: Vec<(u64, Bytes)>,
+    pub(super) down: Vec<(u64, ToAgent)>,
+    pub(super) expected_content: ExpectedContent,
+}
+
+impl Simulation {
+    pub(super) fn new(config: SendingConfig, capacity: usize) -> Self {
+        let host = HostId::random();
+        let file = SpoolFile::new(StreamId::random());
+        let mut simulation = Self {
+            now: 0,
+            config,
+            host,
+            offered: 0,
+            processes: 1,
+            sending: Sending::new(config, super::host(host, "edge"), SECRET, 1, file.open()),
+            sites: vec![file],
+            site: 0,
+            jobs: VecDeque::new(),
+            broken: false,
+            connection: 1,
+            aggregator: Aggregator::new(capacity),
+            up: Vec::new(),
+            down: Vec::new(),
+            expected_content: ExpectedContent::default(),
+        };
+        simulation.agent(|sending, now| sending.connected(now.mono));
+        simulation
+    }
+
+    pub(super) fn file(&self) -> &SpoolFile {
+        &self.sites[self.site]
+    }
+
+    /// Calls the sending end, and performs its actions.
+    pub(super) fn agent<T>(&mut self, act: impl FnOnce(&mut Sending, Stamp) -> T) -> T {
+        let done = act(&mut self.sending, at(self.now));
+        while let Some(action) = self.sending.next(at(self.now).mono) {
+            match action {
+                Action::Send(frame) => {
+                    if let Some(sent) = self.sending.sent_unspooled() {
+                        self.sites[self.site].sends(sent);
+                    }
+                    let frame = Bytes::from(frame);
+                    self.expected_content.sent(&frame);
+                    self.up.push((self.connection, frame));
+                }
+                job => self.jobs.push_back(job),
+            }
+        }
+        done
+    }
+
+    pub(super) fn offer(&mut self) {
+        self.offered += 1;
+        let event = incident(&self.offered.to_string());
+        self.sites[self.site].counted.all += 1;
+        self.agent(|sending, now| sending.offer(&event, now));
+    }
+
+    pub(super) fn pass(&mut self, millis: i64) {
+        self.now += millis;
+        self.agent(|sending, now| sending.tick(now));
+        self.live();
+    }
+
+    /// Lets time pass until the agent's next deadline.
+    pub(super) fn pass_to_deadline(&mut self) {
+        let pause =
+            self.sending.deadline().map(|deadline| (deadline - at(self.now).mono).nanos() / 1_000_000);
+        self.pass(pause.unwrap_or_default().clamp(1, 20_000));
+    }
+
+    /// Simulates the live lane, by which a host learns that the aggregator forgot it.
+    fn live(&mut self) {
+        if self.sending.is_up() {
+            let reply = self.aggregator.live(self.connection, self.host, at(self.now).mono);
+            self.down.extend(reply.map(|reply| (self.connection, reply)));
+        }
+    }
+
+    /// Completes the next action of the spool, or lets it fail.
+    pub(super) fn work(&mut self) {
+        let Some(job) = self.jobs.pop_front() else { return };
+        if self.broken {
+            let reason = "the disk fails".to_owned();
+            self.agent(|sending, now| match job {
+                Action::Append { .. } => sending.append_failed(reason, now),
+                Action::Load { .. } => sending.load_failed(reason, now),
+                Action::Delete { .. } => sending.delete_failed(reason, now),
+                Action::Renew { .. } => sending.renew_failed(reason, now),
+                Action::Send(_) => unreachable!("not a job"),
+            });
+            return;
+        }
+        let loaded = self.apply(&job);
+        self.agent(|sending, now| match job {
+            Action::Append { .. } => drop(sending.appended(now)),
+            Action::Load { .. } => drop(sending.loaded(loaded, now)),
+            Action::Delete { .. } => sending.deleted(),
+            Action::Renew { .. } => sending.renewed(now),
+            Action::Send(_) => unreachable!("not a job"),
+        });
+    }
+
+    /// Applies an action to the file.
+    fn apply(&mut self, job: &Action) -> Vec<SpooledBatch> {
+        let file = &mut self.sites[self.site];
+        match job {
+            Action::Append { batches, totals } => {
+                file.append(batches, totals.clone());
+                batches.iter().for_each(|batch| self.expected_content.appended(batch));
+            }
+            Action::Load { from, bytes } => return file.load(*from, *bytes),
+            Action::Delete { through, chain } => {
+                let deleted = file.delete(*through, *chain);
+                self.expected_content.deleted(&deleted);
+            }
+            Action::Renew { stream, previous, first, events_before_first } => {
+                file.renew(*stream, *previous, *first, *events_before_first);
+            }
+            Action::Send(_) => unreachable!("not a job"),
+        }
+        Vec::new()
+    }
+
+    /// Delivers a frame to the aggregator. With `keep` a copy stays in flight, except of a damaged frame: nothing
+    /// damages several frames in the same way.
+    pub(super) fn deliver_up(&mut self, index: usize, keep: bool) {
+        if self.up.is_empty() {
+            return;
+        }
+        let index = index % self.up.len();
+        let (connection, frame) = self.up.remove(index);
+        if keep && !self.expected_content.is_damaged(&frame) {
+            self.up.insert(index, (connection, frame.clone()));
+        }
+        let reply = self.aggregator.frame(connection, &frame, at(self.now).mono);
+        self.down.extend(reply.map(|reply| (connection, reply)));
+    }
+
+    /// Delivers a message to the agent in the same way. Messages to an earlier connection are lost.
+    pub(super) fn deliver_down(&mut self, index: usize, keep: bool) {
+        if self.down.is_empty() {
+            return;
+        }
+        let index = index % self.down.len();
+        let (connection, message) = if keep { self.down[index].clone() } else { self.down.remove(index) };
+        if connection == self.connection {
+            let frame = codec::encode(&message);
+            let message = codec::decode(&frame).expect("our own frame");
+            self.agent(|sending, now| drop(sending.received(&message, now)));
+        }
+    }
+
+    pub(super) fn lose_up(&mut self, index: usize) {
+        if !self.up.is_empty() {
+            self.up.remove(index % self.up.len());
+        }
+    }
+
+    pub(super) fn lose_down(&mut self, index: usize) {
+        if !self.down.is_empty() {
+            self.down.remove(index % self.down.len());
+        }
+    }
+
+    /// Flips a bit of a batch in flight. Hellos are excluded, because they are not protected by a hash and not
+    /// repeated.
+    pub(super) fn damage(&mut self, index: usize, bit: usize) {
+        let batches = self.up.iter_mut().filter(|(_, frame)| codec::batch_head(frame).is_some());
+        let mut batches: Vec<_> = batches.collect();
+        if batches.is_empty() {
+            return;
+        }
+        let count = batches.len();
+        let frame = &mut batches[index % count].1;
+        let mut damaged = frame.to_vec();
+        let bit = bit % (damaged.len() * 8);
+        damaged[bit / 8] ^= 1 << (bit % 8);
+        *frame = Bytes::from(damaged);
+    }
+
+    /// Commits `count` works. Unless `told`, the aggregator is killed between commit and acknowledgement.
+    pub(super) fn commit(&mut self, count: usize, told: bool) {
+        let stored = self.aggregator.commit(count);
+        stored.iter().for_each(|(stream, entry)| self.expected_content.committed(*stream, entry));
+        if told {
+            let replies = self.aggregator.committed(stored.into_iter().map(|(stream, _)| stream).collect());
+            self.down.extend(replies);
+        } else {
+            self.aggregator.kill();
+        }
+    }
+
+    pub(super) fn fail_commit(&mut self) {
+        let replies = self.aggregator.fail();
+        self.down.extend(replies);
+    }
+
+    pub(super) fn disconnect(&mut self) {
+        self.connection += 1;
+        self.agent(|sending, now| {
+            sending.disconnected();
+            sending.connected(now.mono);
+        });
+    }
+
+    /// Kills the agent and starts one at a site. The disk has performed `done` actions whose completion the agent did
+    /// not learn of.
+    pub(super) fn start_agent(&mut self, site: usize, done: usize) {
+        let jobs: Vec<Action> = self.jobs.drain(..).take(if self.broken { 0 } else { done }).collect();
+        jobs.iter().for_each(|job| drop(self.apply(job)));
+        self.site = site;
+        self.processes += 1;
+        self.connection += 1;
+        let spool = self.sites[self.site].start();
+        self.sending =
+            Sending::new(self.config, super::host(self.host, "edge"), SECRET, self.processes, spool);
+        self.agent(|sending, now| sending.connected(now.mono));
+    }
+
+    /// Copies the spool to another machine.
+    pub(super) fn copy(&mut self) {
+        // The copy does not contain the shared memory.
+        let mut copy = self.file().clone();
+        copy.counted = CountedEvents::default();
+        self.sites.push(copy);
+        self.expected_content.copied = true;
+    }
+
+    /// Kills the agent and starts that of the next machine, which has a copy of an older spool.
+    pub(super) fn go_to_the_next(&mut self, done: usize) {
+        self.start_agent((self.site + 1) % self.sites.len(), done);
+    }
+
+    /// Stops the agent and deletes its spool.
+    pub(super) fn delete_spool(&mut self) {
+        self.jobs.clear();
+        // Late hellos of a dead process would count its stream as another one that was left.
+        self.up.retain(|(_, frame)| codec::batch_head(frame).is_some());
+        let file = SpoolFile::new(StreamId::random());
+        let old = std::mem::replace(&mut self.sites[self.site], file);
+        self.expected_content.lost(&old);
+        self.start_agent(self.site, 0);
+    }
+
+    pub(super) fn back_up(&mut self) {
+        self.aggregator.backup = Some(self.aggregator.database.clone());
+    }
+
+    pub(super) fn restore(&mut self) {
+        if let Some(backup) = self.aggregator.backup.clone() {
+            self.aggregator.database = backup;
+            self.expected_content.restored = true;
+            self.aggregator.kill();
+        }
+    }
+
+    /// Ends all faults, and runs until everything in the spool of every site is stored.
+    pub(super) fn settle(&mut self) {
+        self.broken = false;
+        self.settle_site();
+        for other in (0..self.sites.len()).filter(|other| *other != self.site).collect::<Vec<_>>() {
+            self.start_agent(other, usize::MAX);
+            self.settle_site();
+        }
+    }
+
+    fn settle_site(&mut self) {
+        let limit = self.now + PATIENCE_MS;
+        self.agent(|sending, now| sending.flush(now.wall));
+        for _ in 0..MOST_TURNS {
+            self.live();
+            while !(self.up.is_empty()
+                && self.down.is_empty()
+                && self.jobs.is_empty()
+                && self.aggregator.is_idle())
+            {
+                self.deliver_up(0, false);
+                self.work();
+                self.commit(usize::MAX, true);
+                self.deliver_down(0, false);
+                self.check();
+            }
+            let rests = self.sending.is_idle() && self.sending.has_reported_all();
+            if self.sending.is_up() && rests && self.file().batches.is_empty() {
+                // The welcome may have come from an aggregator that was killed since. The live lane finds this out.
+                self.live();
+                if self.down.is_empty() {
+                    return;
+                }
+                continue;
+            }
+            self.pass_to_deadline();
+            assert!(self.now < limit, "it never came to rest: {self:#?}");
+        }
+        panic!("it did too much without coming to rest: {self:#?}");
+    }
+
+    /// Checks the invariants of every state.
+    pub(super) fn check(&self) {
+        let Accounting { produced, stored, waiting, dropped, .. } = self.sending.accounting();
+        assert_eq!(produced, stored + waiting + dropped, "produced = stored + waiting + dropped");
+        if !self.expected_content.restored && !self.expected_content.copied {
+            assert_eq!(self.aggregator.missing, 0, "batches went missing");
+        }
+    }
+
+    /// Checks the invariants of a settled state.
+    pub(super) fn check_settled(&self) {
+        self.check();
+        self.expected_content.check(&self.aggregator);
+        self.expected_content.check_sum(self.offered, &self.aggregator);
+        assert!(self.sites.iter().all(|file| file.batches.is_empty()), "everything was acknowledged");
+    }
+}
+
+/// Returns the number of missing events that the gaps in a body report.
+fn told(events: u32, body: &[u8]) -> u64 {
+    let events = codec::events(body, events).expect("our own events");
+    let count = |event| match event {
+        Event::Gap(gap) => gap.count,
+        _ => 0,
+    };
+    events.into_iter().map(count).sum()
+}
+
+/// Returns the numbers of the events in a body in order, without gaps.
+fn names(events: u32, body: &[u8]) -> Vec<u64> {
+    let events = codec::events(body, events).expect("our own events");
+    let name = |event| match event {
+        Event::Incident(incident) => Some(incident.text.parse().expect("a number")),
+        _ => None,
+    };
+    events.into_iter().filter_map(name).collect()
+}
