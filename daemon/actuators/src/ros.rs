@@ -4,7 +4,7 @@ use peernet_clock::SharedClock;
 use peernet_logger::{Name, Recorder, Unit};
 use peernet_ros::messages::{StringMessage, UInt8MultiArray};
 use peernet_ros::topics::{
-    MessageType, RosVersion, TopicError, TopicUse, TopicWriter, Written, check_topic, survey_topic,
+    MessageType, RosVersion, TopicError, TopicUse, TopicWriter, WriteOutcome, check_topic, survey_topic,
 };
 use peernet_sample::{Part, Sample};
 use serde::{Deserialize, Serialize};
@@ -116,7 +116,7 @@ impl Ros {
         })
     }
 
-    fn publish(&mut self, part: &Part) -> Result<Written, ActuatorError> {
+    fn publish(&mut self, part: &Part) -> Result<WriteOutcome, ActuatorError> {
         let written = match self.config.message_type {
             AnswerType::Text => {
                 let data = String::from_utf8(part.bytes.to_vec()).map_err(|_| self.not_text(part))?;

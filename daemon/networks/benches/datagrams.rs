@@ -1,8 +1,8 @@
-//! Closed-loop round trips over loopback: a session over `zmq-udp` against bare UDP with the same datagrams, in turns.
+//! Closed-loop round trips over loopback: a session over `zmq-udp` and bare UDP with the same datagrams, alternately.
 //!
-//! `cargo bench -p peernet-networks --bench datagrams -- [--sizes BYTES,…] [--rounds N] [--datagram BYTES]`. Up goes the
-//! payload, back comes an answer of 64 bytes. The bare contender sends and receives each datagram with a system call of
-//! its own and puts nothing together.
+//! `cargo bench -p peernet-networks --bench datagrams -- [--sizes BYTES,…] [--rounds N] [--datagram BYTES]`. The edge
+//! sends the payload, the cloud answers with 64 bytes. The bare contender uses one system call for each datagram and
+//! does not reassemble messages.
 
 #![expect(clippy::print_stdout, reason = "a benchmark prints its table")]
 
@@ -24,7 +24,7 @@ use socket2::SockRef;
 
 type Anyhow<T> = Result<T, Box<dyn Error + Send + Sync>>;
 
-/// Bytes of an answer.
+/// Length of an answer. Bytes.
 const ANSWER: usize = 64;
 
 fn clock() -> SharedClock {
@@ -40,13 +40,13 @@ fn main() -> Anyhow<()> {
             "--sizes" => sizes = value()?.split(',').map(str::parse).collect::<Result<_, _>>()?,
             "--rounds" => rounds = value()?.parse()?,
             "--datagram" => datagram = value()?.parse()?,
-            // What cargo itself passes.
+            // Cargo passes this argument to every benchmark.
             "--bench" => {}
             other => return Err(format!("unknown argument {other}").into()),
         }
     }
     let settings = SessionSettings { datagram_bytes: datagram as u64, ..SessionSettings::default() };
-    let bare = Bare::start(datagram)?;
+    let bare = BareUdp::start(datagram)?;
     let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(2).enable_all().build()?;
     let address = runtime.block_on(serve(settings.clone()))?;
     let session = runtime.block_on(async { tokio::spawn(open(address, settings)).await })??;
@@ -63,7 +63,7 @@ fn main() -> Anyhow<()> {
             let a = bare.round(size, trips)?;
             let task = trip(session.clone(), payload.clone(), trips);
             let b = runtime.block_on(async { tokio::spawn(task).await })??;
-            // The first round warms both up.
+            // The first round only warms up both contenders.
             if round > 0 {
                 theirs.extend(a);
                 ours.extend(b);
@@ -93,13 +93,13 @@ fn report(size: usize, theirs: &mut [Span], ours: &mut [Span]) {
     );
 }
 
-/// Bare UDP: the first four bytes of each datagram say how many belong together.
-struct Bare {
+/// Round trips over bare UDP: the first four bytes of each datagram are the number of datagrams of its message.
+struct BareUdp {
     socket: UdpSocket,
     datagram: usize,
 }
 
-impl Bare {
+impl BareUdp {
     fn start(datagram: usize) -> Anyhow<Self> {
         let server = Self::socket()?;
         let address: SocketAddr = server.local_addr()?;
@@ -207,7 +207,7 @@ async fn trip(session: Session, payload: Bytes, trips: usize) -> Anyhow<Vec<Span
         let start = clock.mono();
         let log = Recorder::begin(clock.clone(), host);
         let exchange = session.request(log, &sample, Duration::from_secs(10)).await;
-        // A lost one is no round trip; the figures at the end count it.
+        // A lost request has no round trip; the statistics at the end count it.
         if exchange.result.is_ok() {
             spans.push(clock.mono() - start);
         }

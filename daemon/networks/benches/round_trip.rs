@@ -1,10 +1,9 @@
-//! Closed-loop round trips over loopback: a session against bare TCP, in turns, in one run.
+//! Closed-loop round trips over loopback: a session and bare TCP, alternately, in one run.
 //!
-//! `cargo bench -p peernet-networks --bench round_trip -- [--processes] [--runtime current|multi]
-//! [--answer BYTES|same] [--sizes BYTES,…] [--rounds N]`. A round of each contender follows a round of the other,
-//! so that a noisy machine is noisy for both. Up goes the payload, back comes an answer of 64 bytes unless told
-//! otherwise. `upload` is the one-way time: from just before the message is handed over to the moment at which the
-//! whole of it is there; both ends read one clock.
+//! `cargo bench -p peernet-networks --bench round_trip -- [--processes] [--runtime current|multi] [--answer BYTES|same]
+//! [--sizes BYTES,…] [--rounds N]`. The rounds of the contenders alternate, so that a disturbance of the machine
+//! affects both. The edge sends the payload, the cloud answers with 64 bytes or as `--answer` says. `upload` is the
+//! one-way time from just before the message is handed over until all of it has arrived; both ends read one clock.
 
 #![expect(clippy::print_stdout, reason = "a benchmark prints its table")]
 
@@ -42,7 +41,7 @@ fn main() -> Anyhow<()> {
     if plan.cloud {
         let (bare, session) = start_cloud(&plan)?;
         println!("{bare} {session}");
-        // Until the edge closes our standard input.
+        // The edge ends this process by closing its standard input.
         std::io::stdin().read_to_end(&mut Vec::new())?;
         return Ok(());
     }
@@ -95,7 +94,7 @@ impl Plan {
                     let answer = value()?;
                     plan.answer = if answer == "same" { None } else { Some(answer.parse()?) };
                 }
-                // What cargo itself passes.
+                // Cargo passes this argument to every benchmark.
                 "--bench" => {}
                 other => return Err(format!("unknown argument {other}").into()),
             }
@@ -121,13 +120,13 @@ fn clock() -> SharedClock {
     Arc::new(SystemClock::new(ClockIdentity::new("bench", "system")))
 }
 
-/// Starts both contenders' servers; returns where they listen.
+/// Starts the servers of both contenders. Returns their addresses.
 fn start_cloud(plan: &Plan) -> Anyhow<(String, Address)> {
     let listener = TcpListener::bind("127.0.0.1:0")?;
     let bare = listener.local_addr()?.to_string();
     std::thread::spawn(move || {
         for stream in listener.incoming() {
-            // The edge hangs up when it is done.
+            // The edge closes the connection when it is done.
             let _ = stream.map_err(Into::into).and_then(serve_bare);
         }
     });
@@ -135,13 +134,13 @@ fn start_cloud(plan: &Plan) -> Anyhow<(String, Address)> {
     let plan = plan.clone();
     std::thread::spawn(move || -> Anyhow<()> {
         let runtime = plan.runtime()?;
-        // As a task of its own, as an agent would run it: the main future of a multi-thread runtime is not on a worker.
+        // In a task, as in an agent: the main future of a multi-thread runtime does not run on a worker thread.
         runtime.block_on(async { tokio::spawn(serve_session(plan, tell)).await })?
     });
     Ok((bare, told.recv()?))
 }
 
-/// `size u64 | answer u64 | payload` up; `arrival stamp i64 | answer` back.
+/// Serves `size u64 | answer u64 | payload` with `arrival stamp i64 | answer`.
 fn serve_bare(mut stream: TcpStream) -> Anyhow<()> {
     let clock = clock();
     stream.set_nodelay(true)?;
@@ -200,14 +199,14 @@ async fn serve_session(plan: Plan, tell: std::sync::mpsc::SyncSender<Address>) -
     Ok(())
 }
 
-/// What one contender did with one size.
+/// Times of one contender with one payload size.
 #[derive(Default)]
-struct Seen {
+struct ContenderTimes {
     trips: Vec<Span>,
     uploads: Vec<Span>,
 }
 
-impl Seen {
+impl ContenderTimes {
     fn add(&mut self, trip: Span, upload: Span) {
         self.trips.push(trip);
         self.uploads.push(upload);
@@ -243,13 +242,13 @@ fn edge(plan: &Plan, bare: &str, address: &Address) -> Anyhow<()> {
     for &size in &plan.sizes {
         let payload = Bytes::from((0..size).map(|i| (i * 31) as u8).collect::<Vec<u8>>());
         let trips = (20_000_000 / (size + 20_000)).clamp(30, 500);
-        let (mut tcp, mut ours) = (Seen::default(), Seen::default());
+        let (mut tcp, mut ours) = (ContenderTimes::default(), ContenderTimes::default());
         for round in 0..=plan.rounds {
-            let mut a = Seen::default();
+            let mut a = ContenderTimes::default();
             round_bare(&mut stream, &payload, plan.answer_bytes(size), trips, &mut a)?;
             let task = round_session(session.clone(), payload.clone(), trips);
             let mut b = runtime.block_on(async { tokio::spawn(task).await })??;
-            // The first round warms both up.
+            // The first round only warms up both contenders.
             if round > 0 {
                 tcp.trips.append(&mut a.trips);
                 tcp.uploads.append(&mut a.uploads);
@@ -269,7 +268,7 @@ fn round_bare(
     payload: &[u8],
     answer: usize,
     trips: usize,
-    seen: &mut Seen,
+    seen: &mut ContenderTimes,
 ) -> Anyhow<()> {
     let clock = clock();
     let mut message = (payload.len() as u64).to_le_bytes().to_vec();
@@ -287,8 +286,8 @@ fn round_bare(
     Ok(())
 }
 
-async fn round_session(session: Session, payload: Bytes, trips: usize) -> Anyhow<Seen> {
-    let (clock, host, mut seen) = (clock(), HostId::random(), Seen::default());
+async fn round_session(session: Session, payload: Bytes, trips: usize) -> Anyhow<ContenderTimes> {
+    let (clock, host, mut seen) = (clock(), HostId::random(), ContenderTimes::default());
     for _ in 0..trips {
         let sample = Sample::of(Description::bytes(), payload.clone());
         let start = clock.mono();
@@ -304,7 +303,7 @@ async fn round_session(session: Session, payload: Bytes, trips: usize) -> Anyhow
     Ok(seen)
 }
 
-fn report(size: usize, tcp: &mut Seen, ours: &mut Seen) {
+fn report(size: usize, tcp: &mut ContenderTimes, ours: &mut ContenderTimes) {
     let at = |spans: &mut Vec<Span>, q: f64| {
         spans.sort_unstable();
         spans[((spans.len() - 1) as f64 * q) as usize].seconds() * 1e6

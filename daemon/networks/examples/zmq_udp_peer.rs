@@ -19,18 +19,18 @@ use peernet_networks::{
 use peernet_sample::{Description, Sample};
 use peernet_stream::Hardware;
 
-/// Longest time until an answer must be there.
+/// Longest time until an answer must have arrived.
 const TIMEOUT: Duration = Duration::from_secs(60);
 
-/// Bytes of a request, and how many are sent.
+/// Length of a request in bytes, and number of requests of this length.
 const REQUESTS: [(usize, usize); 6] =
     [(0, 100), (1, 100), (1_000, 500), (60_000, 100), (1_200_000, 20), (20_000_000, 2)];
 
-/// A program that ends with the test.
+/// A program that is killed when the test ends.
 struct Relay(Child);
 
 impl Relay {
-    /// Starts the relay to a cloud; returns it with the address that the edge is to use.
+    /// Starts the relay to a cloud. Returns it with the address that the edge connects to.
     fn start(program: &str, cloud: &str) -> Result<(Self, String), Box<dyn Error>> {
         let mut relay = Self(Command::new(program).arg(cloud).stdout(Stdio::piped()).spawn()?);
         let mut address = String::new();
@@ -41,7 +41,7 @@ impl Relay {
 
 impl Drop for Relay {
     fn drop(&mut self) {
-        // It may have ended by itself.
+        // Killing fails if it has already exited.
         let _ = self.0.kill();
         let _ = self.0.wait();
     }
@@ -55,7 +55,7 @@ fn clock() -> SharedClock {
     Arc::new(SystemClock::new(identity()))
 }
 
-/// Accepts every session and answers each request with what it brought.
+/// Accepts every session and answers each request with the request's own payload.
 async fn serve(mut listener: Listener, accepted: SessionAccepted) {
     while let Some(incoming) = listener.next().await {
         match incoming {
@@ -67,7 +67,7 @@ async fn serve(mut listener: Listener, accepted: SessionAccepted) {
     }
 }
 
-/// Sends requests of one size; returns how many were answered and how many lost.
+/// Sends requests of one size. Returns the numbers of answered and of lost ones.
 async fn exchange(session: &Session, size: usize, count: usize) -> Result<(usize, usize), Box<dyn Error>> {
     let (mut answered, mut lost) = (0, 0);
     for number in 0..count {
@@ -85,7 +85,7 @@ async fn exchange(session: &Session, size: usize, count: usize) -> Result<(usize
 }
 
 async fn run(relay: &str, datagram_bytes: u64) -> Result<(), Box<dyn Error>> {
-    // libzmq keeps the system's default buffers.
+    // libzmq leaves socket buffers at the system's default size.
     let settings =
         SessionSettings { datagram_bytes, socket_buffer_bytes: 64 << 10, ..SessionSettings::default() };
     let host = HostId::random();

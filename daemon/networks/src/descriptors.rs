@@ -1,44 +1,50 @@
-//! Descriptors of this process, and how many connections each port may keep of them.
+//! File descriptors of this process, and the number of connections that each port may keep open.
+//!
+//! The limit on descriptors is shared out, so that a flood of connections to one port leaves descriptors to the others
+//! and to files.
 //!
 //! | share of the limit | for | at most |
 //! | --- | --- | --- |
 //! | 5/16 | connections of agents to the aggregator | 4,096 |
 //! | 5/16 | connections of edges to the data port, or to all data ports together | 4,096 for each port |
 //! | 1/8 | connections to the dashboard and the REST API | 1,024 |
-//! | the rest, at least 1/4 | database, spool, log, models, pipes, connections to others | |
+//! | the rest, at least 1/4 | database, spool, log, models, pipes, outgoing connections | |
 
 use std::io;
 use std::num::NonZeroUsize;
 
 use rustix::process::{Resource, Rlimit, getrlimit, setrlimit};
 
-/// Sockets that a port needs beside its connections: the listening one, and those that are being closed.
+/// Descriptors that a port needs in addition to its connections: the listening socket and sockets that are being
+/// closed.
 const PORT_OVERHEAD: u64 = 18;
 
-/// A port that accepts connections.
+/// A port that accepts connections, as a receiver of a share of the descriptors.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum DescriptorShare {
-    /// Agents connect to it, and send events.
+    /// Port to which agents connect and send events.
     EventPort,
-    /// Edges connect to it, and send samples.
+    /// Port to which edges connect and send samples.
     DataPort,
-    /// Browsers and programs connect to it.
+    /// Port to which browsers and REST clients connect.
     Web,
 }
 
 impl DescriptorShare {
-    /// How many connections the port may keep open under the current limit of this process.
+    /// Returns how many connections the port may keep open under the current limit of this process.
     pub fn connections(self) -> usize {
         self.connections_of_each(NonZeroUsize::MIN)
     }
 
-    /// How many connections each of so many ports of this kind may keep open.
+    /// Returns how many connections each of `ports` ports of this kind may keep open.
     pub fn connections_of_each(self, ports: NonZeroUsize) -> usize {
         self.connections_of(getrlimit(Resource::Nofile).current, ports)
     }
 
-    /// The same under a limit; without one, the largest number.
+    /// Returns the number of connections of each port under `limit`. `None` means no limit: the result is the maximum
+    /// of the kind of port.
     fn connections_of(self, limit: Option<u64>, ports: NonZeroUsize) -> usize {
+        // The shares of the table in the module documentation.
         let (sixteenths, most) = match self {
             Self::EventPort | Self::DataPort => (5, 4_096),
             Self::Web => (2, 1_024),
@@ -49,11 +55,10 @@ impl DescriptorShare {
     }
 }
 
-/// Raises the number of descriptors that this process may have to what it may raise it to. Returns that number;
-/// `None` when there is no limit.
+/// Raises this process's soft limit on descriptors to its hard limit. Returns the new limit; `None` means no limit.
 ///
 /// # Errors
-/// When the system refuses; the limit is as before then.
+/// If the system refuses. The limit is then unchanged.
 pub fn raise_limit() -> io::Result<Option<u64>> {
     let Rlimit { current, maximum } = getrlimit(Resource::Nofile);
     if current != maximum {
@@ -74,7 +79,7 @@ mod tests {
     }
 
     #[test]
-    fn all_ports_together_leave_a_quarter() {
+    fn all_ports_leave_a_quarter_of_descriptors() {
         for limit in [256, 1_024, 4_096, 1 << 20] {
             let connections = SHARES.map(|share| one(share, Some(limit)) as u64 + PORT_OVERHEAD);
             assert!(connections.iter().sum::<u64>() <= limit * 3 / 4, "{limit}: {connections:?}");

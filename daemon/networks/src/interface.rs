@@ -11,7 +11,7 @@ use peernet_stream::NetworkInterface;
 
 use crate::ConnectionAddresses;
 
-/// Where Linux describes the interfaces.
+/// Directory in which Linux describes the interfaces.
 const SYSFS: &str = "/sys/class/net";
 
 /// Hardware types of Linux (`ARPHRD_*` in `linux/if_arp.h`).
@@ -25,11 +25,13 @@ const TUNNELS: [u32; 5] = [
     65_534, // neither hardware nor address: TUN, WireGuard
 ];
 
-/// Returns the interface that the packets of a connection leave by; `None` when no interface has the local address any
+/// Returns the interface over which the packets of a connection leave. `None` if no interface has the local address any
 /// more.
 ///
+/// The interface is found by the local address of the connection.
+///
 /// # Errors
-/// When the system does not list its interfaces.
+/// If the system cannot list its interfaces.
 pub fn interface_of(addresses: &ConnectionAddresses) -> io::Result<Option<NetworkInterface>> {
     let (local, remote) = (addresses.local.ip().to_canonical(), addresses.remote.ip().to_canonical());
     let mut by_address = None;
@@ -45,13 +47,15 @@ pub fn interface_of(addresses: &ConnectionAddresses) -> io::Result<Option<Networ
             by_address.get_or_insert(entry.interface_name);
         }
     }
-    // Linux sends what is for one of its own addresses over the loopback interface, whichever interface has the address.
+    // Linux sends packets to one of the host's own addresses over the loopback interface, whichever interface has the
+    // address.
     let name = if stays_here { loopback } else { by_address };
     Ok(name.map(|name| describe(Path::new(SYSFS), name)))
 }
 
-/// Returns whether an interface is wireless, by its folder in sysfs.
+/// Returns whether an interface is wireless. `folder` is its directory in sysfs.
 pub fn is_wireless(folder: &Path) -> bool {
+    // `wireless` is the older interface of the kernel, which some drivers still have instead of `phy80211`.
     ["phy80211", "wireless"].iter().any(|entry| folder.join(entry).exists())
 }
 

@@ -1,9 +1,9 @@
-//! Networks: one message, one session, and one file per transport.
+//! Networks: messages, sessions, and one file for each transport.
 //!
-//! An edge [opens](Session::open) a session with a cloud's [`Listener`] and then sends samples with the logger
-//! tree of their iteration; the cloud answers with a sample and with what it added to the tree. All transports
-//! carry the same frames ([`NetworkKind`] lists them), and one session logic serves them all: state machines
-//! without I/O in `session/{client,server}.rs`, their drivers in `session/{edge,cloud}.rs`.
+//! An edge [opens](Session::open) a session with a cloud's [`Listener`] and then sends samples with the logger tree of
+//! their iteration. The cloud answers with a sample and with the nodes that it added to the tree. All transports carry
+//! the same frames ([`NetworkKind`] lists them), and one session logic serves them all. Its state machines in
+//! `session/{client,server}.rs` do no I/O; `session/{edge,cloud}.rs` drive them.
 
 pub mod descriptors;
 mod interface;

@@ -8,19 +8,19 @@ use std::time::Duration;
 
 use serde::{Deserialize, Serialize};
 
-/// The longest time that can be set: a day. Milliseconds.
+/// Longest time that can be set: one day. Milliseconds.
 const MAX_TIME_MS: u64 = 24 * 3600 * 1000;
 
-/// Most requests in flight that can be set; the transports reserve a place for each.
+/// Largest number of requests in flight that can be set. The transports reserve a place for each.
 const MAX_IN_FLIGHT: u32 = 4_096;
 
-/// Most bytes in flight that can be set: 1 TiB.
+/// Largest number of bytes in flight that can be set: 1 TiB.
 const MAX_IN_FLIGHT_BYTES: u64 = 1 << 40;
 
-/// Most sessions that can be set.
+/// Largest number of sessions that can be set.
 const MAX_SESSIONS: u32 = 65_536;
 
-/// The least and the most that the other keys can be set to.
+/// Smallest and largest value of each of the other keys.
 const OPEN_TIMEOUT_MS: (u64, u64) = (1, MAX_TIME_MS);
 const TIME_MS: (u64, u64) = (10, MAX_TIME_MS);
 const CLOSE_TIMEOUT_MS: (u64, u64) = (0, MAX_TIME_MS);
@@ -30,45 +30,44 @@ const UNFINISHED_BYTES: (u64, u64) = (64 << 10, MAX_IN_FLIGHT_BYTES);
 const DATAGRAM_BYTES: (u64, u64) = (512, 8_192);
 const SOCKET_BUFFER_BYTES: (u64, u64) = (64 << 10, 1 << 30);
 
-/// Time limits and bounds of a session; both ends have their own, and where a bound concerns both, the tighter
-/// one holds.
+/// Timeouts and limits of a session. Each end has its own; where a limit concerns both ends, the smaller value applies.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct SessionSettings {
-    /// How long opening a session may take, the cloud's loading of the model included. Milliseconds.
+    /// Time limit for opening a session, including the loading of the model on the cloud. Milliseconds.
     pub open_timeout_ms: u64,
-    /// How long a connection to a listener may exist without a session or a request for one. Milliseconds.
+    /// Time limit for a connection to a listener that has neither a session nor a request for one. Milliseconds.
     pub hello_timeout_ms: u64,
-    /// How often a silent peer is asked for a sign of life. Milliseconds.
+    /// Interval at which a silent peer is asked for a heartbeat. Milliseconds.
     pub heartbeat_interval_ms: u64,
-    /// How long a peer may stay silent, or leave our bytes unacknowledged, before it counts as gone.
-    /// Milliseconds.
+    /// Time after which a peer counts as gone if it is silent or does not acknowledge our bytes. Milliseconds.
     pub heartbeat_timeout_ms: u64,
-    /// How long closing waits for answers and a goodbye to go out. Milliseconds.
+    /// Time limit for sending answers and a goodbye while a session or port is closed. Milliseconds.
     pub close_timeout_ms: u64,
-    /// Largest message accepted, all frames together. Bytes.
+    /// Largest message that is accepted, all frames together. Bytes.
     pub max_message_bytes: u64,
-    /// Requests of one session that may be under way at once. On the edge further ones wait; the cloud answers
-    /// further ones as overloaded.
+    /// Largest number of requests of one session in flight. On the edge further requests wait; the cloud answers
+    /// further requests as overloaded.
     pub max_in_flight: u32,
-    /// Bytes that the requests of all sessions of a listener may take together, from their arrival until they are
-    /// answered; further ones are answered as overloaded. A single request is taken also when it is larger.
+    /// Largest number of bytes of the requests of all sessions of a listener, from their arrival until they are
+    /// answered. Further requests are answered as overloaded. A request that is alone is accepted even if it is larger.
     pub max_in_flight_bytes: u64,
-    /// Bytes that the unfinished messages of all sessions of a listener may take together; a connection whose message
-    /// finds no room is closed. One message alone is always taken. A connection without a session may hold 64 KiB.
+    /// Largest number of bytes of unfinished messages of all sessions of a listener. A connection whose message finds
+    /// no room is closed. A message that is alone is always accepted. A connection without a session may hold 64 KiB.
     pub max_unfinished_bytes: u64,
-    /// Sessions that a listener holds at once. A host may have at most as many as stay free beside it.
+    /// Largest number of sessions of a listener. One host may hold at most half of the sessions that others leave free.
     pub max_sessions: u32,
-    /// Largest datagram that is sent, without the headers of UDP and IP. Bytes. Networks of datagrams only.
+    /// Largest datagram that is sent, without the headers of UDP and IP. Bytes. For networks over datagrams only.
     pub datagram_bytes: u64,
-    /// The rate at which datagrams are sent; 0 follows what arrives. Bits per second. Networks of datagrams only.
+    /// Rate at which datagrams are sent; 0 adapts the rate to what arrives. Bits per second. For networks over
+    /// datagrams only.
     pub max_send_bits_per_second: u64,
-    /// How long the fragments of a message are waited for that has left as a whole. Milliseconds. Networks of
+    /// Time limit for the fragments of a message of which the last one has been sent. Milliseconds. For networks over
     /// datagrams only.
     pub reassembly_timeout_ms: u64,
-    /// The system's buffers of each socket. Bytes. Networks of datagrams, and ROS 2.
+    /// Size of the system's buffers of each socket. Bytes. For networks over datagrams and for ROS 2.
     pub socket_buffer_bytes: u64,
-    /// Topics of ROS 2.
+    /// Settings of topics of ROS 2.
     pub ros2: Ros2SessionSettings,
 }
 
@@ -94,19 +93,19 @@ impl Default for SessionSettings {
     }
 }
 
-/// Settings that cannot work.
+/// Error: a setting cannot work.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("{key} = {value}: {problem}")]
 pub struct InvalidSettings {
-    /// The key in the configuration.
+    /// Key in the configuration.
     pub key: &'static str,
-    /// What was given.
+    /// Configured value.
     pub value: u64,
-    /// What is wrong with it.
+    /// Reason why the value cannot work.
     pub problem: String,
 }
 
-fn between(key: &'static str, value: u64, (least, most): (u64, u64)) -> Result<(), InvalidSettings> {
+fn check_range(key: &'static str, value: u64, (least, most): (u64, u64)) -> Result<(), InvalidSettings> {
     if (least..=most).contains(&value) {
         return Ok(());
     }
@@ -114,24 +113,24 @@ fn between(key: &'static str, value: u64, (least, most): (u64, u64)) -> Result<(
 }
 
 impl SessionSettings {
-    /// Checks what the types alone do not.
+    /// Checks the ranges of all values.
     ///
     /// # Errors
-    /// When a session with these settings could never work; names the key and what it may be.
+    /// If a session could never work with these settings. The error names the key and its range.
     pub fn check(&self) -> Result<(), InvalidSettings> {
-        between("open_timeout_ms", self.open_timeout_ms, OPEN_TIMEOUT_MS)?;
-        between("hello_timeout_ms", self.hello_timeout_ms, TIME_MS)?;
-        between("heartbeat_interval_ms", self.heartbeat_interval_ms, TIME_MS)?;
-        between("heartbeat_timeout_ms", self.heartbeat_timeout_ms, TIME_MS)?;
-        between("close_timeout_ms", self.close_timeout_ms, CLOSE_TIMEOUT_MS)?;
-        between("max_message_bytes", self.max_message_bytes, MESSAGE_BYTES)?;
-        between("max_in_flight", u64::from(self.max_in_flight), (1, u64::from(MAX_IN_FLIGHT)))?;
-        between("max_in_flight_bytes", self.max_in_flight_bytes, IN_FLIGHT_BYTES)?;
-        between("max_unfinished_bytes", self.max_unfinished_bytes, UNFINISHED_BYTES)?;
-        between("max_sessions", u64::from(self.max_sessions), (1, u64::from(MAX_SESSIONS)))?;
-        between("datagram_bytes", self.datagram_bytes, DATAGRAM_BYTES)?;
-        between("reassembly_timeout_ms", self.reassembly_timeout_ms, TIME_MS)?;
-        between("socket_buffer_bytes", self.socket_buffer_bytes, SOCKET_BUFFER_BYTES)?;
+        check_range("open_timeout_ms", self.open_timeout_ms, OPEN_TIMEOUT_MS)?;
+        check_range("hello_timeout_ms", self.hello_timeout_ms, TIME_MS)?;
+        check_range("heartbeat_interval_ms", self.heartbeat_interval_ms, TIME_MS)?;
+        check_range("heartbeat_timeout_ms", self.heartbeat_timeout_ms, TIME_MS)?;
+        check_range("close_timeout_ms", self.close_timeout_ms, CLOSE_TIMEOUT_MS)?;
+        check_range("max_message_bytes", self.max_message_bytes, MESSAGE_BYTES)?;
+        check_range("max_in_flight", u64::from(self.max_in_flight), (1, u64::from(MAX_IN_FLIGHT)))?;
+        check_range("max_in_flight_bytes", self.max_in_flight_bytes, IN_FLIGHT_BYTES)?;
+        check_range("max_unfinished_bytes", self.max_unfinished_bytes, UNFINISHED_BYTES)?;
+        check_range("max_sessions", u64::from(self.max_sessions), (1, u64::from(MAX_SESSIONS)))?;
+        check_range("datagram_bytes", self.datagram_bytes, DATAGRAM_BYTES)?;
+        check_range("reassembly_timeout_ms", self.reassembly_timeout_ms, TIME_MS)?;
+        check_range("socket_buffer_bytes", self.socket_buffer_bytes, SOCKET_BUFFER_BYTES)?;
         self.ros2.check()?;
         if self.heartbeat_timeout_ms < self.heartbeat_interval_ms.saturating_mul(2) {
             return Err(InvalidSettings {
@@ -146,7 +145,7 @@ impl SessionSettings {
         Ok(())
     }
 
-    /// The same with every value brought into the limits of [`check`](Self::check).
+    /// Returns the settings with every value brought into the range that [`check`](Self::check) allows.
     pub(crate) fn clamped(self) -> Self {
         let clamped = |value: u64, (least, most): (u64, u64)| value.clamp(least, most);
         let heartbeat_interval_ms = clamped(self.heartbeat_interval_ms, (TIME_MS.0, TIME_MS.1 / 2));
@@ -199,7 +198,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_cannot_work_is_named_and_the_defaults_can() {
+    fn invalid_settings_are_named_and_defaults_are_valid() {
         let with = |change: fn(&mut SessionSettings)| {
             let mut settings = SessionSettings::default();
             change(&mut settings);

@@ -1,11 +1,15 @@
-//! What was sent and received on a connection or at a listener, in numbers.
+//! Counters of the messages of a connection or a listener, and the statistics made of them.
+//!
+//! Messages and their bytes are counted alike for every transport. Datagrams, losses, duplicates, reordering,
+//! retransmissions and round trips come from the transport. All values are totals since the connection was opened;
+//! readers compute rates from them.
 
 use std::net::SocketAddr;
 use std::sync::atomic::{AtomicU64, Ordering};
 
 pub use peernet_stream::{ConnectionStatistics, DirectionStatistics, TransportRoundTrip};
 
-/// The totals that sessions count whatever the transport is, written from any thread.
+/// Totals of messages and bytes, counted in the same way for every transport and from any thread.
 #[derive(Debug, Default)]
 pub(crate) struct Counters {
     sent_messages: AtomicU64,
@@ -17,8 +21,8 @@ pub(crate) struct Counters {
     lost: AtomicU64,
 }
 
-/// What a transport knows of a connection beside whole messages. Totals since the connection was opened; what the
-/// transport does not know is `None`, never 0.
+/// Statistics that only the transport knows. Totals since the connection was opened. A value that the transport does
+/// not know is `None`, never 0.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) struct TransportStatistics {
     pub(crate) sent: DatagramStatistics,
@@ -36,12 +40,12 @@ pub(crate) struct DatagramStatistics {
     pub(crate) retransmitted: Option<u64>,
 }
 
-/// The two ends of a connection.
+/// Addresses of the two ends of a connection.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct ConnectionAddresses {
-    /// This end.
+    /// Address of this end.
     pub local: SocketAddr,
-    /// The peer.
+    /// Address of the peer.
     pub remote: SocketAddr,
 }
 
@@ -68,7 +72,7 @@ impl Counters {
         self.lost.fetch_add(count, Ordering::Relaxed);
     }
 
-    /// Returns the totals together with those that the transport has.
+    /// Returns the totals together with those of the transport.
     pub(crate) fn statistics(&self, transport: &TransportStatistics) -> ConnectionStatistics {
         let read = |counter: &AtomicU64| counter.load(Ordering::Relaxed);
         ConnectionStatistics {

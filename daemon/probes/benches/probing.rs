@@ -1,4 +1,4 @@
-//! What probing costs: a hundred links at ten probes a second over loopback, all probers in one thread and their
+//! Cost of probing: one hundred links at ten probes per second over loopback. All probers run in one thread and their
 //! reflector in another, with the kernel's packet stamps and with the program's. Prints a table.
 #![expect(clippy::print_stdout, reason = "a benchmark prints its table")]
 
@@ -17,10 +17,13 @@ use tokio_util::sync::CancellationToken;
 const LINKS: usize = 100;
 const RATE_HZ: f64 = 10.0;
 const WARM_UP: Duration = Duration::from_secs(1);
-const MEASURED: Duration = Duration::from_secs(8);
+const MEASURED_DURATION: Duration = Duration::from_secs(8);
 
 fn main() {
-    println!("{LINKS} links, {RATE_HZ} probes a second each, {} s over loopback", MEASURED.as_secs());
+    println!(
+        "{LINKS} links, {RATE_HZ} probes a second each, {} s over loopback",
+        MEASURED_DURATION.as_secs()
+    );
     println!(
         "{:<26}{:>10}{:>10}{:>8}{:>12}{:>14}{:>20}",
         "", "answers/s", "refined/s", "lost", "probers", "reflector", "round trip, median"
@@ -37,27 +40,27 @@ fn main() {
         stop.cancel();
         let reflector = reflecting.join().expect("no panic");
         probed.round_trips.sort();
-        let seconds = MEASURED.as_secs_f64();
+        let seconds = MEASURED_DURATION.as_secs_f64();
         println!(
             "{name:<26}{:>10.0}{:>10.0}{:>8}{:>9.2} % {:>11.2} % {:>17.1} µs",
             probed.round_trips.len() as f64 / seconds,
             probed.refined as f64 / seconds,
             probed.lost,
             100.0 * probed.busy / seconds,
-            // It ran through the warm-up as well.
-            100.0 * reflector / (MEASURED + WARM_UP).as_secs_f64(),
+            // The reflector ran during the warm-up as well.
+            100.0 * reflector / (MEASURED_DURATION + WARM_UP).as_secs_f64(),
             probed.round_trips[probed.round_trips.len() / 2].seconds() * 1e6,
         );
     }
 }
 
-/// What the probers told while they were measured.
+/// Results of the probers during the measurement.
 #[derive(Default)]
-struct Probed {
+struct ProbeTotals {
     round_trips: Vec<Span>,
     refined: usize,
     lost: usize,
-    /// Seconds of a core.
+    /// CPU time. Seconds.
     busy: f64,
 }
 
@@ -87,7 +90,7 @@ fn start_reflector(stamps: Stamps, key: Option<Key>) -> (SocketAddr, Cancellatio
     (told.blocking_recv().expect("it was bound"), stop, thread)
 }
 
-fn probe(target: SocketAddr, stamps: Stamps, key: Option<&Key>) -> Probed {
+fn probe(target: SocketAddr, stamps: Stamps, key: Option<&Key>) -> ProbeTotals {
     runtime().block_on(async {
         let stop = CancellationToken::new();
         let (_rate, rate_hz) = watch::channel(RATE_HZ);
@@ -108,10 +111,10 @@ fn probe(target: SocketAddr, stamps: Stamps, key: Option<&Key>) -> Probed {
                 tokio::spawn(prober.run(rate_hz.clone(), tell.clone(), stop.clone()))
             })
             .collect();
-        // Nobody counts yet.
+        // Results of the warm-up are not counted.
         let warm_up = async { while results.recv().await.is_some() {} };
         let _ = tokio::time::timeout(WARM_UP, warm_up).await;
-        let mut probed = Probed::default();
+        let mut probed = ProbeTotals::default();
         let begun = busy();
         let counting = async {
             while let Some(result) = results.recv().await {
@@ -127,7 +130,7 @@ fn probe(target: SocketAddr, stamps: Stamps, key: Option<&Key>) -> Probed {
                 }
             }
         };
-        let _ = tokio::time::timeout(MEASURED, counting).await;
+        let _ = tokio::time::timeout(MEASURED_DURATION, counting).await;
         probed.busy = busy() - begun;
         stop.cancel();
         for prober in probers {
@@ -145,7 +148,7 @@ fn runtime() -> Runtime {
     Builder::new_current_thread().enable_all().build().expect("a runtime")
 }
 
-/// Seconds that this thread has been on a core.
+/// Returns the CPU time of this thread. Seconds.
 fn busy() -> f64 {
     let time = clock_gettime(ClockId::ThreadCPUTime);
     time.tv_sec as f64 + time.tv_nsec as f64 * 1e-9

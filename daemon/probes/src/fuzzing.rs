@@ -1,4 +1,4 @@
-//! Any bytes as a packet at both roles: what the fuzz target in `fuzz/` and a test run.
+//! Arbitrary bytes as a packet at both roles, for the fuzz target in `fuzz/` and for a test.
 
 use std::net::SocketAddr;
 
@@ -7,12 +7,13 @@ use peernet_clock::{Clock, ClockIdentity, ManualClock, RelatedClocks, Span, Wall
 use crate::Refusal;
 use crate::stamp::auth::Key;
 use crate::stamp::packet::{self, Mode, Reply};
-use crate::stamp::reflector::{Arrival, Reflecting};
-use crate::stamp::sender::{Return, Sending, SendingConfig};
+use crate::stamp::reflector::{Arrival, ReflectorState};
+use crate::stamp::sender::{ReplyArrival, SenderConfig, SenderState};
 use crate::stamp::timestamp::Format;
 use crate::stamp::tlv;
 
-/// Bits of the first byte: what is done to the rest so that chance gets past the checks that hold off chance.
+/// Bits of the first byte. They select changes to the other bytes, without which random bytes would hardly ever pass
+/// the checks.
 const WITH_KEY: u8 = 1;
 const STATEFUL: u8 = 2;
 const AUTHENTIC: u8 = 4;
@@ -20,11 +21,11 @@ const MATCHING: u8 = 8;
 const PROGRAM: u8 = 16;
 const RAW: u8 = 32;
 
-/// The first byte chooses the circumstances, the others are the packet.
+/// Handles a packet in both roles. The first byte selects the circumstances, the other bytes are the packet.
 ///
 /// # Panics
-/// When a promise is broken: an answer that is longer than the request, a loop between two reflectors, an answer to
-/// nothing that was asked.
+/// If a promise is broken: an answer is longer than its request, two reflectors form a loop, or an answer to no request
+/// is accepted.
 pub fn any_packet(data: &[u8]) {
     let Some((&how, bytes)) = data.split_first() else { return };
     let key = (how & WITH_KEY != 0).then(|| Key::from_bytes(&[7; 32]));
@@ -37,9 +38,9 @@ pub fn any_packet(data: &[u8]) {
 fn at_a_reflector(how: u8, key: Option<&Key>, bytes: &[u8], clock: &ManualClock) {
     let mut packet = bytes.to_vec();
     authenticate(how, key, &mut packet);
-    let mut reflector = Reflecting::new(key.cloned(), 1, 10, how & STATEFUL != 0);
+    let mut reflector = ReflectorState::new(key.cloned(), 1, 10, how & STATEFUL != 0);
     let source = SocketAddr::from(([10, 0, 0, 1], 40_000));
-    // Twice: the second finds a session.
+    // Twice, because the second request finds a session.
     for _ in 0..2 {
         let mut answer = packet.clone();
         let arrival =
@@ -58,7 +59,7 @@ fn at_a_reflector(how: u8, key: Option<&Key>, bytes: &[u8], clock: &ManualClock)
 
 fn at_a_sender(how: u8, key: Option<&Key>, bytes: &[u8], clock: &ManualClock) {
     let mode = Mode::of(key);
-    let mut sender = Sending::new(SendingConfig {
+    let mut sender = SenderState::new(SenderConfig {
         key: key.cloned(),
         instance: None,
         bound: false,
@@ -86,11 +87,12 @@ fn at_a_sender(how: u8, key: Option<&Key>, bytes: &[u8], clock: &ManualClock) {
         }
         authenticate(how, key, &mut packet);
         clock.advance(Span::from_millis(3));
-        let returned = Return { kernel: None, read: clock.stamp(), ahead: clock.wall_ahead(), epoch: 0 };
-        if let Ok(heard) = sender.receive(&packet, &returned) {
-            let answered = heard.answered.expect("no step");
+        let returned =
+            ReplyArrival { kernel: None, read: clock.stamp(), ahead: clock.wall_ahead(), epoch: 0 };
+        if let Ok(result) = sender.receive(&packet, &returned) {
+            let answered = result.answered.expect("no step");
             assert_eq!(answered.exchange.returned, returned.read.raw);
-            assert!(heard.refined.is_none() || turn == 1, "nothing came before the first");
+            assert!(result.refined.is_none() || turn == 1, "nothing came before the first");
             assert!(sender.receive(&packet, &returned).is_err(), "an answer counts once");
         }
     }

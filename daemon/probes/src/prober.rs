@@ -1,4 +1,4 @@
-//! The prober's socket and timers.
+//! The prober: sends probes and receives answers, with its socket and timers.
 
 use std::collections::VecDeque;
 use std::io;
@@ -11,105 +11,104 @@ use tokio_util::sync::CancellationToken;
 
 use crate::schedule::Schedule;
 use crate::socket::{ProbeSocket, Received, Token};
-use crate::stamp::sender::{LATE, Return, Sending, SendingConfig};
+use crate::stamp::sender::{LATE, ReplyArrival, SenderConfig, SenderState};
 use crate::{Key, Stamps};
 
-/// Room for a reply beside its padding.
+/// Largest reply without its padding. Bytes.
 const MAX_REPLY: usize = 2048;
 
-/// A probe that cannot be sent within this is given up: its stamp grows old. The first one waits until the runtime
-/// knows the socket.
+/// Time limit for sending a probe. A probe that takes longer is given up because its stamp becomes old. The first one
+/// waits until the runtime knows the socket.
 const SEND_PATIENCE: Duration = Duration::from_millis(20);
 
-/// Stamps of departures that are waited for at most.
+/// Largest number of awaited departure stamps.
 const MAX_DEPARTING: usize = 64;
 
-const AFTER_FAILURE: Duration = Duration::from_millis(5);
+const FAILURE_PAUSE: Duration = Duration::from_millis(5);
 
-/// How a prober works.
+/// Configuration of a prober.
 #[derive(Clone, Debug)]
 pub struct ProberConfig {
-    /// The reflector's address.
+    /// Address of the reflector.
     pub target: SocketAddr,
-    /// The key shared with it; without one, probes are not authenticated.
+    /// Key shared with the reflector; `None` sends unauthenticated probes.
     pub key: Option<Key>,
-    /// The process that must answer, by the number of its [`ReflectorConfig::instance`](crate::ReflectorConfig): the
-    /// one that serves the data, whose clock is to be known. Anybody is believed at `None`, other implementations
-    /// included.
+    /// Process that must answer, by its [`ReflectorConfig::instance`](crate::ReflectorConfig). It is the process that
+    /// serves the data and whose clock is measured. `None` accepts any reflector, including other implementations.
     pub instance: Option<u64>,
-    /// Which clocks its exchanges are of: the free-running ones, where a reflector of PEERNet 0.3.0 or later is asked, or this host's
-    /// free-running clock and the reflector's wall clock.
+    /// Clocks of the exchanges: both free-running clocks, which needs a reflector of PEERNet 0.3.0 or later, or this
+    /// host's free-running clock and the reflector's wall clock.
     pub clocks: RelatedClocks,
-    /// Bytes of padding (the value of an Extra Padding TLV, RFC 8972, section 4.1); none at 0.
+    /// Bytes of padding (value of an Extra Padding TLV, RFC 8972, section 4.1); 0 for none.
     pub padding_bytes: u16,
-    /// Where packet stamps are made.
+    /// Source of the packet stamps.
     pub stamps: Stamps,
-    /// After this a probe without an answer is lost.
+    /// Time after which a probe without an answer counts as lost.
     pub timeout: Duration,
 }
 
-/// What became of a probe.
+/// Event of a probe.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ProbeResult {
-    /// It was sent.
+    /// The probe was sent.
     Sent,
-    /// Its answer is there.
+    /// The probe was answered.
     Answered(ExchangeObservation),
-    /// It was answered, but this host's free-running clock was interrupted while it was under way: nothing follows from its stamps.
-    /// The clock's epoch since.
+    /// The probe was answered, but this host's free-running clock was interrupted in between, so that nothing follows
+    /// from its stamps. The value is the clock's new epoch.
     Stepped(u32),
     /// An exchange that was reported as answered, with a better stamp of the reply's departure.
     Refined(ExchangeObservation),
-    /// No answer within the timeout.
+    /// No answer arrived within the timeout.
     Lost,
-    /// The answer to a probe that was lost arrived after all.
+    /// The answer to a lost probe arrived after all.
     Late,
-    /// A packet arrived that is no valid answer, or a probe could not be sent: why.
+    /// A packet that is not a valid answer arrived, or a probe could not be sent, for this reason.
     Refused(&'static str),
 }
 
-/// Why a prober could not be opened.
+/// Reason why a prober could not be opened.
 #[derive(Debug, thiserror::Error)]
 pub enum OpenError {
-    /// No socket for such a target.
+    /// The system provides no socket for this target.
     #[error(
         "cannot open a socket for probes to {target}: {error}; this host lacks that address family or has too many \
          open files"
     )]
     Socket {
-        /// The reflector's address.
+        /// Address of the reflector.
         target: SocketAddr,
-        /// What the system said.
+        /// Error of the system.
         error: io::Error,
     },
 }
 
-/// Probes one reflector (the session-sender of RFC 8762).
+/// Probes one reflector (session-sender of RFC 8762).
 #[derive(Debug)]
 pub struct Prober {
     config: ProberConfig,
     clock: SharedClock,
     socket: ProbeSocket,
-    logic: Sending,
-    /// Probes whose stamp of departure may still come.
+    logic: SenderState,
+    /// Probes whose departure stamps may still come.
     departing: VecDeque<(Token, u32)>,
 }
 
 impl Prober {
-    /// Opens the socket; sends nothing yet. Call it inside a tokio runtime.
+    /// Opens the socket. Sends nothing yet. Must be called inside a tokio runtime.
     ///
     /// # Errors
-    /// When there is no socket for the target.
+    /// If there is no socket for the target.
     pub fn open(config: ProberConfig, clock: SharedClock) -> Result<Self, OpenError> {
         let target = config.target;
-        let socket = ProbeSocket::towards(target, config.stamps, clock.clone())
+        let socket = ProbeSocket::open_for_target(target, config.stamps, clock.clone())
             .map_err(|error| OpenError::Socket { target, error })?;
-        // Zero is what a reflector leaves that does not know of identifiers.
+        // Not zero: reflectors that do not know session identifiers leave zero.
         let ssid = rand::random_range(1..=u16::MAX);
-        let logic = Sending::new(SendingConfig {
+        let logic = SenderState::new(SenderConfig {
             key: config.key.clone(),
             instance: config.instance,
-            // Other implementations need not return them.
+            // Other implementations need not return the octets.
             bound: config.instance.is_some(),
             clocks: config.clocks,
             ssid,
@@ -120,13 +119,14 @@ impl Prober {
         Ok(Self { config, clock, socket, logic, departing: VecDeque::new() })
     }
 
-    /// Where packet stamps are made: `kernel, send and receive`, `kernel, receive only`, or `program`.
+    /// Returns the source of the packet stamps: `kernel, send and receive`, `kernel, receive only`, or `program`.
     pub fn stamps_in_words(&self) -> &'static str {
         self.socket.stamps_in_words()
     }
 
-    /// Finds out whether the kernel stamps by the clock that the program reads; if not, its stamps are not used. So
-    /// does [`run`](Self::run); whoever asks before knows what [`stamps_in_words`](Self::stamps_in_words) will be.
+    /// Checks that the kernel stamps by the clock that the program reads; otherwise its stamps are not used.
+    /// [`run`](Self::run) does the same. After an earlier call, [`stamps_in_words`](Self::stamps_in_words) returns its
+    /// final value.
     pub async fn check_stamps(&mut self) {
         self.socket.check().await;
         if self.socket.is_distrusted() {
@@ -135,13 +135,14 @@ impl Prober {
     }
 
     fn distrust_kernel(&mut self) {
-        self.socket.distrust();
+        self.socket.disable_kernel_stamps();
         self.logic.distrust_kernel();
         self.config.stamps = Stamps::Program;
     }
 
-    /// Sends `rate_hz` probes per second, none at 0, until stopped or until nobody listens; a new rate holds at once.
-    /// A thousand per second at most. While `results` is full nothing is sent or received.
+    /// Sends `rate_hz` probes per second until stopped or until the receiver of `results` is dropped. A rate of 0 sends
+    /// none; the largest rate is 1,000. A new rate applies at once. While `results` is full, nothing is sent or
+    /// received.
     pub async fn run(
         mut self,
         mut rate_hz: watch::Receiver<f64>,
@@ -153,19 +154,21 @@ impl Prober {
         let mut buffer = vec![0; MAX_REPLY + usize::from(self.config.padding_bytes)];
         let mut rate_is_fixed = false;
         loop {
-            let mut news = News::default();
+            let mut pending_results = PendingResults::default();
             let wake = [schedule.due(), self.logic.deadline()].into_iter().flatten().min();
             tokio::select! {
                 biased;
                 () = stop.cancelled() => return,
                 () = results.closed() => return,
-                // Before the reply, whose exchange they belong to.
+                // Before the reply, because the stamp belongs to the reply's exchange.
                 departure = self.socket.departure() => match departure {
                     Ok((token, left)) => self.departed(token, left),
                     Err(error) => self.failed(&error).await,
                 },
                 received = self.socket.receive(&mut buffer) => match received {
-                    Ok(received) => self.hear(&buffer[..received.bytes], &received, &mut news),
+                    Ok(received) => {
+                        self.handle_packet(&buffer[..received.bytes], &received, &mut pending_results);
+                    }
                     Err(error) => self.failed(&error).await,
                 },
                 changed = rate_hz.changed(), if !rate_is_fixed => match changed {
@@ -174,51 +177,52 @@ impl Prober {
                 },
                 () = sleep_until(wake, &self.clock) => {
                     let now = self.clock.mono();
-                    news.lost(self.logic.expire(now));
+                    pending_results.lost(self.logic.expire(now));
                     if schedule.is_due(now) {
                         schedule.advance(now);
-                        self.send(&mut news).await;
+                        self.send(&mut pending_results).await;
                     }
                 }
             }
-            for result in news.0 {
+            for result in pending_results.0 {
                 tokio::select! {
                     biased;
                     () = stop.cancelled() => return,
-                    told = results.send(result) => if told.is_err() { return },
+                    sent = results.send(result) => if sent.is_err() { return },
                 }
             }
         }
     }
 
-    async fn send(&mut self, news: &mut News) {
+    async fn send(&mut self, pending_results: &mut PendingResults) {
         let (departure, packet) = self.logic.request(&*self.clock);
         match self.socket.send(packet, None, self.config.target, SEND_PATIENCE).await {
             Ok(token) => {
-                news.lost(self.logic.sent(departure));
+                pending_results.lost(self.logic.sent(departure));
                 if let Some(token) = token {
                     if self.departing.len() >= MAX_DEPARTING {
                         self.departing.pop_front();
                     }
                     self.departing.push_back((token, departure.sequence()));
                 }
-                news.push(ProbeResult::Sent);
+                pending_results.push(ProbeResult::Sent);
             }
             Err(error) => {
                 tracing::debug!(target = %self.config.target, %error, "a probe could not be sent");
-                news.push(ProbeResult::Refused(not_sent_in_words(&error)));
+                pending_results.push(ProbeResult::Refused(not_sent_in_words(&error)));
                 self.renew();
             }
         }
     }
 
-    /// A packet that was refused on its way may have used up a number in the kernel's count but not in the socket's:
-    /// the stamps of departure that follow would belong to others. A new socket counts anew.
+    /// Opens a new socket, whose count of packets starts from zero. A packet that was refused on its way may have used
+    /// a number in the kernel's count but not in the socket's. Later departure stamps would then belong to other
+    /// packets.
     fn renew(&mut self) {
         if !self.socket.stamps_departures() {
             return;
         }
-        match ProbeSocket::towards(self.config.target, self.config.stamps, self.clock.clone()) {
+        match ProbeSocket::open_for_target(self.config.target, self.config.stamps, self.clock.clone()) {
             Ok(socket) => {
                 self.socket = socket;
                 self.departing.clear();
@@ -228,7 +232,7 @@ impl Prober {
     }
 
     fn departed(&mut self, token: Token, left: Option<WallTime>) {
-        // Stamps come in the order of departure; those of dropped packets never do.
+        // Stamps come in the order of departure. Those of dropped packets never come.
         let Some(found) = self.departing.iter().position(|(departing, _)| *departing == token) else {
             return;
         };
@@ -238,43 +242,45 @@ impl Prober {
         }
     }
 
-    fn hear(&mut self, packet: &[u8], received: &Received, news: &mut News) {
+    fn handle_packet(&mut self, packet: &[u8], received: &Received, pending_results: &mut PendingResults) {
         let read = self.clock.stamp();
         let (from, target) = (received.source, self.config.target);
+        // A packet from elsewhere is not an answer, even if its contents fit.
         if from.port() != target.port() || from.ip() != target.ip() {
-            news.push(ProbeResult::Refused("not from the target"));
+            pending_results.push(ProbeResult::Refused("not from the target"));
             return;
         }
         let (ahead, epoch) = (self.clock.wall_ahead(), self.clock.epoch());
-        let returned = Return { kernel: received.kernel, read, ahead, epoch };
-        news.lost(self.logic.expire(read.mono));
-        let heard = self.logic.receive(packet, &returned);
+        let returned = ReplyArrival { kernel: received.kernel, read, ahead, epoch };
+        pending_results.lost(self.logic.expire(read.mono));
+        let reply = self.logic.receive(packet, &returned);
         if self.logic.distrusts_kernel() && !self.socket.is_distrusted() {
             self.distrust_kernel();
         }
-        match heard {
-            Ok(heard) => {
-                news.0.extend(heard.refined.map(ProbeResult::Refined));
+        match reply {
+            Ok(reply) => {
+                pending_results.0.extend(reply.refined.map(ProbeResult::Refined));
                 let stepped = ProbeResult::Stepped(returned.epoch);
-                news.push(heard.answered.map_or(stepped, ProbeResult::Answered));
+                pending_results.push(reply.answered.map_or(stepped, ProbeResult::Answered));
             }
-            Err(LATE) => news.push(ProbeResult::Late),
-            Err(why) => news.push(ProbeResult::Refused(why)),
+            Err(LATE) => pending_results.push(ProbeResult::Late),
+            Err(why) => pending_results.push(ProbeResult::Refused(why)),
         }
     }
 
-    /// The system reports trouble of single packets when receiving too; one that stays must not turn into a busy loop.
+    /// Waits shortly after an error. The system also reports errors of single packets on receiving; a permanent error
+    /// must not cause a busy loop.
     async fn failed(&mut self, error: &io::Error) {
         tracing::debug!(target = %self.config.target, %error, "a probe's reply could not be received");
-        tokio::time::sleep(AFTER_FAILURE).await;
+        tokio::time::sleep(FAILURE_PAUSE).await;
     }
 }
 
-/// What came of one turn.
+/// Events of one pass of the loop.
 #[derive(Default)]
-struct News(Vec<ProbeResult>);
+struct PendingResults(Vec<ProbeResult>);
 
-impl News {
+impl PendingResults {
     fn push(&mut self, result: ProbeResult) {
         self.0.push(result);
     }

@@ -1,17 +1,18 @@
-//! When probes are due.
+//! Times at which probes are due.
 
 use peernet_clock::{MonoTime, Span};
 
-/// Intervals vary by so much to either side, so that probes do not fall into step with anything periodic.
+/// Relative variation of intervals in both directions, so that probes do not synchronize with anything periodic.
 const JITTER: f64 = 0.2;
 
-/// Most probes per second.
+/// Largest number of probes per second.
 const MAX_HZ: f64 = 1000.0;
 
-/// The first probe comes within this, at a random moment.
-const FIRST_WITHIN: Span = Span::from_millis(100);
+/// The first probe is sent at a random time within this span.
+const FIRST_PROBE_WINDOW: Span = Span::from_millis(100);
 
-/// Even in the mean, jittered, and never in bursts: what was missed stays missed.
+/// A schedule of jittered intervals with a constant mean. Missed probes are not made up for, so that there are no
+/// bursts.
 #[derive(Debug)]
 pub(crate) struct Schedule {
     interval: Option<Span>,
@@ -25,16 +26,16 @@ impl Schedule {
         schedule
     }
 
-    /// From now on at another rate. A rate that is no positive number pauses.
+    /// Changes the rate from now on. A rate that is not a positive number pauses the schedule.
     pub(crate) fn change(&mut self, rate_hz: f64, now: MonoTime) {
         let before = self.interval;
         self.interval = (rate_hz > 0.0).then(|| Span::from_seconds_f64(1.0 / rate_hz.min(MAX_HZ)));
         let Some(interval) = self.interval else { return };
-        let first = now + scaled(interval.min(FIRST_WITHIN), rand::random());
+        let first = now + scaled(interval.min(FIRST_PROBE_WINDOW), rand::random());
         self.due = match before {
             None => first,
-            // Not later than the new rate asks, not sooner than the old one was going to, if that is soon.
-            Some(_) => self.due.min(now + jittered(interval)),
+            // At most one new interval away. An earlier time of the old rate is kept.
+            Some(_) => self.due.min(now + with_jitter(interval)),
         };
     }
 
@@ -46,17 +47,18 @@ impl Schedule {
         self.due().is_some_and(|due| due <= now)
     }
 
-    /// A probe is sent now; sets the next.
+    /// Notes that a probe is sent now, and sets the time of the next one.
     pub(crate) fn advance(&mut self, now: MonoTime) {
         if let Some(interval) = self.interval {
-            let interval = jittered(interval);
+            let interval = with_jitter(interval);
             let next = self.due + interval;
+            // Probes that were missed meanwhile are skipped.
             self.due = if next > now { next } else { now + interval };
         }
     }
 }
 
-fn jittered(interval: Span) -> Span {
+fn with_jitter(interval: Span) -> Span {
     scaled(interval, rand::random_range(1.0 - JITTER..=1.0 + JITTER))
 }
 
@@ -80,7 +82,7 @@ mod tests {
         let mut last = first;
         let mut seen = Vec::new();
         for _ in 0..2000 {
-            // A moment late each time, as timers are.
+            // Slightly late each time, as timers are.
             schedule.advance(last + Span::from_millis(1));
             let due = schedule.due().expect("not paused");
             seen.push((due - last).seconds());
@@ -93,14 +95,14 @@ mod tests {
     }
 
     #[test]
-    fn what_was_missed_stays_missed() {
+    fn missed_probes_are_skipped() {
         let mut schedule = Schedule::new(10.0, at(0));
         schedule.advance(at(5000));
         assert!(schedule.due().is_some_and(|due| due >= at(5080) && due <= at(5120)), "{schedule:?}");
     }
 
     #[test]
-    fn a_new_rate_holds_at_once_and_zero_pauses() {
+    fn new_rate_applies_at_once_and_zero_pauses() {
         let mut schedule = Schedule::new(0.01, at(0));
         schedule.advance(at(100));
         assert!(schedule.due().is_some_and(|due| due > at(70_000)));

@@ -1,4 +1,4 @@
-//! The UDP socket of both roles, with the kernel's stamps of its packets where there are any.
+//! The UDP socket of both roles, with the kernel's packet stamps if available.
 
 use std::fmt;
 use std::future::{pending, poll_fn};
@@ -13,35 +13,35 @@ use timestamped_socket::socket::{
     GeneralTimestampMode, Open, SendTimestampToken, Socket, Timestamp, TimestampData, open_ip,
 };
 
-use crate::stamp::uncertainty::AGREEMENT;
+use crate::stamp::uncertainty::ORDER_TOLERANCE;
 
-/// Longest wait for a packet to oneself.
+/// Longest wait for a packet to this machine itself.
 const LOOPBACK_PATIENCE: Duration = Duration::from_millis(200);
 
-/// Packets to oneself during which the clock may be set before it is given up to ask.
+/// Number of packets to this machine itself that may fail because the clock was set meanwhile.
 const LOOPBACK_TRIES: u32 = 3;
 
-/// Where the stamps of packets are made.
+/// Source of the packet stamps.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Stamps {
-    /// By the kernel as the packet passes, where it can; otherwise as [`Program`](Self::Program).
+    /// The kernel stamps packets as they pass, if it can; otherwise as [`Program`](Self::Program).
     #[default]
     Kernel,
-    /// By this program around its system calls: for a false clock that the kernel knows nothing of.
+    /// The program stamps packets around its system calls. Needed for a false clock that the kernel does not know.
     Program,
 }
 
-/// Names a packet that was sent, until the kernel's stamp of its departure comes.
+/// Identifies a packet that was sent, until the kernel's stamp of its departure comes.
 pub(crate) type Token = SendTimestampToken;
 
-/// A packet was received.
+/// A packet that was received.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Received {
     pub(crate) bytes: usize,
     pub(crate) source: SocketAddr,
-    /// Our address that it was sent to.
+    /// Address of this machine to which it was sent.
     pub(crate) local: SocketAddr,
-    /// When it arrived, by the kernel and as our clock would have shown it.
+    /// Kernel's stamp of the arrival, converted to the program's clock.
     pub(crate) kernel: Option<WallTime>,
 }
 
@@ -49,7 +49,7 @@ pub(crate) struct ProbeSocket {
     inner: Socket<SocketAddr, Open>,
     mode: GeneralTimestampMode,
     clock: SharedClock,
-    /// The kernel's stamps are of another clock than the program's: they are dropped.
+    /// `true` if the kernel's stamps are of another clock than the program's and are therefore dropped.
     distrusted: bool,
 }
 
@@ -60,8 +60,8 @@ impl fmt::Debug for ProbeSocket {
 }
 
 impl ProbeSocket {
-    /// Bound to `address`, with the best stamps of those wanted that the kernel grants; those of departures cost a
-    /// system call each.
+    /// Binds a socket to `address`, with the best of the wanted stamps that the kernel supports. Each departure stamp
+    /// costs a system call.
     pub(crate) fn bind(
         address: SocketAddr,
         stamps: Stamps,
@@ -78,19 +78,25 @@ impl ProbeSocket {
         for &mode in modes {
             match open_ip(address, mode, false) {
                 Ok(inner) => return Ok(Self { inner, mode, clock, distrusted: false }),
-                // No such option, or not all of it: as in some sandboxes and old kernels.
-                Err(error) if is_no_option(&error) => {
+                // The kernel does not support the option, as some sandboxes and old kernels do not.
+                Err(error) if is_unsupported_option(&error) => {
                     tracing::debug!(%address, ?mode, %error, "the kernel does not stamp packets in this way");
                 }
                 Err(error) => return Err(error),
             }
         }
+        // A socket without kernel stamps is used if the kernel supports none of the wanted modes.
         let mode = GeneralTimestampMode::None;
         Ok(Self { inner: open_ip(address, mode, false)?, mode, clock, distrusted: false })
     }
 
-    /// For sending to `target`: of its family, on any address and port, so that it follows changes of the route.
-    pub(crate) fn towards(target: SocketAddr, stamps: Stamps, clock: SharedClock) -> io::Result<Self> {
+    /// Opens a socket for sending to `target`. It is bound to any address and port of the same family, so that it
+    /// follows changes of the route.
+    pub(crate) fn open_for_target(
+        target: SocketAddr,
+        stamps: Stamps,
+        clock: SharedClock,
+    ) -> io::Result<Self> {
         let any = match target {
             SocketAddr::V4(_) => SocketAddr::from((Ipv4Addr::UNSPECIFIED, 0)),
             SocketAddr::V6(_) => SocketAddr::from((Ipv6Addr::UNSPECIFIED, 0)),
@@ -111,13 +117,14 @@ impl ProbeSocket {
         }
     }
 
-    /// Whether the kernel stamps departures.
+    /// Returns whether the kernel stamps departures.
     pub(crate) fn stamps_departures(&self) -> bool {
         self.mode == GeneralTimestampMode::SoftwareAll
     }
 
-    /// Finds out by a packet to this machine itself whether the kernel stamps by the clock that the program reads:
-    /// `libfaketime`, say, shows its time to the program alone. If not, only the program's stamps count from now on.
+    /// Checks, with a packet to this machine itself, that the kernel stamps by the clock that the program reads.
+    /// `libfaketime`, for example, shows a false time to the program alone. If the clocks differ, only the program's
+    /// stamps are used from now on.
     pub(crate) async fn check(&mut self) {
         if self.mode == GeneralTimestampMode::None || self.distrusted {
             return;
@@ -126,7 +133,7 @@ impl ProbeSocket {
             let asked = tokio::time::timeout(LOOPBACK_PATIENCE, is_one_clock(&self.clock)).await;
             match asked.unwrap_or_else(|_| Err(io::ErrorKind::TimedOut.into())) {
                 Ok(Some(true)) => return,
-                Ok(Some(false)) => return self.distrust(),
+                Ok(Some(false)) => return self.disable_kernel_stamps(),
                 Ok(None) => {}
                 Err(error) => {
                     tracing::debug!(%error, "the kernel's stamps could not be compared with the clock");
@@ -136,15 +143,15 @@ impl ProbeSocket {
         }
     }
 
-    /// Whether the kernel's stamps are dropped.
+    /// Returns whether the kernel's stamps are dropped.
     pub(crate) const fn is_distrusted(&self) -> bool {
         self.distrusted
     }
 
-    /// From now on only the program's stamps count.
-    pub(crate) fn distrust(&mut self) {
-        static TOLD: Once = Once::new();
-        TOLD.call_once(|| {
+    /// Uses only the program's stamps from now on.
+    pub(crate) fn disable_kernel_stamps(&mut self) {
+        static LOGGED: Once = Once::new();
+        LOGGED.call_once(|| {
             tracing::warn!(
                 "the kernel stamps packets by another clock than this program reads, as under libfaketime: its stamps \
                  are not used; say so with timestamps = \"user\" in [clock]"
@@ -153,18 +160,19 @@ impl ProbeSocket {
         self.distrusted = true;
     }
 
-    /// The next packet. May be dropped while it waits.
+    /// Waits for the next packet. Cancel safe.
     pub(crate) async fn receive(&self, buffer: &mut [u8]) -> io::Result<Received> {
         let received = self.inner.recv(buffer).await?;
         Ok(Received {
             bytes: received.bytes_read,
             source: received.remote_addr,
             local: received.local_addr,
-            kernel: self.adopted(received.timestamp_data),
+            kernel: self.accepted_stamp(received.timestamp_data),
         })
     }
 
-    /// Sends within `patience`, which is zero for now or never: a stamp in a packet must not grow old.
+    /// Sends a packet within `patience`. With a patience of zero, sends at once or fails. The time is limited because
+    /// the stamp in the packet becomes old.
     pub(crate) async fn send(
         &self,
         packet: &[u8],
@@ -190,28 +198,28 @@ impl ProbeSocket {
             .unwrap_or_else(|_| Err(io::ErrorKind::WouldBlock.into()))
     }
 
-    /// The kernel's next stamp of a departure; waits for ever where it makes none. May be dropped while it waits.
+    /// Waits for the kernel's next stamp of a departure; forever if it makes none. Cancel safe.
     pub(crate) async fn departure(&self) -> io::Result<(Token, Option<WallTime>)> {
         if !self.stamps_departures() {
             return pending().await;
         }
         let (token, stamps) = self.inner.get_send_timestamp().await?;
-        Ok((token, self.adopted(stamps)))
+        Ok((token, self.accepted_stamp(stamps)))
     }
 
-    fn adopted(&self, stamps: TimestampData) -> Option<WallTime> {
-        if self.distrusted { None } else { adopted(&self.clock, stamps) }
+    fn accepted_stamp(&self, stamps: TimestampData) -> Option<WallTime> {
+        if self.distrusted { None } else { accepted_stamp(&self.clock, stamps) }
     }
 }
 
-fn adopted(clock: &SharedClock, stamps: TimestampData) -> Option<WallTime> {
+fn accepted_stamp(clock: &SharedClock, stamps: TimestampData) -> Option<WallTime> {
     let Timestamp { seconds, nanos } = stamps.selected_timestamp()?;
     let system = seconds.saturating_mul(1_000_000_000).saturating_add(i64::from(nanos));
     Some(clock.adopt(WallTime::from_unix_nanos(system)))
 }
 
-/// Whether the kernel's stamp of a packet lies between two looks at the clock, one before it was sent and one after it
-/// was received. `None` if the clock was set meanwhile, or there is no stamp.
+/// Returns whether the kernel's stamp of a packet lies between two readings of the clock, one before it was sent and
+/// one after it was received. `None` if the clock was set in between, or there is no stamp.
 async fn is_one_clock(clock: &SharedClock) -> io::Result<Option<bool>> {
     let any = SocketAddr::from((Ipv4Addr::LOCALHOST, 0));
     let socket = open_ip(any, GeneralTimestampMode::SoftwareRecv, false)?;
@@ -221,12 +229,14 @@ async fn is_one_clock(clock: &SharedClock) -> io::Result<Option<bool>> {
     poll_fn(|cx| socket.poll_send_to(&[0], own, cx)).await?;
     let received = socket.recv(&mut [0; 1]).await?;
     let after = clock.wall();
-    let stamp = adopted(clock, received.timestamp_data);
+    let stamp = accepted_stamp(clock, received.timestamp_data);
     let steady = clock.wall_epoch() == epoch;
-    Ok(stamp.filter(|_| steady).map(|stamp| before - AGREEMENT <= stamp && stamp <= after + AGREEMENT))
+    Ok(stamp
+        .filter(|_| steady)
+        .map(|stamp| before - ORDER_TOLERANCE <= stamp && stamp <= after + ORDER_TOLERANCE))
 }
 
-fn is_no_option(error: &io::Error) -> bool {
+fn is_unsupported_option(error: &io::Error) -> bool {
     const ENOPROTOOPT: i32 = 92;
     const EOPNOTSUPP: i32 = 95;
     error.kind() == io::ErrorKind::InvalidInput

@@ -22,7 +22,7 @@ use bytes::Bytes;
 use peernet_clock::{Clock, ClockIdentity, SystemClock};
 use peernet_ros::messages::{CompressedImage, Header, Message, StringMessage, Time, WireForm};
 use peernet_ros::ros1::{
-    Environment, Node, Published, PublisherOptions, PublisherState, SubscriberOptions, TopicType,
+    Environment, Node, PublishOutcome, PublisherOptions, PublisherState, SubscriberOptions, TopicType,
 };
 
 fn picture(number: usize, length: usize) -> CompressedImage {
@@ -42,9 +42,9 @@ fn print(line: &str) {
 
 async fn input_ends() {
     let (ended, end) = tokio::sync::oneshot::channel();
-    // A thread of its own, which does not keep the process alive.
+    // A thread outside the runtime, which does not keep the process alive.
     std::thread::spawn(move || {
-        // An error is an end, too.
+        // An error counts as the end as well.
         let _ = std::io::stdin().read_to_end(&mut Vec::new());
         ended.send(())
     });
@@ -57,11 +57,11 @@ async fn publish(node: &Node, topic: &str, count: usize, length: usize) -> anyho
     print("ready");
     publisher.wait_for_subscribers(1).await?;
     for number in 0..count {
-        let Published { dropped, .. } =
+        let PublishOutcome { dropped, .. } =
             publisher.publish_waiting(picture(number, length).encode(WireForm::Ros1)?).await?;
         anyhow::ensure!(dropped == 0, "message {number} was dropped");
     }
-    // What is taken by the kernel is counted as sent; the subscriber says when it has it.
+    // A message counts as sent when the kernel has accepted it; the subscriber reports its arrival.
     input_ends().await;
     let counts = publisher.counts();
     print(&format!(
@@ -156,7 +156,8 @@ async fn ping(node: &Node, out: &str, back: &str, count: usize, length: usize) -
     publisher.wait_for_subscribers(1).await?;
     subscriber.wait_for_publishers(1).await?;
     let image = picture(0, length);
-    // A rospy node may count as connected before it sends: repeated until an answer comes, and until the last one has come.
+    // A rospy node may count as connected before it sends. The message is repeated until an answer arrives, and until
+    // the last answer has arrived.
     let pause = std::time::Duration::from_millis(300);
     let mut has_answer = false;
     loop {

@@ -1,7 +1,7 @@
-//! Publishes, receives or echoes patterned messages: our end of the tests with foreign ROS 2 peers.
+//! Publishes, receives or echoes patterned messages: our end of the tests with ROS 2 peers of other projects.
 //!
-//! `ros2_peer publish|receive TOPIC string|image COUNT BYTES`, `ros2_peer echo TOPIC string|image COUNT`.
-//! Domain and interface come from `ROS_DOMAIN_ID` and `ROS_LOCALHOST_ONLY`.
+//! `ros2_peer publish|receive TOPIC string|image COUNT BYTES`, `ros2_peer echo TOPIC string|image COUNT`. Domain and
+//! interface come from `ROS_DOMAIN_ID` and `ROS_LOCALHOST_ONLY`.
 
 #![expect(clippy::print_stdout, clippy::print_stderr, reason = "a program for tests says what it saw")]
 
@@ -14,7 +14,7 @@ use peernet_ros::ros2::{QosProfile, Ros2Node, Ros2Settings};
 
 type Outcome = Result<(), Box<dyn Error + Send + Sync>>;
 
-/// How long nobody may come, or nothing arrive.
+/// Longest wait for a peer or a message.
 const PATIENCE: Duration = Duration::from_secs(20);
 
 #[derive(Clone, Copy)]
@@ -89,7 +89,8 @@ fn clock() -> Result<SystemClock, Box<dyn Error + Send + Sync>> {
     Ok(SystemClock::new(ClockIdentity::of_this_machine("system")?))
 }
 
-/// Keeps more messages than are sent: of the usual ten, one that gets lost on the way may be gone before it is sent again.
+/// Returns a profile that keeps more messages than are sent. With the usual depth of ten, a lost message may be gone
+/// before it is repaired.
 fn all_kept() -> QosProfile {
     QosProfile { depth: 100, ..QosProfile::default() }
 }
@@ -98,7 +99,8 @@ async fn publish(node: &Ros2Node, plan: &Plan) -> Outcome {
     let clock = clock()?;
     let publisher = node.publisher(&plan.topic, plan.kind.type_name(), &all_kept())?;
     publisher.await_peer(PATIENCE).await?;
-    // The subscription may not know us yet although we know it, and DDS does not tell; it would get nothing from before.
+    // The subscription may not have found us although we have found it, and DDS does not report this; earlier messages
+    // would be lost.
     tokio::time::sleep(Duration::from_secs(1)).await;
     for number in 0..plan.count {
         publisher.publish(plan.kind.message(plan.size, number), clock.wall()).await?;
@@ -116,7 +118,7 @@ async fn receive(node: &Ros2Node, plan: &Plan) -> Outcome {
         let received = received.map_err(|_| format!("only {} of {} came", payloads.len(), plan.count))??;
         payloads.push(received.payload);
     }
-    // Compared afterwards: what is not read before its publisher leaves is lost.
+    // Compared afterwards, because messages that are not read before the publisher leaves are lost.
     for (number, payload) in payloads.iter().enumerate() {
         let expected = plan.kind.message(plan.size, number);
         if !payload.starts_with(&expected) || payload.len() >= expected.len() + 4 {
@@ -132,7 +134,7 @@ async fn receive(node: &Ros2Node, plan: &Plan) -> Outcome {
     if counts.lost == 0 { Ok(()) } else { Err("messages were lost".into()) }
 }
 
-/// Sends every message of `TOPIC/ping` back on `TOPIC/pong`.
+/// Echoes every message of `TOPIC/ping` on `TOPIC/pong`.
 async fn echo(node: &Ros2Node, plan: &Plan) -> Outcome {
     let clock = clock()?;
     let (ping, pong) = (format!("{}/ping", plan.topic), format!("{}/pong", plan.topic));

@@ -1,4 +1,4 @@
-//! Any bytes at the parsers of what arrives from ROS networks: what the fuzz targets in `fuzz/` and a test run.
+//! Arbitrary bytes for the parsers of data from ROS networks, for the fuzz targets in `fuzz/` and for a test.
 
 use bytes::{BufMut, Bytes};
 
@@ -10,13 +10,13 @@ use crate::ros1::TopicType;
 use crate::ros1::tcpros::{ConnectionHeader, FrameBuffer, Publication, Subscription};
 use crate::ros1::xmlrpc::{parse_call, parse_response, write_call, write_response};
 
-/// Longest frame that [`any_connection`] allows.
+/// Longest frame that [`any_connection`] allows. Bytes.
 const MAX_FRAME_BYTES: usize = 64 * 1024;
 
-/// The bytes are a call and a response of XML-RPC.
+/// Parses the bytes as a call and as a response of XML-RPC.
 ///
 /// # Panics
-/// When what was read cannot be written and read again.
+/// If a call or response that was read cannot be written and read again.
 pub fn any_xml_rpc(data: &[u8]) {
     if let Ok(call) = parse_call(data) {
         parse_call(write_call(&call).as_bytes()).expect("what was read is written so that it can be read");
@@ -26,11 +26,11 @@ pub fn any_xml_rpc(data: &[u8]) {
     }
 }
 
-/// The first byte says how many bytes arrive at a time, the others arrive on a connection of TCPROS. Each frame is taken for
-/// a subscriber's header and for a publisher's.
+/// Feeds the bytes to a TCPROS connection. The first byte is the number of bytes that arrive at a time. Each frame is
+/// parsed as a subscriber's header and as a publisher's.
 ///
 /// # Panics
-/// When more room is reserved than the bytes that arrived justify, or a header that was read cannot be sent.
+/// If more memory is reserved than the bytes that arrived justify, or a header that was read cannot be sent.
 pub fn any_connection(data: &[u8]) {
     let Some((&step, data)) = data.split_first() else { return };
     let publication = Publication {
@@ -67,22 +67,22 @@ pub fn any_connection(data: &[u8]) {
             };
             ConnectionHeader::decode(&ConnectionHeader::error(&error).encode()[4..])
                 .expect("an error is a header");
-            // Accepted or not: only a crash is a failure.
+            // Accepting and refusing are both right; only a crash is a failure.
             let _ = subscription.accept(&header);
         }
     }
 }
 
-/// The bytes are a message of each type in both wire forms.
+/// Parses the bytes as a message of each type in both wire forms.
 ///
 /// # Panics
-/// When a message that was read has more bytes than arrived, once written.
+/// If a message that was read is longer than the bytes that arrived once it is written.
 pub fn any_message(data: &[u8]) {
     fn read<M: Message>(form: WireForm, data: &Bytes) {
         let Ok(message) = M::decode(form, data.clone()) else { return };
-        // CDR may have texts with a NUL inside, which are not written.
+        // CDR may contain texts with a NUL inside, which are not written.
         if let Ok(encoded) = message.encode(form) {
-            // CDR allows an empty text without its NUL, and each may take three bytes of padding.
+            // CDR allows an empty text without its NUL, and each text may take three bytes of padding.
             assert!(form == WireForm::Cdr || encoded.len() == data.len());
         }
     }
@@ -120,7 +120,7 @@ mod tests {
     }
 
     #[test]
-    fn corpora_are_survived() {
+    fn corpora_are_read_without_panic() {
         for (name, run) in TARGETS {
             let corpus = corpus(name);
             assert!(!corpus.is_empty(), "{name}");
@@ -136,12 +136,12 @@ mod tests {
 
     proptest! {
         #[test]
-        fn any_bytes_are_survived(data in proptest::collection::vec(any::<u8>(), 0..400)) {
+        fn any_bytes_are_read_without_panic(data in proptest::collection::vec(any::<u8>(), 0..400)) {
             TARGETS.into_iter().for_each(|(_, run)| run(&data));
         }
 
         #[test]
-        fn damaged_corpora_are_survived(
+        fn damaged_corpora_are_read_without_panic(
             (run, mut data) in inputs(),
             changes in proptest::collection::vec((any::<prop::sample::Index>(), any::<u8>(), 0..4_u8), 1..8),
         ) {

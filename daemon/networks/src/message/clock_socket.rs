@@ -1,4 +1,4 @@
-//! The name of the socket at which an edge lets a cloud prove that both read one clock.
+//! The name of the socket through which a cloud proves to an edge that both read the same clock.
 
 use std::fmt;
 use std::str::FromStr;
@@ -7,11 +7,11 @@ use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
 /// Name of an abstract Unix socket: `peernet-clock-` and 32 hexadecimal digits.
 ///
-/// There is no other form of it, so that a cloud that connects to such a name connects to no socket of another program.
+/// Other names are not accepted, so that a peer cannot make the cloud connect to a socket of another program.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub struct ClockSocketName([u8; Self::BYTES]);
 
-/// A text that is no such name.
+/// Error: the text is not the name of a clock socket.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("not the name of a clock socket: {PREFIX} and 32 hexadecimal digits in lower case")]
 pub struct NoClockSocketName;
@@ -19,10 +19,10 @@ pub struct NoClockSocketName;
 const PREFIX: &str = "peernet-clock-";
 
 impl ClockSocketName {
-    /// Bytes that make the digits.
+    /// Length of the random part. Bytes.
     pub const BYTES: usize = 16;
 
-    /// The name with these bytes as digits, which are random.
+    /// Returns the name with these random bytes as its digits.
     #[must_use]
     pub const fn new(bytes: [u8; Self::BYTES]) -> Self {
         Self(bytes)
@@ -35,7 +35,7 @@ impl fmt::Display for ClockSocketName {
     }
 }
 
-/// Without its digits: who knows them can connect.
+/// Hides the digits: whoever has them can connect to the socket.
 impl fmt::Debug for ClockSocketName {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str("ClockSocketName(hidden)")
@@ -60,7 +60,7 @@ impl Serialize for ClockSocketName {
     }
 }
 
-/// Reads a peer's name; a text of another form is none, so that nothing connects to it.
+/// Deserializes a peer's optional name. A text of another form becomes `None`, so that nothing connects to it.
 pub(super) fn well_formed<'de, D: Deserializer<'de>>(
     deserializer: D,
 ) -> Result<Option<ClockSocketName>, D::Error> {
@@ -75,7 +75,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn only_prefix_and_32_digits_make_a_name() {
+    fn name_is_prefix_and_32_digits() {
         let good = "peernet-clock-000102030405060708090a0b0c0d0e0f";
         assert_eq!(good.parse::<ClockSocketName>().map(|name| name.to_string()).as_deref(), Ok(good));
         let bad = [
@@ -99,13 +99,13 @@ mod tests {
 
     proptest! {
         #[test]
-        fn text_of_a_name_leads_back_to_it(bytes: [u8; ClockSocketName::BYTES]) {
+        fn name_parses_from_its_text(bytes: [u8; ClockSocketName::BYTES]) {
             let name = ClockSocketName::new(bytes);
             prop_assert_eq!(name.to_string().parse(), Ok(name));
         }
 
         #[test]
-        fn whatever_is_parsed_has_the_one_form(text in "(peernet-clock-)?[0-9a-fA-F/+]{28,34}") {
+        fn parsed_names_have_canonical_form(text in "(peernet-clock-)?[0-9a-fA-F/+]{28,34}") {
             if let Ok(name) = text.parse::<ClockSocketName>() {
                 prop_assert_eq!(name.to_string(), text);
             }

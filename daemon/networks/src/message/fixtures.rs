@@ -1,14 +1,17 @@
-//! The files in `tests/fixtures/wire/session`: the bytes of every header (frame 0), tree and growth (frame 1) of a session.
-//! Frames with payload are sent as they are.
+//! Tests that compare the wire form of the session protocol with the files in `tests/fixtures/wire/session`.
 //!
-//! Names of variants are on the wire, and so are the names of fields in all headers but requests and replies; in those the
-//! order of fields decides. These files notice when a rename or a moved field changes the bytes, which neither the compiler
-//! nor a test that encodes and decodes notices.
+//! A file holds the bytes of a header (frame 0), or of a tree or a tree delta (frame 1). Payload frames have no
+//! fixtures because they are sent unchanged.
 //!
-//! A file is `MESSAGE.bin` or `MESSAGE.DETAIL.bin`. A new message or variant gets a value in [`headers`] with a `DETAIL` of its
-//! own; `write_missing_fixtures` writes its file and never changes one that is there. A file is deleted only together with
-//! a new oldest version in [`SESSION_VERSIONS`](super::SESSION_VERSIONS), because peers of the old version still send those
-//! bytes; those of `open` and `refused` never, because these are the same in all versions.
+//! The names of variants are on the wire. So are the names of fields in all headers except requests and replies, whose
+//! fields are identified by their order. The files detect a rename or a moved field that changes the bytes. Neither the
+//! compiler nor a test that encodes and decodes detects it.
+//!
+//! A file is called `MESSAGE.bin` or `MESSAGE.DETAIL.bin`. A new message or variant gets a value in [`headers`] with a
+//! new `DETAIL`; `write_missing_fixtures` writes its file and never changes an existing one. A file is deleted only
+//! when [`SESSION_VERSIONS`](super::SESSION_VERSIONS) gets a new oldest version, because peers of the old version still
+//! send those bytes. The files of `open` and `refused` are never deleted, because these messages are the same in all
+//! versions.
 
 mod accepted;
 mod headers;
@@ -24,7 +27,7 @@ use peernet_logger::{Tree, TreeDelta};
 
 use super::{Header, decode_tree, decode_tree_delta, encode_tree, encode_tree_delta};
 
-/// Files by name.
+/// Contents of fixture files by file name.
 type Files = BTreeMap<String, Bytes>;
 
 fn folder() -> PathBuf {
@@ -43,7 +46,7 @@ fn files() -> Files {
         .collect()
 }
 
-/// What a file holds.
+/// The decoded content of a fixture file.
 enum Content {
     Header(Header),
     Tree(Tree),
@@ -51,14 +54,14 @@ enum Content {
 }
 
 impl Content {
-    /// Decodes a frame. Which frame of a message it is, is known from its place in the message, and here from the file's
-    /// name.
+    /// Decodes a frame. A frame does not say which kind it is: a reader knows it from the frame's position in the
+    /// message, this function from the file's name.
     fn decode(file: &str, frame: &[u8]) -> Self {
         let content = match file.split('.').next() {
             Some(variants::TREE_NAME) => {
                 decode_tree(frame).map(Self::Tree).map_err(|error| error.to_string())
             }
-            Some(variants::GROWTH_NAME) => {
+            Some(variants::DELTA_NAME) => {
                 decode_tree_delta(frame).map(Self::TreeDelta).map_err(|error| error.to_string())
             }
             _ => Header::decode(frame).map(Self::Header).map_err(|error| error.to_string()),
@@ -76,17 +79,17 @@ impl Content {
         }
     }
 
-    /// Returns the part of the file's name that stands before the first dot.
+    /// Returns the message that the content belongs to: the part of the file name before the first dot.
     fn name(&self) -> &'static str {
         match self {
             Self::Header(header) => variants::header_name(header),
             Self::Tree(_) => variants::TREE_NAME,
-            Self::TreeDelta(_) => variants::GROWTH_NAME,
+            Self::TreeDelta(_) => variants::DELTA_NAME,
         }
     }
 }
 
-/// The frames of all values by the names of their files.
+/// Returns the encoded frames of all values by file name.
 fn values() -> Files {
     let headers = headers::headers().into_iter().map(|(detail, header)| (detail, Content::Header(header)));
     let mut files = Files::new();
@@ -119,7 +122,7 @@ fn decoded_fixture_is_encoded_to_same_bytes() {
     }
 }
 
-/// Notices two fields of one type that changed places: those are encoded to the bytes that were decoded all the same.
+/// Detects two fields of one type that changed places: decoding and encoding again would give the same bytes.
 #[test]
 fn value_is_encoded_as_in_its_fixture() {
     let files = files();

@@ -1,8 +1,9 @@
-//! Frame 0: what a message is, in MessagePack.
+//! Frame 0 of a message: the header, in MessagePack.
 //!
-//! Requests and replies are written as arrays, small and fast, in the form of the session's version. The messages that open
-//! and close a session are written as maps: a reader ignores names that it does not know. What opens a session or refuses it
-//! is sent before a version is chosen, so that a later version may add names to it and changes nothing else.
+//! Requests and replies are written as arrays, which are small and fast, in the form of the session's version. The
+//! messages that open and close a session are written as maps, and readers ignore names that they do not know. A
+//! message that opens or refuses a session is sent before a version is chosen. Its form therefore never changes; a
+//! later version may only add names to it.
 
 use bytes::Bytes;
 use peernet_clock::{RawTime, Span, WallTime};
@@ -12,19 +13,19 @@ use serde::{Deserialize, Serialize};
 
 use super::{PeerClock, SESSION_VERSIONS, SessionAccepted, SessionHello, SessionId, words};
 
-/// Largest header, both ways. Bytes.
+/// Largest header in both directions. Bytes.
 pub(crate) const MAX_HEADER_BYTES: usize = 64 * 1024;
 
-/// Most payload parts of a sample.
+/// Largest number of payload parts of a sample.
 pub(crate) const MAX_PARTS: usize = 64;
 
-/// Most frames of a message.
+/// Largest number of frames of a message: header, tree and payload parts.
 pub(crate) const MAX_FRAMES: usize = 2 + MAX_PARTS;
 
-/// Deepest nesting of a header.
+/// Largest nesting depth of a header.
 const MAX_DEPTH: usize = 32;
 
-/// A header that cannot be sent or cannot be read.
+/// Error: a header cannot be sent or cannot be read.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub(crate) enum HeaderError {
     #[error("the header would take {0} bytes, more than {MAX_HEADER_BYTES}: shorten source, label or shapes")]
@@ -45,52 +46,52 @@ pub(crate) enum HeaderError {
     PartCount { described: usize, sent: usize },
 }
 
-/// Every kind of message.
+/// The header of a message; each variant is one kind of message.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub(crate) enum Header {
-    /// Edge: let us begin.
+    /// The edge asks for a session.
     Open(Box<Open>),
-    /// Cloud: the session exists.
+    /// The cloud accepts the session.
     Accepted(Box<Accepted>),
-    /// Cloud: it does not, and why.
+    /// The cloud refuses the session, with the reason.
     Refused(Refused),
-    /// Edge: compute on this. Followed by the tree and the payload.
+    /// The edge sends a sample. The tree and the payload follow.
     Request(Request),
-    /// Cloud: the answer. Followed by the tree's growth and the payload.
+    /// The cloud answers a request. The tree delta and the payload follow.
     Reply(Reply),
-    /// Cloud: this is known of my wall clock from now on.
-    Clock(Box<ClockNews>),
-    /// Cloud: this was sent and received at my end of the session's connection so far.
-    Statistics(Box<CountedAtCloud>),
-    /// Cloud: there is no such session here (any more).
+    /// The cloud reports the state of its clocks.
+    Clock(Box<ClockUpdate>),
+    /// The cloud reports what it has sent and received on the session's connection so far.
+    Statistics(Box<StatisticsReport>),
+    /// The cloud does not know the session, or does not know it any more.
     UnknownSession(UnknownSession),
-    /// Either: the session is over.
+    /// Either end closes the session.
     Goodbye(Goodbye),
 }
 
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub(crate) struct Open {
     pub(crate) hello: SessionHello,
-    /// Largest message the edge takes. Bytes.
+    /// Largest message that the edge accepts. Bytes.
     pub(crate) max_message_bytes: u64,
 }
 
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub(crate) struct Accepted {
-    /// The version that the cloud chose for the session.
+    /// Version that the cloud chose for the session.
     pub(crate) protocol: u16,
     pub(crate) session: SessionId,
     pub(crate) accepted: SessionAccepted,
-    /// Largest message the cloud takes. Bytes.
+    /// Largest message that the cloud accepts. Bytes.
     pub(crate) max_message_bytes: u64,
-    /// Requests that the cloud takes at once.
+    /// Largest number of requests in flight that the cloud accepts.
     pub(crate) max_in_flight: u32,
 }
 
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub(crate) struct Refused {
-    /// The versions that the cloud speaks.
+    /// Versions that the cloud speaks.
     #[serde(flatten)]
     pub(crate) versions: VersionRange,
     pub(crate) kind: RefusalKind,
@@ -101,30 +102,31 @@ pub(crate) struct Refused {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub(crate) enum RefusalKind {
-    /// The cloud does not serve what was asked for.
+    /// The cloud does not serve the requested model or device, or has no room.
     Refused,
     /// The cloud speaks no version of the protocol that the edge speaks.
     Incompatible,
 }
 
-/// When a message was handed to the network, stamped as late as possible: after its tree was encoded, so that
-/// `upload` and `download` are not lengthened by it. The receiver puts the transit into the tree.
+/// Departure of a message, stamped as late as possible: after its tree was encoded, so that `upload` and `download`
+/// contain the network and not the encoding. The receiver adds the transit to the tree.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub(crate) struct Departure {
-    /// What the sender's wall clock showed.
+    /// Sender's wall clock at the departure.
     pub(crate) sent: WallTime,
-    /// The same moment on its monotonic clock, from its anchor in the tree. The cloud's anchor is the arrival of
-    /// the request, so that in a reply this is how long the request was there.
+    /// The same moment on the sender's monotonic clock, relative to its anchor in the tree. The cloud's anchor is the
+    /// arrival of the request. In a reply the value is therefore the time from the arrival of the request to the
+    /// departure of the reply.
     pub(crate) start: Span,
-    /// The sender's epoch, read after `sent` was stamped: [`peernet_clock::Clock::epoch`], before [`RAW_STAMPS_SINCE`](super::RAW_STAMPS_SINCE)
-    /// [`peernet_clock::Clock::wall_epoch`].
+    /// Sender's epoch, read after `sent` was stamped: [`peernet_clock::Clock::epoch`], in versions before
+    /// [`RAW_STAMPS_SINCE`](super::RAW_STAMPS_SINCE) [`peernet_clock::Clock::wall_epoch`].
     pub(crate) epoch: u32,
-    /// What the sender's free-running clock showed at `sent`; since [`RAW_STAMPS_SINCE`](super::RAW_STAMPS_SINCE).
+    /// Sender's free-running clock at `sent`. Exists since [`RAW_STAMPS_SINCE`](super::RAW_STAMPS_SINCE).
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(crate) sent_raw: Option<RawTime>,
 }
 
-/// What is said about a sample besides its payload.
+/// Description of a sample without its payload.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub(crate) struct SampleHeader {
     pub(crate) parts: Vec<Description>,
@@ -144,13 +146,14 @@ pub(crate) struct Request {
 pub(crate) struct Reply {
     pub(crate) session: SessionId,
     pub(crate) request: u64,
-    /// Present when the tree's growth is: an answer that no model made carries neither.
+    /// Present if and only if the tree delta is. An answer that no model computed has neither.
     pub(crate) departure: Option<Departure>,
-    /// The cloud's epoch right before the request's arrival was stamped. Another than the departure's: its clock was
-    /// stepped in between.
+    /// Cloud's epoch right before the arrival of the request was stamped. If it differs from the epoch of the
+    /// departure, the cloud's clock was stepped in between.
     pub(crate) arrival_epoch: u32,
     pub(crate) outcome: Outcome,
-    /// What the cloud's free-running clock showed when the request had arrived; with `departure`, since [`RAW_STAMPS_SINCE`](super::RAW_STAMPS_SINCE).
+    /// Cloud's free-running clock at the arrival of the request. Present with `departure`, since
+    /// [`RAW_STAMPS_SINCE`](super::RAW_STAMPS_SINCE).
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(crate) arrived_raw: Option<RawTime>,
 }
@@ -164,14 +167,14 @@ pub(crate) enum Outcome {
 }
 
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub(crate) struct ClockNews {
+pub(crate) struct ClockUpdate {
     pub(crate) session: SessionId,
     pub(crate) clock: PeerClock,
 }
 
-/// Since [`STATISTICS_SINCE`](super::STATISTICS_SINCE).
+/// Statistics of the cloud's end of a connection. Exists since [`STATISTICS_SINCE`](super::STATISTICS_SINCE).
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub(crate) struct CountedAtCloud {
+pub(crate) struct StatisticsReport {
     pub(crate) session: SessionId,
     pub(crate) statistics: ConnectionStatistics,
 }
@@ -187,20 +190,21 @@ pub(crate) struct Goodbye {
     pub(crate) session: SessionId,
     #[serde(deserialize_with = "words")]
     pub(crate) reason: String,
-    /// Edge, once the run that the session was for is over: how many iterations it was to have. Older versions say
-    /// nothing of it and pass it over.
+    /// Number of iterations that the edge's run was to have, if the run is over. A cloud that serves a fixed number of
+    /// answers then does not wait for the missing ones. Releases without this field ignore it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(crate) ordered: Option<u64>,
 }
 
 impl Header {
-    /// The wire form.
+    /// Encodes the header.
     ///
     /// # Errors
-    /// When it would be longer than the peer accepts.
+    /// If it is longer than [`MAX_HEADER_BYTES`].
     pub(crate) fn encode(&self) -> Result<Bytes, HeaderError> {
         let mut wire = Vec::with_capacity(256);
         let written = match self {
+            // Field names would take most of the bytes of these frequent messages.
             Self::Request(_) | Self::Reply(_) => rmp_serde::encode::write(&mut wire, self),
             _ => rmp_serde::encode::write_named(&mut wire, self),
         };
@@ -208,16 +212,17 @@ impl Header {
         if wire.len() > MAX_HEADER_BYTES { Err(HeaderError::TooLong(wire.len())) } else { Ok(wire.into()) }
     }
 
-    /// Reads a wire form that anybody may have written.
+    /// Decodes a header from an untrusted peer.
     ///
     /// # Errors
-    /// When it is not exactly one header of this protocol's version.
+    /// If the bytes are not exactly one header of this version of the protocol.
     pub(crate) fn decode(wire: &[u8]) -> Result<Self, HeaderError> {
         if wire.len() > MAX_HEADER_BYTES {
             return Err(HeaderError::Oversize(wire.len()));
         }
         let mut reader = rmp_serde::Deserializer::new(wire);
         reader.set_max_depth(MAX_DEPTH);
+        // Only the versions of a later hello are certain to be readable.
         let header = Self::deserialize(&mut reader).map_err(|error| {
             mismatch(wire)
                 .map_or_else(|| HeaderError::Unreadable(error.to_string()), HeaderError::NoCommonVersion)
@@ -229,7 +234,8 @@ impl Header {
     }
 }
 
-/// Returns the versions of a hello whose remainder cannot be read, where none of them is spoken here.
+/// Returns the version mismatch of a hello that is unreadable apart from its versions. `None` if a common version
+/// exists or the versions are unreadable as well.
 fn mismatch(wire: &[u8]) -> Option<VersionMismatch> {
     #[derive(Deserialize)]
     #[serde(rename_all = "kebab-case")]
@@ -250,10 +256,10 @@ fn mismatch(wire: &[u8]) -> Option<VersionMismatch> {
 }
 
 impl SampleHeader {
-    /// What to say about a sample.
+    /// Returns the header of a sample.
     ///
     /// # Errors
-    /// When it has more parts than a message has frames.
+    /// If the sample has more than [`MAX_PARTS`] parts.
     pub(crate) fn of(sample: &Sample) -> Result<Self, HeaderError> {
         if sample.parts.len() > MAX_PARTS {
             return Err(HeaderError::TooManyParts(sample.parts.len()));
@@ -265,10 +271,10 @@ impl SampleHeader {
         })
     }
 
-    /// The sample of this description and these payload frames.
+    /// Combines this description with payload frames into a sample.
     ///
     /// # Errors
-    /// When there are more or fewer frames than descriptions.
+    /// If the numbers of frames and descriptions differ.
     pub(crate) fn into_sample(
         self,
         payload: impl ExactSizeIterator<Item = Bytes>,
@@ -298,12 +304,12 @@ mod tests {
         }
 
         #[test]
-        fn no_bytes_can_panic(wire in proptest::collection::vec(any::<u8>(), 0..200)) {
+        fn any_header_bytes_are_read_without_panic(wire in proptest::collection::vec(any::<u8>(), 0..200)) {
             let _ = Header::decode(&wire);
         }
 
         #[test]
-        fn no_damage_can_panic_and_no_part_is_a_whole(
+        fn damaged_or_truncated_header_is_refused(
             header in strategies::header(Vec::new()),
             at: prop::sample::Index,
             byte: u8,
@@ -313,7 +319,7 @@ mod tests {
             prop_assert!(Header::decode(&wire[..at]).is_err());
             let mut longer = wire.to_vec();
             longer.push(byte);
-            // A header of another version may be longer, and is then said to be of that version.
+            // A longer header may be valid in another version; the error then names that version.
             prop_assert!(Header::decode(&longer).is_err());
             let mut damaged = wire.to_vec();
             damaged[at] = byte;
@@ -322,7 +328,7 @@ mod tests {
     }
 
     #[test]
-    fn a_sample_is_put_together_only_from_all_of_its_parts() {
+    fn sample_is_assembled_from_all_its_parts_only() {
         let part = |text: &'static str| Part { description: Description::bytes(), bytes: text.into() };
         let sample = Sample { parts: vec![part("a"), part("b")], source: "s".into(), label: None };
         let header = SampleHeader::of(&sample).expect("two parts");
@@ -335,7 +341,7 @@ mod tests {
     }
 
     #[test]
-    fn limits_hold_when_writing_and_when_reading() {
+    fn limits_hold_for_writing_and_reading() {
         let many = Sample {
             parts: vec![Part { description: Description::bytes(), bytes: Bytes::new() }; MAX_PARTS + 1],
             source: String::new(),
@@ -355,7 +361,7 @@ mod tests {
     }
 
     #[test]
-    fn a_peers_words_cannot_drive_a_terminal() {
+    fn text_of_peer_contains_no_control_characters() {
         let session = SessionId::random();
         let goodbye = |reason: &str| {
             Header::Goodbye(super::super::Goodbye { session, reason: reason.to_owned(), ordered: None })
@@ -366,7 +372,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn nor_can_what_a_cloud_says_of_itself(mut accepted in strategies::accepted()) {
+        fn cloud_information_contains_no_control_characters(mut accepted in strategies::accepted()) {
             let evil = || "cpu\u{1b}[2J".to_owned();
             (accepted.version, accepted.device, accepted.facts) = (evil(), evil(), vec![(evil(), evil())]);
             let (protocol, session) = (SESSION_VERSIONS.newest(), SessionId::random());

@@ -1,4 +1,4 @@
-//! What two peers tell each other when a session opens.
+//! Hello and acceptance: the data that edge and cloud exchange when a session opens.
 
 use std::fmt;
 
@@ -14,33 +14,45 @@ use super::probe_key::ProbeKey;
 use super::{printable, words};
 
 /// Versions of the session protocol that this release speaks, as an edge and as a cloud.
+///
+/// A release that changes messages raises the newest version and keeps writing the older forms to peers that chose an
+/// older version. A release that drops the oldest version names the first release that speaks the next one.
+///
+/// | release | versions |
+/// | --- | --- |
+/// | 0.1.0 | 4 |
+/// | 0.2.0 | 4, states ranges |
+/// | 0.3.0 | 4 and 5 |
+///
+/// Version 5 adds stamps of the free-running clocks to departures, replies and clock states, and reports of the cloud's
+/// statistics. Epochs are those of the free-running clock in version 5 and those of the wall clock in version 4.
 pub const SESSION_VERSIONS: VersionRange = VersionRange::new(4, 5, Release(0, 1, 0));
 
-/// The first version in which messages carry stamps of the free-running clocks.
+/// First version in which messages carry stamps of the free-running clocks.
 pub const RAW_STAMPS_SINCE: u16 = 5;
 
-/// The version of the protocol from which on clouds tell what they counted on a session's connection.
+/// First version in which clouds report the statistics of their end of a session's connection.
 pub(crate) const STATISTICS_SINCE: u16 = 5;
 
-/// Most findings about a host that a peer may tell.
+/// Largest number of conditions of a host that a peer may send.
 pub const MAX_CONDITIONS: usize = 32;
-/// Most accelerators of a peer that are kept.
+/// Largest number of a peer's accelerators that are kept; further ones are ignored.
 const MAX_GPUS: usize = 16;
-/// Most characters of each of the peer's words about its hardware that are kept.
-const MAX_WORDS: usize = 128;
+/// Largest number of characters that are kept of each text about a peer's hardware.
+const MAX_TEXT_CHARS: usize = 128;
 
-/// A session, by the random id that the cloud gave it.
+/// Random identifier of a session, chosen by the cloud.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(transparent)]
 pub struct SessionId(Uuid);
 
 impl SessionId {
-    /// A new random id.
+    /// Returns a new random id.
     pub(crate) fn random() -> Self {
         Self(Uuid::new_v4())
     }
 
-    /// What it is made of.
+    /// Returns the 16 bytes of the id.
     #[must_use]
     pub const fn as_bytes(&self) -> &[u8; 16] {
         self.0.as_bytes()
@@ -53,94 +65,95 @@ impl fmt::Display for SessionId {
     }
 }
 
-/// Who opens a session, and for what.
+/// An edge's request to open a session: the edge's identity and the model that it needs.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct SessionHello {
-    /// The versions of the protocol that the edge speaks, [`SESSION_VERSIONS`].
+    /// Versions of the protocol that the edge speaks, [`SESSION_VERSIONS`].
     #[serde(flatten)]
     pub versions: VersionRange,
-    /// The edge's id.
+    /// Id of the edge.
     pub host: HostId,
-    /// The edge's name.
+    /// Name of the edge.
     pub name: Slug,
-    /// The clock that the edge's stamps come from.
+    /// Clock of the edge's stamps.
     pub clock: ClockIdentity,
-    /// The pipeline that samples will come from.
+    /// Pipeline whose samples will be sent.
     pub pipeline: Slug,
-    /// The model wanted; `None` is the cloud's only one.
+    /// Requested model; `None` requests the only model of the cloud.
     pub model: Option<Slug>,
-    /// The device it must run on, such as `cuda:0`; `None` leaves it to the cloud.
+    /// Requested device, such as `cuda:0`; `None` leaves the choice to the cloud.
     #[serde(default, deserialize_with = "perhaps_words")]
     pub device: Option<String>,
-    /// Where the edge lets the cloud prove that both read one clock; `None` where that cannot be, and in edges before 0.3.0. On the wire
-    /// a name of another form is none.
+    /// Socket through which the cloud can prove that both hosts read one clock. `None` if the edge has no such socket,
+    /// and in releases before 0.3.0. A name of another form is read as `None`.
     #[serde(default, skip_serializing_if = "Option::is_none", deserialize_with = "well_formed")]
     pub clock_socket: Option<ClockSocketName>,
 }
 
-/// Who serves a session, and with what.
+/// A cloud's acceptance of a session: the cloud's identity, model and state.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct SessionAccepted {
-    /// The cloud's id.
+    /// Id of the cloud.
     pub host: HostId,
-    /// The cloud's name.
+    /// Name of the cloud.
     pub name: Slug,
-    /// The clock that the cloud's stamps come from.
+    /// Clock of the cloud's stamps.
     pub clock: ClockIdentity,
-    /// The version of the program that serves, for people.
+    /// Version of the cloud's program, for people.
     #[serde(deserialize_with = "words")]
     pub version: String,
-    /// The model.
+    /// Name of the model.
     pub model: Slug,
-    /// The device it really runs on.
+    /// Device on which the model runs.
     #[serde(deserialize_with = "words")]
     pub device: String,
-    /// What the model is, in words, for the run's page.
+    /// Descriptions of the model as names and values, for the page of the run.
     #[serde(deserialize_with = "pairs")]
     pub facts: Vec<(String, String)>,
-    /// What is known of the cloud's wall clock now; [`Session::peer_clock`](crate::Session::peer_clock) tells later.
+    /// State of the cloud's clocks at the acceptance; [`Session::peer_clock`](crate::Session::peer_clock) returns later
+    /// states.
     pub host_clock: PeerClock,
-    /// UDP port of the cloud's probe reflector, if it has one.
+    /// UDP port of the cloud's probe reflector; `None` if it has none.
     pub probes: Option<u16>,
-    /// A number that the cloud's process chose at random when it began. Answers to probes carry it, and epochs of
-    /// different processes cannot be compared.
+    /// Random number that the cloud's process chose at its start. Answers to probes carry it. Epochs of different
+    /// processes cannot be compared.
     pub instance: u64,
-    /// What authenticates probes of this session and their answers, where both ends have no key of their own. `None` in clouds
-    /// before 0.3.0 and in those with a key of their own.
+    /// Key that authenticates probes of this session and their answers if neither end has a configured key. `None` in
+    /// releases before 0.3.0 and for clouds with a configured key.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub probe_key: Option<ProbeKey>,
-    /// What was found of the cloud before the session; at most [`MAX_CONDITIONS`]. On the wire a longer list makes the
-    /// whole message unreadable.
+    /// Conditions found on the cloud before the session; at most [`MAX_CONDITIONS`]. A message with more conditions
+    /// cannot be read.
     #[serde(deserialize_with = "few")]
     pub conditions: Vec<Condition>,
-    /// What the cloud is made of. Of what comes over the wire the first 128 characters of each word and 16 accelerators
-    /// are kept.
+    /// Hardware of the cloud. Of a received value the first 128 characters of each text and 16 accelerators are kept.
     #[serde(deserialize_with = "short")]
     pub hardware: Hardware,
 }
 
-/// What a host tells of its clocks: when a session opens, and whenever it changes. On the wire an interval that is none, or a drift
-/// that is no number, makes the whole message unreadable.
+/// State of a host's clocks, sent when a session opens and whenever it changes.
+///
+/// A message whose interval ends before it begins, or whose drift is not finite, cannot be read.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct PeerClock {
-    /// [`peernet_clock::Clock::wall_epoch`].
+    /// Epoch of the wall clock, [`peernet_clock::Clock::wall_epoch`].
     pub epoch: u32,
-    /// What its time daemon claims of its wall clock.
+    /// Claim of the host's time daemon about the wall clock.
     #[serde(deserialize_with = "ordered")]
     pub discipline: Option<Discipline>,
-    /// The same in words.
+    /// Description of that claim in words.
     #[serde(deserialize_with = "words")]
     pub text: String,
-    /// How it is made wrong on purpose.
+    /// Clock fault that is injected on this host, if any.
     #[serde(deserialize_with = "finite")]
     pub rehearsal: Option<ClockFaults>,
-    /// Its free-running clock; `None` in sessions of a version before [`RAW_STAMPS_SINCE`].
+    /// State of the free-running clock; `None` in versions before [`RAW_STAMPS_SINCE`].
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub raw: Option<RawClock>,
 }
 
 impl PeerClock {
-    /// Returns what a session of this version tells of it.
+    /// Returns the state in the form that a session of this version sends.
     #[must_use]
     pub fn in_version(mut self, version: u16) -> Self {
         if version < RAW_STAMPS_SINCE {
@@ -154,15 +167,15 @@ impl PeerClock {
     }
 }
 
-/// What a host tells of its free-running clock.
+/// State of a host's free-running clock.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct RawClock {
-    /// [`peernet_clock::Clock::epoch`].
+    /// Epoch of the free-running clock, [`peernet_clock::Clock::epoch`].
     pub epoch: u32,
-    /// How far the wall clock was ahead of it when the message was made, [`peernet_clock::Clock::wall_ahead`].
+    /// Difference wall clock minus free-running clock when the message was made, [`peernet_clock::Clock::wall_ahead`].
     #[serde(deserialize_with = "ordered_ends")]
     pub wall_ahead: Interval,
-    /// What the kernel reads it from, such as `tsc` or `kvm-clock`; empty where that is not known.
+    /// Clocksource of the kernel, such as `tsc` or `kvm-clock`; empty if unknown.
     #[serde(deserialize_with = "words")]
     pub clocksource: String,
 }
@@ -176,7 +189,8 @@ fn pairs<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Vec<(String, Stri
     Ok(pairs.into_iter().map(|(name, value)| (printable(&name), printable(&value))).collect())
 }
 
-/// A peer's findings, which end up on terminals and pages.
+/// Deserializes at most [`MAX_CONDITIONS`] conditions and makes their texts printable, because they are shown on
+/// terminals and pages.
 fn few<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Vec<Condition>, D::Error> {
     let conditions: Vec<Condition> = Vec::deserialize(deserializer)?;
     if conditions.len() > MAX_CONDITIONS {
@@ -192,11 +206,11 @@ fn few<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Vec<Condition>, D::
     Ok(conditions.into_iter().map(clean).collect())
 }
 
-/// What a peer says it is made of, which ends up in files and on pages.
+/// Deserializes a peer's hardware and shortens its texts, because they are stored in files and shown on pages.
 fn short<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Hardware, D::Error> {
     let Hardware { cpu, cores, memory_bytes, gpus, system, architecture } =
         Hardware::deserialize(deserializer)?;
-    let short = |text: String| printable(&text.chars().take(MAX_WORDS).collect::<String>());
+    let short = |text: String| printable(&text.chars().take(MAX_TEXT_CHARS).collect::<String>());
     Ok(Hardware {
         cpu: short(cpu),
         cores,
@@ -215,7 +229,8 @@ fn ordered_ends<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Interval, 
     Ok(interval)
 }
 
-/// A peer's claim, from which intervals are computed here: one that ends before it begins is none.
+/// Deserializes a time daemon's claim and refuses one that ends before it begins, because intervals are computed from
+/// it.
 fn ordered<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<Discipline>, D::Error> {
     let discipline: Option<Discipline> = Option::deserialize(deserializer)?;
     match discipline {

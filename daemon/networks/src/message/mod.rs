@@ -1,18 +1,22 @@
-//! What goes over the wire.
+//! Messages of the session protocol.
 //!
 //! | message | from | header (frame 0) | frame 1 | further frames |
 //! | --- | --- | --- | --- | --- |
 //! | open | edge | hello, limits | | |
-//! | accepted, refused | cloud | session id and who serves, or the reason | | |
-//! | request | edge | session, number, departure, description of the sample | tree | payload parts, untouched |
-//! | reply | cloud | session, number, departure, outcome | growth of the tree | payload parts, untouched |
-//! | clock | cloud | session, what is known of the cloud's clock | | |
-//! | statistics | cloud | session, what was counted at the cloud's end of the connection | | |
+//! | accepted, refused | cloud | session id and acceptance, or the reason | | |
+//! | request | edge | session, number, departure, description of the sample | tree | payload parts, unchanged |
+//! | reply | cloud | session, number, departure, outcome | tree delta | payload parts, unchanged |
+//! | clock | cloud | session, state of the cloud's clocks | | |
+//! | statistics | cloud | session, statistics of the cloud's end of the connection | | |
 //! | unknown-session | cloud | session, number | | |
-//! | goodbye | either | session, reason; an edge whose run is over: how many iterations that was to have | | |
+//! | goodbye | either | session, reason; from an edge whose run is over: the number of iterations that it was to have | | |
 //!
-//! The tree is encoded before the departure is stamped, and the header after: the transit node itself is not in
-//! either tree, the receiver puts it there from the header. `tests/it/wire.rs` writes the form down a second time.
+//! The tree is encoded first, then the departure is stamped, then the small header is encoded. `upload` and `download`
+//! therefore contain the network and no encoding. The transit node itself is in neither tree; the receiver adds it from
+//! the header. `tests/it/wire.rs` contains an independent description of the form.
+//!
+//! All messages come from untrusted peers. The limits are 64 parts, 64 KiB of header, the limits of the logger for
+//! trees, and the configured size of a message.
 
 mod clock_socket;
 mod header;
@@ -27,8 +31,8 @@ pub(crate) mod strategies;
 
 pub use clock_socket::{ClockSocketName, NoClockSocketName};
 pub(crate) use header::{
-    Accepted, ClockNews, CountedAtCloud, Departure, Goodbye, Header, HeaderError, MAX_FRAMES, Open, Outcome,
-    RefusalKind, Refused, Reply, Request, SampleHeader, UnknownSession,
+    Accepted, ClockUpdate, Departure, Goodbye, Header, HeaderError, MAX_FRAMES, Open, Outcome, RefusalKind,
+    Refused, Reply, Request, SampleHeader, StatisticsReport, UnknownSession,
 };
 pub(crate) use hello::STATISTICS_SINCE;
 pub use hello::{
@@ -37,13 +41,13 @@ pub use hello::{
 };
 pub use probe_key::ProbeKey;
 pub(crate) use tree::{
-    TreeFrameError, decode_tree, decode_tree_delta, encode_tree, encode_tree_delta, put_upload,
+    TreeFrameError, add_upload, decode_tree, decode_tree_delta, encode_tree, encode_tree_delta,
 };
 
 use peernet_sample::printable_line;
 use serde::{Deserialize, Deserializer};
 
-/// A peer's words, which end up on terminals and in logs: control characters become spaces.
+/// Deserializes a peer's text. Control characters become spaces, because the text is shown on terminals and in logs.
 fn words<'de, D: Deserializer<'de>>(deserializer: D) -> Result<String, D::Error> {
     String::deserialize(deserializer).map(|text| printable(&text))
 }

@@ -1,25 +1,25 @@
-//! The key of probes that a session brings.
+//! The probe key that a session brings.
 
 use std::fmt;
 
 use serde::{Deserialize, Serialize};
 
-/// A key by which a cloud and the peers that it has accepted authenticate probes. Never printed.
+/// A key with which a cloud and the peers that it has accepted authenticate probes. Its `Debug` form hides it.
 #[derive(Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(transparent)]
 pub struct ProbeKey([u8; Self::BYTES]);
 
 impl ProbeKey {
-    /// Bytes of a key.
+    /// Length of a key. Bytes.
     pub const BYTES: usize = 32;
 
-    /// The key of these bytes, which are random.
+    /// Returns the key with these random bytes.
     #[must_use]
     pub const fn new(bytes: [u8; Self::BYTES]) -> Self {
         Self(bytes)
     }
 
-    /// What it is made of.
+    /// Returns the bytes of the key.
     #[must_use]
     pub const fn as_bytes(&self) -> &[u8; Self::BYTES] {
         &self.0

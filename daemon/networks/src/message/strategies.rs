@@ -1,4 +1,4 @@
-//! Arbitrary messages, for property tests.
+//! Proptest strategies for messages.
 
 use peernet_clock::{
     ClockFaultStep, ClockFaults, ClockIdentity, DelaySource, Discipline, Interval, RawTime, Span, WallTime,
@@ -11,9 +11,9 @@ use peernet_stream::{
 use proptest::prelude::*;
 
 use super::{
-    Accepted, ClockNews, ClockSocketName, CountedAtCloud, Departure, Goodbye, Header, Open, Outcome,
-    PeerClock, ProbeKey, RawClock, RefusalKind, Refused, Reply, Request, SampleHeader, SessionAccepted,
-    SessionHello, SessionId, UnknownSession,
+    Accepted, ClockSocketName, ClockUpdate, Departure, Goodbye, Header, Open, Outcome, PeerClock, ProbeKey,
+    RawClock, RefusalKind, Refused, Reply, Request, SampleHeader, SessionAccepted, SessionHello, SessionId,
+    StatisticsReport, UnknownSession,
 };
 
 fn slug() -> impl Strategy<Value = Slug> {
@@ -172,7 +172,7 @@ fn raw() -> impl Strategy<Value = Option<RawTime>> {
     proptest::option::of(any::<i64>().prop_map(RawTime::from_nanos))
 }
 
-/// Texts that reading leaves as they are: it replaces control characters and separators of lines.
+/// Returns texts that decoding leaves unchanged: it replaces control characters and line separators.
 fn words() -> impl Strategy<Value = String> {
     "[^\\pC\\p{Zl}\\p{Zp}]{0,30}"
 }
@@ -185,7 +185,8 @@ fn outcome() -> impl Strategy<Value = Outcome> {
     ]
 }
 
-/// Any message of any of the given sessions, or of one that nobody knows; requests are numbered 0 to 15.
+/// Returns any message of one of the given sessions, or of an unknown session if none is given. Request numbers are 0
+/// to 15.
 pub(crate) fn header(sessions: Vec<SessionId>) -> impl Strategy<Value = Header> {
     let session = any::<prop::sample::Index>()
         .prop_map(move |at| if sessions.is_empty() { SessionId::random() } else { *at.get(&sessions) });
@@ -220,8 +221,8 @@ pub(crate) fn header(sessions: Vec<SessionId>) -> impl Strategy<Value = Header> 
                     1 => Just(Header::Refused(Refused { versions, kind, reason: reason.clone() })),
                     4 => Just(Header::Request(Request { session, request, departure, sample })),
                     4 => Just(Header::Reply(Reply { session, request, departure: returned, arrival_epoch, outcome, arrived_raw })),
-                    1 => Just(Header::Clock(Box::new(ClockNews { session, clock }))),
-                    1 => Just(Header::Statistics(Box::new(CountedAtCloud { session, statistics: counted }))),
+                    1 => Just(Header::Clock(Box::new(ClockUpdate { session, clock }))),
+                    1 => Just(Header::Statistics(Box::new(StatisticsReport { session, statistics: counted }))),
                     1 => Just(Header::UnknownSession(UnknownSession { session, request })),
                     1 => Just(Header::Goodbye(Goodbye { session, reason, ordered })),
                 ]

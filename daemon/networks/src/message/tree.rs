@@ -1,4 +1,5 @@
-//! Frame 1: the tree on the way up, its growth on the way down, in the logger's own wire form and its limits.
+//! Frame 1 of a message: the tree of a request or the tree delta of a reply, in the wire form and within the limits of
+//! the logger.
 
 use bytes::Bytes;
 use peernet_logger::limits::MAX_BYTES;
@@ -6,7 +7,7 @@ use peernet_logger::{Measure, NodeId, Transit, Tree, TreeDelta, stage, wire};
 
 use super::Departure;
 
-/// A tree or a tree delta that cannot be sent or cannot be read.
+/// Error: a tree or a tree delta cannot be sent or cannot be read.
 #[derive(Debug, thiserror::Error)]
 pub(crate) enum TreeFrameError {
     #[error("the tree takes {0} bytes, more than {MAX_BYTES}")]
@@ -15,9 +16,9 @@ pub(crate) enum TreeFrameError {
     Unreadable(#[from] wire::WireError),
 }
 
-/// Puts `upload` into a tree: the edge into its own and the cloud into the copy that arrived, so that the node has
-/// the same position in both without having been sent.
-pub(crate) fn put_upload(tree: &mut Tree, departure: Departure) -> NodeId {
+/// Adds `upload` to a tree and returns the new node. The edge adds it to its own tree and the cloud to the copy that
+/// arrived, so that the node has the same position in both without being sent.
+pub(crate) fn add_upload(tree: &mut Tree, departure: Departure) -> NodeId {
     let transit = Transit { sent: departure.sent, received: None, delay: None, raw_stamps: None };
     tree.add(NodeId::ROOT, stage::UPLOAD, departure.start, Measure::Transit(Box::new(transit)))
 }

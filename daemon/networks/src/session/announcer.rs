@@ -1,12 +1,12 @@
-//! Telling edges what becomes known of the cloud's wall clock, and what was counted on their connections.
+//! Sends clock states and statistics of the cloud to edges.
 
 use std::sync::Weak;
 
 use super::cloud::PortState;
 use crate::PeerClock;
 
-/// Tells the sessions of a [`Listener`](crate::Listener) what becomes known of the cloud's wall clock and of their connections. Clones tell
-/// the same sessions; they do not keep the listener open.
+/// Sends clock states and statistics to the sessions of a [`Listener`](crate::Listener). Clones belong to the same
+/// listener and do not keep it open.
 #[derive(Clone, Debug)]
 pub struct Announcer {
     shared: Weak<PortState>,
@@ -17,17 +17,18 @@ impl Announcer {
         Self { shared }
     }
 
-    /// Tells all open sessions now, and those that open later in place of the
-    /// [`host_clock`](crate::SessionAccepted::host_clock) that they are accepted with: no session misses it, however
-    /// opening and telling fall together. Never waits; an edge whose connection takes no more is left out.
+    /// Sends the state of the cloud's clocks to all open sessions. Sessions that open later get it in place of the
+    /// [`host_clock`](crate::SessionAccepted::host_clock) that they are accepted with, so that no session misses it.
+    ///
+    /// Never waits. An edge whose connection takes no more bytes does not get the message.
     pub fn announce(&self, clock: PeerClock) {
         if let Some(shared) = self.shared.upgrade() {
             shared.announce(clock);
         }
     }
 
-    /// Tells each open session what was sent and received on its connection at this end. Asks the system about each
-    /// connection, some 30 µs for one of TCP; never waits.
+    /// Sends to each open session the statistics of this end of its connection. Never waits. Asks the system about each
+    /// connection, which takes about 30 µs for TCP.
     pub fn report_statistics(&self) {
         if let Some(shared) = self.shared.upgrade() {
             shared.report_statistics();

@@ -1,11 +1,11 @@
-//! Why a port could not be listened on.
+//! Reasons why a port cannot be bound.
 
 use crate::Address;
 
-/// Why a port could not be listened on.
+/// Error: the port cannot be bound.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum BindError {
-    /// Another program listens there.
+    /// Another program listens on the port.
     #[error(
         "cannot listen on {0}: another program uses port {port}; stop it or configure another port",
         port = .0.port()
@@ -16,14 +16,14 @@ pub enum BindError {
         "cannot listen on {0}: permission denied; ports below 1024 need a privilege, configure a higher one"
     )]
     Denied(Address),
-    /// The address is another machine's.
+    /// The address belongs to another machine.
     #[error(
         "cannot listen on {0}: this machine has no such address; use {scheme}://0.0.0.0:{port} for all of its interfaces",
         scheme = .0.scheme(),
         port = .0.port()
     )]
     NotLocal(Address),
-    /// Anything else.
+    /// Another error, in the words of the system.
     #[error("cannot listen on {0}: {1}")]
     Other(Address, String),
 }

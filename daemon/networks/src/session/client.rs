@@ -1,4 +1,4 @@
-//! The edge's side of a session, without I/O.
+//! State machine of a session at the edge, without I/O.
 
 use std::collections::HashMap;
 use std::fmt;
@@ -7,16 +7,16 @@ use peernet_stream::{ConnectionStatistics, VersionMismatch, VersionRange};
 
 use crate::message::{Accepted, Header, PeerClock, RefusalKind, Refused, Reply, SESSION_VERSIONS, SessionId};
 
-/// Why a session is over.
+/// Reason for the end of a session.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum CloseReason {
-    /// It was closed on this side.
+    /// The session was closed on this side.
     Local,
-    /// The cloud said goodbye, and why.
+    /// The cloud said goodbye, with this reason.
     Goodbye(String),
     /// The cloud does not know the session: it was restarted, or it gave the session up.
     UnknownSession,
-    /// The connection broke, and how.
+    /// The connection broke, for this reason.
     Broken(String),
 }
 
@@ -33,38 +33,38 @@ impl fmt::Display for CloseReason {
 
 /// Outcome of a hello.
 #[derive(Debug)]
-pub(crate) enum Opened {
-    /// The session exists.
+pub(crate) enum HelloOutcome {
+    /// The cloud accepted the session.
     Accepted(Box<Accepted>),
-    /// The cloud does not serve what was asked for.
+    /// The cloud refused the session, for this reason.
     Refused(String),
     /// The cloud speaks none of our versions of the protocol.
     Incompatible(VersionMismatch),
-    /// Not an answer to a hello; the real one may still come.
+    /// The message is not an answer to a hello. The answer may still come.
     Nonsense,
 }
 
-/// Judges what arrives while a session opens.
-pub(crate) fn opened(header: Header) -> Opened {
+/// Classifies a message that arrives while a session opens.
+pub(crate) fn classify_answer(header: Header) -> HelloOutcome {
     match header {
         Header::Accepted(accepted) => {
             match SESSION_VERSIONS.highest_common(&VersionRange::single(accepted.protocol)) {
-                Ok(_) => Opened::Accepted(accepted),
-                Err(mismatch) => Opened::Incompatible(mismatch),
+                Ok(_) => HelloOutcome::Accepted(accepted),
+                Err(mismatch) => HelloOutcome::Incompatible(mismatch),
             }
         }
         Header::Refused(Refused { versions, kind: RefusalKind::Incompatible, reason }) => {
             match SESSION_VERSIONS.highest_common(&versions) {
-                Ok(_) => Opened::Refused(reason),
-                Err(mismatch) => Opened::Incompatible(mismatch),
+                Ok(_) => HelloOutcome::Refused(reason),
+                Err(mismatch) => HelloOutcome::Incompatible(mismatch),
             }
         }
-        Header::Refused(refused) => Opened::Refused(refused.reason),
-        _ => Opened::Nonsense,
+        Header::Refused(refused) => HelloOutcome::Refused(refused.reason),
+        _ => HelloOutcome::Nonsense,
     }
 }
 
-/// An open session. `W` is whatever waits for an answer.
+/// An open session at the edge. `W` is the type of a waiter for an answer.
 #[derive(Debug)]
 pub(crate) struct Client<W> {
     session: SessionId,
@@ -73,20 +73,20 @@ pub(crate) struct Client<W> {
     over: Option<CloseReason>,
 }
 
-/// A message of the cloud, as it concerns the session.
+/// Effect of a message from the cloud on the session.
 #[derive(Debug, PartialEq)]
 pub(crate) enum CloudMessage<W> {
-    /// The answer that this one waits for.
+    /// The answer for this waiter.
     Answer(W, Reply),
     /// An answer to a request that was given up.
     Late,
-    /// This is known of the cloud's wall clock from now on.
+    /// New state of the cloud's clocks.
     Clock(PeerClock),
-    /// This the cloud counted at its end of the connection so far.
+    /// Statistics of the cloud's end of the connection.
     Statistics(Box<ConnectionStatistics>),
-    /// Makes no sense in this session.
+    /// The message is not valid in this session, for this reason.
     Malformed(&'static str),
-    /// The session is over, and these wait in vain.
+    /// The session is over; these waiters get no answer.
     Over(CloseReason, Vec<W>),
 }
 
@@ -95,10 +95,10 @@ impl<W> Client<W> {
         Self { session, next: 0, waiting: HashMap::new(), over: None }
     }
 
-    /// Begins a request and gives it its number.
+    /// Starts a request and returns its number.
     ///
     /// # Errors
-    /// When the session is over.
+    /// If the session is over.
     pub(crate) fn begin(&mut self, waiter: W) -> Result<u64, CloseReason> {
         if let Some(reason) = &self.over {
             return Err(reason.clone());
@@ -109,12 +109,12 @@ impl<W> Client<W> {
         Ok(request)
     }
 
-    /// Stops waiting for an answer; whether it was still waited for.
+    /// Stops waiting for an answer. Returns whether it was still waited for.
     pub(crate) fn give_up(&mut self, request: u64) -> bool {
         self.waiting.remove(&request).is_some()
     }
 
-    /// Handles a message of the cloud.
+    /// Handles a message from the cloud.
     pub(crate) fn receive(&mut self, header: Header) -> CloudMessage<W> {
         match header {
             Header::Reply(reply) if reply.session != self.session => {
@@ -125,19 +125,20 @@ impl<W> Client<W> {
             }
             Header::Reply(reply) => match self.waiting.remove(&reply.request) {
                 Some(waiter) => CloudMessage::Answer(waiter, reply),
+                // An answer may arrive after its request timed out; it must not be mistaken for an invalid one.
                 None => CloudMessage::Late,
             },
-            Header::Clock(news) if news.session == self.session => CloudMessage::Clock(news.clock),
+            Header::Clock(update) if update.session == self.session => CloudMessage::Clock(update.clock),
             Header::Clock(_) => CloudMessage::Malformed("the clock of another session"),
-            Header::Statistics(told) if told.session == self.session => {
-                CloudMessage::Statistics(Box::new(told.statistics))
+            Header::Statistics(report) if report.session == self.session => {
+                CloudMessage::Statistics(Box::new(report.statistics))
             }
             Header::Statistics(_) => CloudMessage::Malformed("the statistics of another session"),
             Header::UnknownSession(unknown) if unknown.session == self.session => {
-                self.over_by(CloseReason::UnknownSession)
+                self.end_with(CloseReason::UnknownSession)
             }
             Header::Goodbye(goodbye) if goodbye.session == self.session => {
-                self.over_by(CloseReason::Goodbye(goodbye.reason))
+                self.end_with(CloseReason::Goodbye(goodbye.reason))
             }
             Header::UnknownSession(_) | Header::Goodbye(_) => {
                 CloudMessage::Malformed("the end of another session")
@@ -148,18 +149,18 @@ impl<W> Client<W> {
         }
     }
 
-    /// A request or its answer was lost on the way; who waits for it, if anybody does.
+    /// Ends a request that was lost, or whose answer was lost. Returns its waiter unless the request has ended already.
     pub(crate) fn lose(&mut self, request: u64) -> Option<W> {
         self.waiting.remove(&request)
     }
 
-    /// Ends the session; the first reason stays. Returns those who wait in vain.
+    /// Ends the session; the first reason is kept. Returns the waiters that get no answer.
     pub(crate) fn end(&mut self, reason: CloseReason) -> Vec<W> {
         self.over.get_or_insert(reason);
         self.waiting.drain().map(|(_, waiter)| waiter).collect()
     }
 
-    fn over_by(&mut self, reason: CloseReason) -> CloudMessage<W> {
+    fn end_with(&mut self, reason: CloseReason) -> CloudMessage<W> {
         let waiters = self.end(reason.clone());
         CloudMessage::Over(reason, waiters)
     }
@@ -186,7 +187,7 @@ mod tests {
     }
 
     #[test]
-    fn an_answer_is_delivered_once_and_is_late_after_that() {
+    fn second_answer_to_a_request_is_late() {
         let session = SessionId::random();
         let mut client = Client::new(session);
         let (a, b) = (client.begin('a').expect("open"), client.begin('b').expect("open"));
@@ -199,7 +200,7 @@ mod tests {
     }
 
     #[test]
-    fn the_first_reason_for_the_end_stays() {
+    fn first_end_reason_is_kept() {
         let session = SessionId::random();
         let mut client = Client::new(session);
         client.begin('a').expect("open");
@@ -216,7 +217,7 @@ mod tests {
         Begin,
         GiveUp(u64),
         Lose(u64),
-        Hear(Header),
+        Receive(Header),
         End,
     }
 
@@ -225,7 +226,7 @@ mod tests {
             6 => Just(Step::Begin),
             2 => (0..16_u64).prop_map(Step::GiveUp),
             2 => (0..16_u64).prop_map(Step::Lose),
-            8 => strategies::header(vec![session]).prop_map(Step::Hear),
+            8 => strategies::header(vec![session]).prop_map(Step::Receive),
             1 => Just(Step::End),
         ];
         proptest::collection::vec(step, 0..60)
@@ -233,11 +234,11 @@ mod tests {
 
     proptest! {
         #[test]
-        fn whatever_arrives_every_request_ends_once(
+        fn every_request_ends_once(
             (session, steps) in any::<()>().prop_map(|()| SessionId::random()).prop_flat_map(|s| (Just(s), steps(s)))
         ) {
             let mut client = Client::new(session);
-            // A request is its own waiter.
+            // In this test the waiter of a request is the request's number.
             let (mut begun, mut ended, mut over) = (0, HashSet::new(), false);
             for step in steps {
                 match step {
@@ -260,7 +261,7 @@ mod tests {
                             prop_assert!(ended.insert(waiter));
                         }
                     }
-                    Step::Hear(header) => match client.receive(header) {
+                    Step::Receive(header) => match client.receive(header) {
                         CloudMessage::Answer(waiter, reply) => {
                             prop_assert_eq!(waiter, reply.request);
                             prop_assert!(ended.insert(waiter));
@@ -289,10 +290,10 @@ mod tests {
         }
 
         #[test]
-        fn only_an_answer_opens_a_session(header in strategies::header(Vec::new())) {
+        fn session_opens_on_answer_only(header in strategies::header(Vec::new())) {
             let spoken = SESSION_VERSIONS.oldest()..=SESSION_VERSIONS.newest();
             let answers = matches!(&header, Header::Accepted(accepted) if spoken.contains(&accepted.protocol));
-            prop_assert_eq!(matches!(opened(header), Opened::Accepted(_)), answers);
+            prop_assert_eq!(matches!(classify_answer(header), HelloOutcome::Accepted(_)), answers);
         }
     }
 }

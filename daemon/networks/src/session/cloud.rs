@@ -1,11 +1,11 @@
-//! The cloud's driver: all sessions of a port.
+//! The cloud's driver of the session protocol: all sessions of a port.
 //!
 //! ```text
-//! cloud            the port: binds it, hands out what arrives, closes it
-//! cloud/port       what the listener and all answers under way have in common
-//! cloud/requests   what a message of an edge becomes
-//! cloud/answers    the wire form of an answer, and how many are being sent
-//! cloud/output     the sending half of the port, which counts
+//! cloud            the port: binds it, returns arrivals, closes it
+//! cloud/port       state that the listener shares with all answers in progress
+//! cloud/requests   effects of an edge's message
+//! cloud/answers    the wire form of an answer, and the number of answers that are being sent
+//! cloud/output     the sending half of the port, with its counters
 //! ```
 
 mod answers;
@@ -29,7 +29,7 @@ use crate::statistics::{ConnectionStatistics, TransportStatistics};
 use crate::transport::{Arrival, BindFailure, CloudReceiver};
 use crate::{Address, SessionSettings};
 
-/// A port at which edges open sessions.
+/// A port on which edges open sessions.
 #[derive(Debug)]
 pub struct Listener {
     shared: Arc<PortState>,
@@ -37,15 +37,15 @@ pub struct Listener {
     address: Address,
     caveat: Option<String>,
     settings: SessionSettings,
-    /// Sessions that ended together, to be handed out one by one.
+    /// Sessions that ended together and have not been returned yet.
     closed: VecDeque<SessionId>,
 }
 
 impl Listener {
-    /// Listens at `address`, on the network that its scheme selects; port 0 lets the system choose one.
+    /// Listens on `address`, over the network that its scheme selects. With port 0 the system chooses a port.
     ///
     /// # Errors
-    /// When the port is taken or the address is not this machine's; says what to do.
+    /// If the port is in use or the address belongs to another machine. The text says what to do.
     pub async fn bind(
         address: &Address,
         settings: SessionSettings,
@@ -55,11 +55,11 @@ impl Listener {
         Self::bind_one_of(NonZeroUsize::MIN, address, settings, host, clock).await
     }
 
-    /// Listens at several addresses. The settings hold for each of them; the connections that the process may have are
-    /// shared.
+    /// Listens on several addresses. The settings apply to each of them; the connections that the process may have are
+    /// shared among them.
     ///
     /// # Errors
-    /// Those of [`bind`](Self::bind), for the first address that cannot be had; the others are closed again.
+    /// Those of [`bind`](Self::bind), for the first address that cannot be bound. The ports bound before it are closed.
     pub async fn bind_all(
         addresses: &[Address],
         settings: &SessionSettings,
@@ -75,7 +75,7 @@ impl Listener {
         Ok(listeners)
     }
 
-    /// Listens at one of `ports` addresses.
+    /// Listens on one of `ports` addresses.
     async fn bind_one_of(
         ports: NonZeroUsize,
         address: &Address,
@@ -97,27 +97,29 @@ impl Listener {
         Ok(Self { shared, receiver, address, caveat, settings, closed })
     }
 
-    /// Returns the address that it listens at, with the real port.
+    /// Returns the address of the port, with the actual port number.
     pub const fn address(&self) -> &Address {
         &self.address
     }
 
-    /// Returns the reason why all of its connections are worse than they could be, and what to do about it, in words.
+    /// Returns a text that says why all connections of the port are worse than they could be, and what to do about it.
+    /// `None` if there is no such reason.
     pub fn caveat(&self) -> Option<&str> {
         self.caveat.as_deref()
     }
 
-    /// Returns what was sent and received on all connections together, since the listener was bound.
+    /// Returns the statistics of all connections together, since the port was bound.
     pub fn statistics(&self) -> ConnectionStatistics {
         self.shared.output.counters.statistics(&TransportStatistics::default())
     }
 
-    /// Tells the sessions of this port what becomes known of this host's clock.
+    /// Returns an announcer that sends clock states and statistics to the sessions of this port.
     pub fn announcer(&self) -> Announcer {
         Announcer::new(Arc::downgrade(&self.shared))
     }
 
-    /// Waits for the next arrival; `None` when the socket is closed. Dropping the future loses nothing.
+    /// Waits for the next arrival. `None` means that the socket is closed. Cancel safe: dropping the future loses
+    /// nothing.
     pub async fn next(&mut self) -> Option<Incoming> {
         loop {
             if let Some(session) = self.closed.pop_front() {
@@ -125,11 +127,13 @@ impl Listener {
             }
             match self.receiver.receive().await? {
                 Arrival::Message(peer, frames) => {
-                    // Before the stamp, as the one at the answer is after it: if they are equal, so is all in between.
+                    // Read before the stamp, while the epoch of the answer is read after its stamp. If both are equal,
+                    // the clock was not stepped in between.
                     let (epoch, wall_epoch) = (self.shared.clock.epoch(), self.shared.clock.wall_epoch());
                     let received = self.shared.clock.stamp();
                     let arrival = ArrivalStamp { raw: received.raw, epoch, wall_epoch };
-                    if let Some(incoming) = requests::heard(&self.shared, &peer, frames, (received, arrival))
+                    if let Some(incoming) =
+                        requests::handle_message(&self.shared, &peer, frames, (received, arrival))
                     {
                         return Some(incoming);
                     }
@@ -149,7 +153,7 @@ impl Listener {
                     self.shared.machine().moved(connection, address);
                 }
                 Arrival::Gone(connection, reason) => {
-                    let sessions = self.shared.machine().gone(connection);
+                    let sessions = self.shared.machine().remove_connection(connection);
                     tracing::debug!(reason, sessions = sessions.len(), "an edge's connection ended");
                     self.closed.extend(sessions);
                 }
@@ -159,7 +163,7 @@ impl Listener {
                 }
                 Arrival::Refused(host, text) => return Some(Incoming::Refused { host, text }),
                 Arrival::Garbage(address, problem) => {
-                    // The transport has logged it.
+                    // The transport has already logged it with its reason.
                     tracing::debug!(
                         ?address,
                         problem,
@@ -171,17 +175,17 @@ impl Listener {
         }
     }
 
-    /// Waits for the answers under way, no longer than the configured time, tells all edges goodbye, and closes
-    /// the port.
+    /// Waits for the answers in progress, at most for the configured time, says goodbye to all edges, and closes the
+    /// port.
     pub async fn close(self) {
         let wait = self.settings.close_timeout();
-        if tokio::time::timeout(wait, self.shared.drained()).await.is_err() {
+        if tokio::time::timeout(wait, self.shared.wait_until_idle()).await.is_err() {
             let in_flight = self.shared.machine().in_flight();
             tracing::warn!(in_flight, "closing the port although requests are still being computed");
         }
         let farewells = self.shared.machine().goodbye("the cloud shuts down");
         for (peer, header) in farewells {
-            self.shared.tell(&peer, &header);
+            self.shared.send_message(&peer, &header);
         }
         self.receiver.close(wait).await;
     }

@@ -1,4 +1,4 @@
-//! The edge's driver: a session over a transport.
+//! The edge's driver of the session protocol: a session over a transport.
 
 use std::sync::{Arc, OnceLock, Weak};
 use std::time::Duration;
@@ -10,23 +10,24 @@ use tokio::sync::watch;
 use tokio_util::sync::CancellationToken;
 
 use super::client::CloseReason;
-use super::exchange::{Arrived, Exchange, RequestError, Sizes, absorb, result};
+use super::exchange::{ArrivedReply, Exchange, RequestError, Sizes, absorb, result};
 use super::open::{OpenError, OpenedSession, handshake};
-use super::receiving::Receiving;
+use super::receiving::ReceivingTask;
 use super::remarks::Remarks;
 use super::requests_in_flight::{Answer, RequestsInFlight};
-use super::state::{Pending, SessionState, SessionTerms};
+use super::state::{PendingRequest, SessionState, SessionTerms};
 use crate::message::{PeerClock, SessionAccepted, SessionHello, SessionId};
 use crate::statistics::{ConnectionAddresses, ConnectionStatistics, Counters};
 use crate::{Address, SessionSettings};
 
-/// Stands for a timeout that the clock cannot hold.
-const AGES: Duration = Duration::from_secs(10 * 365 * 24 * 3600);
+/// Replaces a timeout that the clock cannot represent.
+const FAR_FUTURE: Duration = Duration::from_secs(10 * 365 * 24 * 3600);
 
-/// An open session with a cloud. Clones are the same session; it closes when the last one goes.
+/// An open session with a cloud. Clones are the same session; it closes when the last one is dropped.
 ///
-/// It lives and dies with its connection: [`closed`](Self::closed) tells when it is over, and going on is
-/// [`open`](Self::open)ing another.
+/// A session exists exactly as long as its connection. [`closed`](Self::closed) returns when it is over; to continue,
+/// the caller [opens](Self::open) another session. Transports do not reconnect by themselves, so that requests in
+/// flight are lost at once and with the reason.
 #[derive(Clone, Debug)]
 pub struct Session {
     inner: Arc<Inner>,
@@ -36,9 +37,9 @@ pub struct Session {
 struct Inner {
     shared: Arc<SessionState>,
     accepted: SessionAccepted,
-    /// Cancelled to close; the receiving task listens.
+    /// Token that closes the session; the receiving task waits for it.
     stop: CancellationToken,
-    /// Cancelled by the receiving task when the connection is closed.
+    /// Token that the receiving task cancels when the connection is closed.
     stopped: CancellationToken,
 }
 
@@ -52,7 +53,7 @@ impl Session {
     /// Opens a session with the cloud at `address`, over the network that its scheme selects.
     ///
     /// # Errors
-    /// When no answer comes in time, or a refusal.
+    /// If no answer comes in time, or the cloud refuses.
     pub async fn open(
         address: &Address,
         hello: SessionHello,
@@ -88,7 +89,7 @@ impl Session {
             ordered: OnceLock::new(),
         });
         let (stop, stopped) = (CancellationToken::new(), CancellationToken::new());
-        let task = Receiving { shared: shared.clone(), stop: stop.clone(), stopped: stopped.clone() };
+        let task = ReceivingTask { shared: shared.clone(), stop: stop.clone(), stopped: stopped.clone() };
         tokio::spawn(task.run(dialled.receiver, settings.close_timeout()));
         Self { inner: Arc::new(Inner { shared, accepted: accepted.accepted, stop, stopped }) }
     }
@@ -98,28 +99,30 @@ impl Session {
         &self.inner.accepted
     }
 
-    /// Returns its id, which only its two ends know unless a third party reads the connection.
+    /// Returns the id of the session. Only its two ends know it, unless a third party reads the connection.
     pub fn id(&self) -> SessionId {
         self.inner.shared.terms.session
     }
 
-    /// Returns the clocks that the stamps of its exchanges are of: the cloud's is the free-running one where the version of the session has it.
+    /// Returns the clocks of the stamps in its exchanges. The cloud's clock is the free-running one if the version of
+    /// the session supports it.
     pub fn clocks(&self) -> RelatedClocks {
         self.inner.shared.terms.clocks()
     }
 
-    /// Returns a reader of the state of the cloud's clocks; the first one came with the acceptance.
+    /// Returns a reader of the state of the cloud's clocks. The first state is that of the acceptance.
     pub fn peer_clock(&self) -> watch::Receiver<PeerClock> {
         self.inner.shared.peer_clock.subscribe()
     }
 
-    /// Returns the reason why the connection is worse than it could be, and what to do about it, in words.
+    /// Returns a text that says why the connection is worse than it could be, and what to do about it. `None` if there
+    /// is no such reason.
     pub fn caveat(&self) -> Option<&str> {
         self.inner.shared.sender.caveat()
     }
 
-    /// Returns a reader of further reasons, as they are noticed, each with its object and what to do. The texts stay; new ones
-    /// come behind them.
+    /// Returns a reader of further such texts, as the reasons are noticed. Each text names the object and says what to
+    /// do. The list only grows.
     pub fn remarks(&self) -> watch::Receiver<Vec<String>> {
         self.inner.shared.remarks.subscribe()
     }
@@ -129,7 +132,7 @@ impl Session {
         self.inner.shared.peer_statistics.subscribe()
     }
 
-    /// Returns what was sent and received so far, the messages that opened the session included.
+    /// Returns the statistics of the connection so far, including the messages that opened the session.
     pub fn statistics(&self) -> ConnectionStatistics {
         self.inner.shared.statistics()
     }
@@ -139,11 +142,10 @@ impl Session {
         StatisticsReader(Arc::downgrade(&self.inner.shared))
     }
 
-    /// Sends a sample and waits for the answer; any number of requests may be under way.
+    /// Sends a sample and waits for the answer. Any number of requests may be in progress at once.
     ///
-    /// Records on `log`: `send-queue` if it had to wait for a free place in flight, `encode`, `upload`,
-    /// `download`, their sizes, and what the cloud recorded. `timeout` covers all of it. Dropping the future
-    /// gives the request up.
+    /// Records in `log`: `send-queue` if the request waited for a free place in flight, `encode`, `upload`, `download`,
+    /// their sizes, and the nodes of the cloud. `timeout` covers all of it. Dropping the future gives the request up.
     pub async fn request(&self, log: Recorder, sample: &Sample, timeout: Duration) -> Exchange {
         let shared = &*self.inner.shared;
         let mut exchange = Exchange {
@@ -155,7 +157,7 @@ impl Session {
             observation: None,
         };
         let now = tokio::time::Instant::now();
-        let deadline = now.checked_add(timeout).unwrap_or(now + AGES);
+        let deadline = now.checked_add(timeout).unwrap_or(now + FAR_FUTURE);
         let _place = match shared.requests.place(&mut exchange.log, deadline).await {
             Ok(place) => place,
             Err(error) => return Exchange { result: Err(error), ..exchange },
@@ -179,8 +181,9 @@ impl Session {
         exchange
     }
 
-    /// Takes an answer. The cloud grew the tree as it was sent: nothing may be added before that is absorbed.
-    fn take(&self, exchange: &mut Exchange, sent: &Pending<'_>, arrived: Arrived) {
+    /// Handles an answer. The cloud extended the tree as it was sent, so nothing may be added to the tree before the
+    /// tree delta is absorbed.
+    fn take(&self, exchange: &mut Exchange, sent: &PendingRequest<'_>, arrived: ArrivedReply) {
         let shared = &*self.inner.shared;
         let sizes = Sizes::of(&arrived.frames);
         let log = &mut exchange.log;
@@ -202,43 +205,43 @@ impl Session {
         };
     }
 
-    /// Waits until the session is over, and tells why.
+    /// Waits until the session is over. Returns the reason.
     pub async fn closed(&self) -> CloseReason {
         self.inner.shared.requests.ended().await
     }
 
-    /// Says goodbye and closes the connection; requests under way are lost. Closing twice does no harm.
+    /// Says goodbye and closes the connection; requests in flight are lost. Closing a closed session has no effect.
     pub async fn close(&self) {
         self.inner.stop.cancel();
         self.inner.stopped.cancelled().await;
     }
 
-    /// [Closes](Self::close) and says that the run is over which was to have `ordered` iterations, so that the cloud
-    /// does not wait for those that never came.
+    /// [Closes](Self::close) the session at the end of a run that was to have `ordered` iterations, so that the cloud
+    /// does not wait for missing ones.
     pub async fn close_after(&self, ordered: u64) {
         self.inner.shared.ordered.get_or_init(|| ordered);
         self.close().await;
     }
 }
 
-/// Reads the statistics of a session's connection, from any thread, as long as it is there.
+/// Reads the statistics of a session's connection from any thread. It does not keep the session open.
 #[derive(Clone, Debug)]
 pub struct StatisticsReader(Weak<SessionState>);
 
 impl StatisticsReader {
-    /// Both ends of the connection; `None` where the transport has no such addresses.
+    /// Returns the addresses of both ends of the connection. `None` if the transport has none or the session is over.
     pub fn addresses(&self) -> Option<ConnectionAddresses> {
         self.0.upgrade()?.sender.addresses()
     }
 
-    /// Returns what was sent and received so far; `None` when the session is over. It asks the system: once a second is
+    /// Returns the statistics so far. `None` if the session is over. Asks the system, so calling it once a second is
     /// often enough.
     pub fn read(&self) -> Option<ConnectionStatistics> {
         Some(self.0.upgrade()?.statistics())
     }
 
-    /// Returns the last report of the cloud on its end of the connection; `None` when there is none, as from clouds of
-    /// releases before 0.3.
+    /// Returns the cloud's last report of the statistics of its end. `None` before the first report; clouds before 0.3
+    /// send none.
     pub fn peer(&self) -> Option<ConnectionStatistics> {
         *self.0.upgrade()?.peer_statistics.borrow()
     }

@@ -1,4 +1,4 @@
-//! One request and its answer, on the edge's tree.
+//! A request and its answer on the edge's tree.
 
 use peernet_clock::{ExchangeObservation, RawTime, Span, Stamp};
 use peernet_logger::{
@@ -10,67 +10,70 @@ use peernet_sample::Sample;
 use crate::message::{Departure, Outcome, Reply, TreeFrameError, decode_tree_delta};
 use crate::transport::Frames;
 
-/// A request and its outcome. The log always comes back.
+/// Result of a request. The log is returned in every case.
 #[derive(Debug)]
 pub struct Exchange {
-    /// The iteration's tree, with what the exchange and the cloud added.
+    /// Tree of the iteration, with the nodes of the exchange and of the cloud.
     pub log: Recorder,
     /// The answer.
     pub result: Result<Sample, RequestError>,
-    /// When the answer was there as a whole; `None` when none came.
+    /// Time at which the whole answer had arrived; `None` if no answer came.
     pub arrived: Option<Stamp>,
-    /// The `upload` node; `None` when nothing was sent.
+    /// The `upload` node; `None` if nothing was sent.
     pub up: Option<NodeId>,
-    /// The `download` node; `None` when no model answered.
+    /// The `download` node; `None` if no model answered.
     pub down: Option<NodeId>,
-    /// The four stamps of `upload` and `download`, for the relation of the two clocks: of the edge's free-running clock and, since
-    /// [`RAW_STAMPS_SINCE`](crate::RAW_STAMPS_SINCE), of the cloud's, before that of the cloud's wall clock. `None` when no model
-    /// answered, and when either host says that its clock was interrupted meanwhile: nothing follows from such stamps.
+    /// The four stamps of `upload` and `download`, from which the relation of the two clocks is learned.
+    ///
+    /// The edge's stamps are of its free-running clock. The cloud's stamps are of its free-running clock since
+    /// [`RAW_STAMPS_SINCE`](crate::RAW_STAMPS_SINCE), before that of its wall clock. `None` if no model answered, or if
+    /// the clock of either host was interrupted in between: nothing follows from such stamps.
     pub observation: Option<ExchangeObservation>,
 }
 
-/// A stamp may be wrong to the unsafe side by the resolution of its clock: up to 53 ns for the counters of arm64,
-/// which run at 19.2 MHz or more. Two stamps bound an offset; they travel as whole nanoseconds.
+/// Error bound of an exchange's stamps. A stamp may be wrong to the unsafe side by the resolution of its clock: up to
+/// 53 ns for the counters of arm64, which run at 19.2 MHz or more. Two stamps bound an offset, and they travel as whole
+/// nanoseconds.
 const UNCERTAINTY: Span = Span::from_nanos(2 * 53);
 
-/// A reply as it arrived.
+/// A reply that arrived.
 #[derive(Debug)]
-pub(crate) struct Arrived {
+pub(crate) struct ArrivedReply {
     pub(crate) reply: Reply,
     pub(crate) frames: Frames,
     pub(crate) at: Stamp,
-    /// The edge's epoch right after.
+    /// Edge's epoch, read right after the arrival was stamped.
     pub(crate) epoch: u32,
 }
 
-/// A request as it left.
+/// The departure of a request.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Departed {
+pub(crate) struct DepartedRequest {
     /// The `upload` node.
     pub(crate) upload: NodeId,
     pub(crate) at: Stamp,
-    /// The edge's epoch right before.
+    /// Edge's epoch, read right before the departure was stamped.
     pub(crate) epoch: u32,
 }
 
-/// Why there is no answer.
+/// Reason why a request has no answer.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum RequestError {
-    /// The session ended before the answer came or was over already, or the request or its answer was lost on the way.
+    /// The session ended before the answer came, or the request or its answer was lost on the way.
     #[error("the request was lost: {0}")]
     Lost(String),
-    /// The time was over; an answer that still comes is dropped and counted.
+    /// No answer came in time. An answer that still comes is dropped and counted.
     #[error("no answer in time")]
     Timeout,
-    /// The sample could not be sent, or the cloud's model could not answer it. The next may well succeed.
+    /// The sample could not be sent, or the cloud's model failed on it. The next request may succeed.
     #[error("the request failed: {0}")]
     Failed(String),
-    /// The cloud, or the network to it, takes no more at the moment.
+    /// The cloud, or the network to it, accepts no more requests at the moment.
     #[error("the cloud is overloaded: {0}")]
     Overloaded(String),
 }
 
-/// Bytes of a message, apart.
+/// Size of a message. Bytes.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct Sizes {
     /// Header and tree.
@@ -90,7 +93,7 @@ impl Sizes {
         self.logger + self.payload
     }
 
-    /// Adds both as values to the edge's tree, in which there is room for them however full it is.
+    /// Adds both sizes as values to the edge's tree. These nodes fit even into a full tree.
     pub(crate) fn record(self, log: &mut Recorder, payload: Name, logger: Name) {
         let start = log.offset(log.clock().mono());
         for (name, bytes) in [(payload, self.payload), (logger, self.logger)] {
@@ -99,9 +102,9 @@ impl Sizes {
     }
 }
 
-/// A growth that does not fit the tree which was sent.
+/// Error: a tree delta does not fit the tree that was sent.
 #[derive(Debug, thiserror::Error)]
-pub(crate) enum GrowthError {
+pub(crate) enum TreeDeltaError {
     #[error(transparent)]
     Frame(#[from] TreeFrameError),
     #[error("the cloud closed another node than upload")]
@@ -120,55 +123,57 @@ pub(crate) enum GrowthError {
     Tree(#[from] TreeError),
 }
 
-/// Takes over what the cloud added to the tree: closes `upload`, appends the cloud's nodes and `download`.
-/// Returns the position of `download`, and the stamps. `None` when no model answered. `raw` says whether the version of the session has
-/// stamps of the cloud's free-running clock.
+/// Adds the cloud's part to the tree: closes `upload`, appends the cloud's nodes and `download`. Returns the position
+/// of `download` and the stamps, or `None` if no model answered. `raw` is `true` if the session's version has stamps of
+/// the cloud's free-running clock.
+///
+/// A tree delta may only add nodes of the host that made it.
 ///
 /// # Errors
-/// When what the cloud sent does not fit; the tree is then as it was.
+/// If the delta does not fit the tree. The tree is then unchanged.
 pub(crate) fn absorb(
     log: &mut Recorder,
     cloud: HostId,
     raw: bool,
-    departed: &Departed,
-    arrived: &Arrived,
-) -> Result<Option<(NodeId, Option<ExchangeObservation>)>, GrowthError> {
-    let (Some(departure), Some(growth)) = (arrived.reply.departure, arrived.frames.get(1)) else {
+    departed: &DepartedRequest,
+    arrived: &ArrivedReply,
+) -> Result<Option<(NodeId, Option<ExchangeObservation>)>, TreeDeltaError> {
+    let (Some(departure), Some(delta)) = (arrived.reply.departure, arrived.frames.get(1)) else {
         return Ok(None);
     };
-    let mut growth = decode_tree_delta(growth)?;
-    if growth.closed.0 != departed.upload {
-        return Err(GrowthError::OtherNodeClosed);
+    let mut delta = decode_tree_delta(delta)?;
+    if delta.closed.0 != departed.upload {
+        return Err(TreeDeltaError::OtherNodeClosed);
     }
-    if growth.anchor.host != cloud {
-        return Err(GrowthError::OtherHost);
+    if delta.anchor.host != cloud {
+        return Err(TreeDeltaError::OtherHost);
     }
-    let joined = u8::try_from(log.tree().anchors().len()).map_err(|_| GrowthError::TooManyHosts)?;
+    let joined = u8::try_from(log.tree().anchors().len()).map_err(|_| TreeDeltaError::TooManyHosts)?;
     let host = HostIndex(joined);
-    if growth.nodes.iter().any(|node| node.host < host) {
-        return Err(GrowthError::EarlierHost);
+    if delta.nodes.iter().any(|node| node.host < host) {
+        return Err(TreeDeltaError::EarlierHost);
     }
-    let there = match (raw, arrived.reply.arrived_raw, departure.sent_raw) {
-        // The cloud's wall clock stands in for its free-running one.
-        (false, ..) => (RawTime::of_wall(growth.closed.1), RawTime::of_wall(departure.sent)),
+    let cloud_times = match (raw, arrived.reply.arrived_raw, departure.sent_raw) {
+        // The cloud's wall clock replaces its free-running clock.
+        (false, ..) => (RawTime::of_wall(delta.closed.1), RawTime::of_wall(departure.sent)),
         (true, Some(received), Some(replied)) => (received, replied),
-        (true, ..) => return Err(GrowthError::NoRawStamps),
+        (true, ..) => return Err(TreeDeltaError::NoRawStamps),
     };
-    let raw_stamps = Some(RawStamps { sent: there.1, received: arrived.at.raw });
+    let raw_stamps = Some(RawStamps { sent: cloud_times.1, received: arrived.at.raw });
     let transit = Transit { sent: departure.sent, received: Some(arrived.at.wall), delay: None, raw_stamps };
-    growth.nodes.push(Node {
+    delta.nodes.push(Node {
         parent: Some(NodeId::ROOT),
         name: stage::DOWNLOAD,
         host,
         start: departure.start,
         measure: Measure::Transit(Box::new(transit)),
     });
-    let observation = observation(departed, raw, there, departure, arrived);
-    log.tree_mut().absorb(growth)?;
-    let up = RawStamps { sent: departed.at.raw, received: there.0 };
+    let observation = observation(departed, raw, cloud_times, departure, arrived);
+    log.tree_mut().absorb(delta)?;
+    let up = RawStamps { sent: departed.at.raw, received: cloud_times.0 };
     set_raw_stamps(log.tree_mut(), departed.upload, up);
     let last = log.tree().nodes().len() - 1;
-    let download = u32::try_from(last).map(NodeId).map_err(|_| GrowthError::TooManyNodes)?;
+    let download = u32::try_from(last).map(NodeId).map_err(|_| TreeDeltaError::TooManyNodes)?;
     Ok(Some((download, observation)))
 }
 
@@ -178,13 +183,14 @@ fn set_raw_stamps(tree: &mut Tree, node: NodeId, stamps: RawStamps) {
     }
 }
 
-/// The stamps of an exchange. `there` are those of the cloud, `raw` says whether they are of its free-running clock.
+/// Returns the stamps of an exchange. The pair has the cloud's stamps; `raw` is `true` if they are of its free-running
+/// clock.
 fn observation(
-    departed: &Departed,
+    departed: &DepartedRequest,
     raw: bool,
     (received, replied): (RawTime, RawTime),
     departure: Departure,
-    arrived: &Arrived,
+    arrived: &ArrivedReply,
 ) -> Option<ExchangeObservation> {
     if departed.epoch != arrived.epoch || arrived.reply.arrival_epoch != departure.epoch {
         return None;
@@ -198,14 +204,14 @@ fn observation(
     };
     Some(ExchangeObservation {
         exchange,
-        // A free-running clock is not stepped, and may run otherwise than the monotonic one, which is slewed.
+        // The monotonic clock is slewed and the free-running one is not. Their durations may therefore differ.
         cloud_elapsed: (!raw).then_some(departure.start),
         edge_epoch: arrived.epoch,
         cloud_epoch: Some(departure.epoch),
     })
 }
 
-/// The result that an outcome and its payload stand for.
+/// Returns the result of a request with this outcome and these frames.
 pub(crate) fn result(outcome: Outcome, frames: Frames) -> Result<Sample, RequestError> {
     match outcome {
         Outcome::Answer(header) => header

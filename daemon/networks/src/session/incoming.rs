@@ -1,4 +1,4 @@
-//! Events of a listener, and the answers to them.
+//! Events of a listener, and the objects through which its user answers them.
 
 use std::net::SocketAddr;
 use std::sync::Weak;
@@ -10,46 +10,46 @@ use peernet_sample::Sample;
 use super::cloud::PortState;
 use crate::message::{SessionAccepted, SessionHello, SessionId};
 
-/// Something that arrived at a listener.
+/// Event of a listener.
 #[derive(Debug)]
 pub enum Incoming {
     /// An edge asks for a session.
     Open(OpenRequest),
-    /// An edge wants an answer.
+    /// An edge sends a sample and expects an answer.
     Request(IncomingRequest),
-    /// A session is over. Also comes for a session that was asked for and not answered yet.
+    /// A session is over. Also reported for a session that was asked for and not answered yet.
     Closed {
-        /// Which.
+        /// The session.
         session: SessionId,
-        /// Whether the edge said goodbye; else its connection is gone.
+        /// `true` if the edge said goodbye, `false` if its connection is gone.
         said_goodbye: bool,
-        /// Number of iterations that the edge's run was to have, where the session ended with that run.
+        /// Number of iterations that the edge's run was to have, if the session ended with that run.
         ordered: Option<u64>,
     },
     /// A connection is worse than it could be.
     Remark {
-        /// A session of that connection; `None` when it has none now.
+        /// A session of that connection; `None` if it has none now.
         session: Option<SessionId>,
-        /// Problem, its object, and what to do.
+        /// The problem, its object, and what to do.
         text: String,
     },
-    /// An edge got no connection, before it could ask for a session.
+    /// An edge was refused before it could ask for a session.
     Refused {
-        /// The host that it says it is.
+        /// Host id that the edge claims.
         host: Option<HostId>,
-        /// Refused edge, and the reason.
+        /// The refused edge and the reason.
         text: String,
     },
 }
 
-/// An edge's wish for a session. Dropping it unanswered refuses it.
+/// An edge's request for a session. Dropping it without an answer refuses it.
 #[derive(Debug)]
 pub struct OpenRequest {
-    /// Edge that asks, and what it asks for.
+    /// The edge's identity and the model that it asks for.
     pub hello: SessionHello,
-    /// The session's id, if it is accepted.
+    /// Id that the session gets if it is accepted.
     pub session: SessionId,
-    /// Address that its connection comes from, if that is known.
+    /// Address of the other end of the connection, if known.
     pub address: Option<SocketAddr>,
     shared: Option<Weak<PortState>>,
 }
@@ -64,13 +64,13 @@ impl OpenRequest {
         Self { hello, session, address, shared: Some(shared) }
     }
 
-    /// Opens the session; requests of it may arrive from now on. Returns whether the edge is still there.
+    /// Opens the session; requests of it may arrive from now on. Returns whether the edge is still connected.
     pub fn accept(mut self, accepted: SessionAccepted) -> bool {
         let shared = self.shared.take().and_then(|shared| shared.upgrade());
         shared.is_some_and(|shared| shared.accept(self.session, accepted))
     }
 
-    /// Tells the edge why there will be no session.
+    /// Refuses the session and sends the reason to the edge.
     pub fn refuse(mut self, reason: impl Into<String>) {
         if let Some(shared) = self.shared.take().and_then(|shared| shared.upgrade()) {
             shared.refuse(self.session, reason.into());
@@ -86,25 +86,25 @@ impl Drop for OpenRequest {
     }
 }
 
-/// A sample that an edge wants an answer to.
+/// A sample that an edge expects an answer to.
 #[derive(Debug)]
 pub struct IncomingRequest {
-    /// The session it belongs to.
+    /// Session of the request.
     pub session: SessionId,
     /// Sample to compute on.
     pub sample: Sample,
-    /// The iteration's tree, continued on this host; `upload` ended at `received`.
+    /// Tree of the iteration, continued on this host; `upload` ended at `received`.
     pub log: Recorder,
-    /// When the whole message was there.
+    /// Time at which the whole message had arrived.
     pub received: Stamp,
-    /// Takes the answer.
+    /// Sends the answer.
     pub reply: Responder,
 }
 
-/// Why a model did not answer.
+/// Reason why a model did not answer.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum Failure {
-    /// This sample could not be computed on.
+    /// The computation on this sample failed.
     #[error("{0}")]
     Failed(String),
     /// There is no room for another sample at the moment.
@@ -112,7 +112,7 @@ pub enum Failure {
     Overloaded(String),
 }
 
-/// The request that an answer belongs to.
+/// Identifies the request that an answer belongs to.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct RequestKey {
     pub(crate) session: SessionId,
@@ -124,13 +124,13 @@ pub(crate) struct RequestKey {
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct ArrivalStamp {
     pub(crate) raw: RawTime,
-    /// Epoch of the free-running clock right before.
+    /// Epoch of the free-running clock, read right before.
     pub(crate) epoch: u32,
-    /// Epoch of the wall clock right before.
+    /// Epoch of the wall clock, read right before.
     pub(crate) wall_epoch: u32,
 }
 
-/// Takes the answer to one request, on any thread. Dropping it unanswered tells the edge that the request failed.
+/// Sends the answer to one request, from any thread. Dropping it without an answer sends a failure to the edge.
 #[derive(Debug)]
 pub struct Responder {
     key: RequestKey,
@@ -142,8 +142,8 @@ impl Responder {
         Self { key, shared: Some(shared) }
     }
 
-    /// Sends the answer with what this host added to the tree. Never waits; an answer that cannot be handed to
-    /// the network is dropped and counted.
+    /// Sends the answer with the nodes that this host added to the tree. Never waits. An answer that cannot be handed
+    /// to the network is dropped and counted.
     pub fn send(mut self, log: Recorder, result: Result<Sample, Failure>) {
         if let Some(shared) = self.shared.take().and_then(|shared| shared.upgrade()) {
             shared.answer(self.key, Some(log), result);

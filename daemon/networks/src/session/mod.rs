@@ -1,6 +1,6 @@
-//! One session logic for all transports.
+//! Sessions: one protocol logic for all transports.
 //!
-//! `client` and `server` are the protocol: what arrives goes in, what is to be done comes out, no I/O. `edge`
+//! `client` and `server` are the state machines of the protocol; they do no I/O and return what is to be done. `edge`
 //! and `cloud` drive them over a transport.
 
 mod announcer;

@@ -1,17 +1,17 @@
-//! Opening a session: connect, say hello, wait for the answer.
+//! Opens a session: connects, sends a hello and waits for the answer.
 
 use peernet_clock::SharedClock;
 use peernet_stream::VersionMismatch;
 use tokio::time::{Instant, timeout_at};
 
-use super::client::{Opened, opened};
+use super::client::{HelloOutcome, classify_answer};
 use super::exchange::Sizes;
 use crate::message::{Accepted, Header, Open, SessionHello};
 use crate::statistics::Counters;
-use crate::transport::{DialFailure, Dialled, Dialler, EdgeArrival, SendOptions};
+use crate::transport::{DialFailure, Dialler, EdgeArrival, EdgeConnection, SendOptions};
 use crate::{Address, SessionSettings};
 
-/// Why a session could not be opened.
+/// Reason why a session could not be opened.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum OpenError {
     /// Nothing answers at the address.
@@ -22,7 +22,7 @@ pub enum OpenError {
         /// Cause.
         reason: String,
     },
-    /// Something took the connection and did not answer in time.
+    /// A program accepted the connection and did not answer in time.
     #[error(
         "something listens at {address} but does not answer like an agent's [serve]; is this the port of an aggregator or of something else?{}",
         Self::LOADING
@@ -41,15 +41,15 @@ pub enum OpenError {
     Unanswered {
         /// Address of the cloud.
         address: Address,
-        /// Time that was waited, or why the connection ended.
+        /// Time that was waited, or the reason why the connection ended.
         reason: String,
     },
-    /// The cloud does not serve what was asked for.
+    /// The cloud does not serve the requested model or device, or has no room.
     #[error("the cloud at {address} refused the session: {reason}")]
     Refused {
         /// Address of the cloud.
         address: Address,
-        /// The cloud's words.
+        /// Reason, in the cloud's words.
         reason: String,
     },
     /// The cloud speaks no version of the protocol that this program speaks.
@@ -57,7 +57,7 @@ pub enum OpenError {
     Incompatible {
         /// Address of the cloud.
         address: Address,
-        /// Versions of both.
+        /// Versions of both ends.
         mismatch: VersionMismatch,
     },
 }
@@ -66,26 +66,27 @@ fn incompatible(address: &Address, mismatch: &VersionMismatch) -> String {
     mismatch.describe("the session protocol", "this program", &format!("the cloud at {address}"))
 }
 
-/// What to do about a cloud that cannot be reached; nothing where the reason says that itself, as it does of a missing ROS master.
+/// Returns the advice for a cloud that cannot be reached. It is empty if the reason contains advice itself, as that of
+/// a missing ROS master does.
 fn advice(reason: &str) -> &'static str {
     if reason.contains("; ") { "" } else { "; is it running, and is the address right?" }
 }
 
 impl OpenError {
-    /// End of the text of [`Self::TimedOut`]: of use only where a configuration can be changed and the model is one that
-    /// takes long to load.
+    /// End of the text of [`Self::TimedOut`]. It applies only where a configuration can be changed and the model may
+    /// take long to load.
     pub const LOADING: &str = " or does its model take longer to load than open_timeout_ms allows?";
 }
 
-/// A connection with a session.
+/// A connection with an accepted session.
 pub(crate) struct OpenedSession {
-    pub(crate) dialled: Dialled,
+    pub(crate) dialled: EdgeConnection,
     pub(crate) accepted: Accepted,
-    /// Remarks of the transport until now.
+    /// Remarks of the transport so far.
     pub(crate) remarks: Vec<String>,
 }
 
-/// Connects and shakes hands within the time that the settings allow.
+/// Connects and opens the session, within the time that the settings allow.
 pub(crate) async fn handshake(
     address: &Address,
     hello: SessionHello,
@@ -101,7 +102,7 @@ pub(crate) async fn handshake(
     let mut dialled = dialled.unwrap_or(Err(DialFailure::TimedOut)).map_err(|failure| match failure {
         DialFailure::Unreachable(reason) => unreachable(reason),
         DialFailure::Refused(reason) => OpenError::Refused { address: address.clone(), reason },
-        // Not how long: the system may have been asked for less time than the settings allow.
+        // The text has no duration: the system may have been asked to wait for less than the settings allow.
         DialFailure::TimedOut => unreachable("nothing answered".to_owned()),
     })?;
     let open = Header::Open(Box::new(Open { hello, max_message_bytes: settings.max_message_bytes }));
@@ -115,29 +116,30 @@ pub(crate) async fn handshake(
     let mut remarks = Vec::new();
     loop {
         let frames = timeout_at(deadline, dialled.receiver.receive()).await;
-        // An aggregator, or a cloud that has too many sessions to open, closes the connection instead.
+        // An aggregator, or a cloud that has too many sessions to open, closes the connection without an answer.
         let reason = match frames {
             Ok(Ok(EdgeArrival::Message(frames))) => {
                 counters.received(Sizes::of(&frames).total());
                 let Some(Ok(header)) = frames.first().map(|frame| Header::decode(frame)) else { continue };
-                match opened(header) {
-                    Opened::Accepted(accepted) => {
+                match classify_answer(header) {
+                    HelloOutcome::Accepted(accepted) => {
                         return Ok(OpenedSession { dialled, accepted: *accepted, remarks });
                     }
-                    Opened::Refused(reason) => {
+                    HelloOutcome::Refused(reason) => {
                         return Err(OpenError::Refused { address: address.clone(), reason });
                     }
-                    Opened::Incompatible(mismatch) => {
+                    HelloOutcome::Incompatible(mismatch) => {
                         return Err(OpenError::Incompatible { address: address.clone(), mismatch });
                     }
-                    Opened::Nonsense => continue,
+                    // Some other message; the answer may still come.
+                    HelloOutcome::Nonsense => continue,
                 }
             }
             Ok(Ok(EdgeArrival::Remark(text))) => {
                 remarks.push(text);
                 continue;
             }
-            // The transport sends again what opens a session.
+            // The transport repeats the messages that open a session.
             Ok(Ok(EdgeArrival::Incomplete(_) | EdgeArrival::Lost(_))) => continue,
             Ok(Ok(EdgeArrival::Garbage(_))) => {
                 counters.malformed();
@@ -159,16 +161,16 @@ mod tests {
     use super::*;
 
     #[test]
-    fn reason_that_says_what_to_do_is_not_followed_by_a_question() {
-        let told = |reason: &str| {
+    fn reason_with_advice_gets_no_hint() {
+        let error_text = |reason: &str| {
             let address = "tcp://a:1".parse().expect("an address");
             OpenError::Unreachable { address, reason: reason.to_owned() }.to_string()
         };
         let missing =
             "no ROS master answers at http://a:11311: refused; start roscore there, or set ROS_MASTER_URI";
-        assert_eq!(told(missing), format!("cannot reach a cloud at tcp://a:1: {missing}"));
+        assert_eq!(error_text(missing), format!("cannot reach a cloud at tcp://a:1: {missing}"));
         assert!(
-            told("connection refused")
+            error_text("connection refused")
                 .ends_with("connection refused; is it running, and is the address right?")
         );
     }

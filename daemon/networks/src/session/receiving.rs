@@ -1,4 +1,4 @@
-//! The edge's receiving task, and what becomes of what it takes from the network.
+//! The receiving task of an edge, and the handling of what it receives.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -7,19 +7,19 @@ use peernet_clock::Stamp;
 use tokio_util::sync::CancellationToken;
 
 use super::client::{CloseReason, CloudMessage};
-use super::exchange::{Arrived, Sizes};
+use super::exchange::{ArrivedReply, Sizes};
 use super::requests_in_flight::{Answer, end_all};
 use super::state::SessionState;
 use crate::message::{Goodbye, Header};
 use crate::transport::{Disconnected, EdgeArrival, EdgeReceiver, Frames, MessageLoss, SendOptions};
 
 impl SessionState {
-    /// A message arrived at `arrived`. Returns why the session is over, if it now is.
+    /// Handles a message that arrived at `arrived`. Returns the reason if the session is over now.
     fn receive(&self, frames: Frames, arrived: Stamp) -> Option<CloseReason> {
         self.counters.received(Sizes::of(&frames).total());
         let header = frames.first().ok_or_else(|| "no frames".to_owned());
         let header = header.and_then(|frame| Header::decode(frame).map_err(|error| error.to_string()));
-        let heard = match header {
+        let message = match header {
             Ok(header) => self.requests.receive(header),
             Err(problem) => {
                 tracing::debug!(problem, "dropped a message from the cloud");
@@ -27,10 +27,10 @@ impl SessionState {
                 return None;
             }
         };
-        match heard {
+        match message {
             CloudMessage::Answer(waiter, reply) => {
-                let reply = Arrived { reply, frames, at: arrived, epoch: self.clock.epoch() };
-                // A request that was given up this very moment.
+                let reply = ArrivedReply { reply, frames, at: arrived, epoch: self.clock.epoch() };
+                // Fails if the request was given up at this moment.
                 if waiter.send(Answer::Reply(Box::new(reply))).is_err() {
                     self.counters.late();
                 }
@@ -60,27 +60,27 @@ impl SessionState {
         }
     }
 
-    /// A request or its answer did not arrive as a whole.
+    /// Ends the request whose message did not arrive as a whole in either direction.
     fn lose(&self, loss: MessageLoss, what: &str) {
         let waiter = loss.tag.and_then(|request| self.requests.lose(request));
         if let Some(waiter) = waiter {
             self.counters.lost(1);
-            // One that was given up this very moment needs no answer.
+            // Fails if the request was given up at this moment; it then needs no answer.
             let _ = waiter.send(Answer::Lost(format!("{what}: {loss}")));
         }
     }
 }
 
-/// The task that takes messages from the network. However it ends, the session ends with it.
-pub(super) struct Receiving {
+/// The task that receives messages from the network. However it ends, the session ends with it.
+pub(super) struct ReceivingTask {
     pub(super) shared: Arc<SessionState>,
-    /// Cancelled by those who want the session closed.
+    /// Cancelled by users of the session who want to close it.
     pub(super) stop: CancellationToken,
-    /// Cancelled here when it is.
+    /// Cancelled by this task when the session is closed.
     pub(super) stopped: CancellationToken,
 }
 
-impl Receiving {
+impl ReceivingTask {
     pub(super) async fn run(self, mut receiver: Box<dyn EdgeReceiver>, linger: Duration) {
         let reason = {
             let mut stop = std::pin::pin!(self.stop.cancelled());
@@ -111,14 +111,15 @@ impl Receiving {
                 }
             }
         };
+        // A goodbye is only sent if this side closes; in all other cases the other end knows that the session is over.
         if reason == CloseReason::Local {
-            self.say_goodbye();
+            self.send_goodbye();
         }
         self.shared.requests.end(&reason, &self.shared.counters);
         receiver.close(linger).await;
     }
 
-    fn say_goodbye(&self) {
+    fn send_goodbye(&self) {
         let goodbye = Goodbye {
             session: self.shared.terms.session,
             reason: "the edge closed the session".into(),
@@ -139,7 +140,7 @@ impl Receiving {
     }
 }
 
-impl Drop for Receiving {
+impl Drop for ReceivingTask {
     fn drop(&mut self) {
         let reason = CloseReason::Broken("the receiving task ended early".into());
         self.shared.requests.end(&reason, &self.shared.counters);

@@ -1,18 +1,18 @@
-//! Remarks of a transport on a connection.
+//! Remarks of a transport about a connection.
 
 use tokio::sync::watch;
 
-/// Most remarks of one connection that are kept.
+/// Largest number of remarks of one connection that are kept.
 const MAX_REMARKS: usize = 64;
 
-/// Remarks of one connection, oldest first. None is taken away; what finds no room is in the log alone.
+/// Remarks about one connection, oldest first. None is removed. A remark that finds no room is only logged.
 #[derive(Debug)]
 pub(super) struct Remarks {
     texts: watch::Sender<Vec<String>>,
 }
 
 impl Remarks {
-    /// Begins with the remarks until now.
+    /// Starts with the remarks so far.
     pub(super) fn new(texts: Vec<String>) -> Self {
         Self { texts: watch::Sender::new(texts) }
     }
@@ -30,7 +30,7 @@ impl Remarks {
         });
     }
 
-    /// Returns a reader for which the present texts are new.
+    /// Returns a reader that sees the existing texts as changed.
     pub(super) fn subscribe(&self) -> watch::Receiver<Vec<String>> {
         let mut texts = self.texts.subscribe();
         texts.mark_changed();

@@ -1,4 +1,4 @@
-//! The requests of a session that are under way, and its end, which ends all of them.
+//! Requests of a session that are in flight, and the end of the session, which ends all of them.
 
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
@@ -6,33 +6,33 @@ use peernet_logger::{Recorder, stage};
 use tokio::sync::{Semaphore, SemaphorePermit, oneshot, watch};
 
 use super::client::{Client, CloseReason, CloudMessage};
-use super::exchange::{Arrived, RequestError};
+use super::exchange::{ArrivedReply, RequestError};
 use crate::message::{Header, SessionId};
 use crate::statistics::Counters;
 
 /// Outcome of a request.
 #[derive(Debug)]
 pub(super) enum Answer {
-    Reply(Box<Arrived>),
-    /// The request or its answer was lost on the way, and how much of it arrived.
+    Reply(Box<ArrivedReply>),
+    /// The request or its answer was lost on the way. The text says how much of it arrived.
     Lost(String),
     Over(CloseReason),
 }
 
-/// The receiver of an answer.
+/// Sender to the task that waits for an answer.
 pub(super) type Waiter = oneshot::Sender<Answer>;
 
-/// Requests under way. When the session is over, all of them end, none begins any more, and no place is given out.
+/// Requests in flight. When the session is over, all of them end, and no further request or place in flight is granted.
 #[derive(Debug)]
 pub(super) struct RequestsInFlight {
     client: Mutex<Client<Waiter>>,
-    /// Places in flight; closed when the session is over.
+    /// Free places in flight; closed when the session is over.
     places: Semaphore,
     over: watch::Sender<Option<CloseReason>>,
 }
 
 impl RequestsInFlight {
-    /// At most `places` are under way at once.
+    /// Allows at most `places` requests in flight at once.
     pub(super) fn new(session: SessionId, places: usize) -> Self {
         Self {
             client: Mutex::new(Client::new(session)),
@@ -45,10 +45,10 @@ impl RequestsInFlight {
         self.client.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Waits for a place in flight; recorded as `send-queue` only if there was none free.
+    /// Waits for a place in flight. Records `send-queue` only if it has to wait.
     ///
     /// # Errors
-    /// When the deadline passes, or the session is over.
+    /// If the deadline passes, or the session is over.
     pub(super) async fn place(
         &self,
         log: &mut Recorder,
@@ -66,10 +66,10 @@ impl RequestsInFlight {
         })
     }
 
-    /// Begins a request. Returns its number and where the answer comes.
+    /// Starts a request. Returns its number and the receiver of its answer.
     ///
     /// # Errors
-    /// When the session is over.
+    /// If the session is over.
     pub(super) fn begin(&self) -> Result<(u64, oneshot::Receiver<Answer>), RequestError> {
         let (waiter, answer) = oneshot::channel();
         let request = self.client().begin(waiter).map_err(|reason| RequestError::Lost(reason.to_string()))?;
@@ -86,12 +86,12 @@ impl RequestsInFlight {
         self.client().receive(header)
     }
 
-    /// Takes the receiver of an answer that was lost on the way, if there is one.
+    /// Removes a request that was lost, or whose answer was lost. Returns its waiter, if it is still waited for.
     pub(super) fn lose(&self, request: u64) -> Option<Waiter> {
         self.client().lose(request)
     }
 
-    /// Ends the session; the first reason stays. Requests under way are counted as lost and end.
+    /// Ends the session; the first reason is kept. Requests in flight are counted as lost and end.
     pub(super) fn end(&self, reason: &CloseReason, counters: &Counters) {
         let waiters = self.client().end(reason.clone());
         end_all(reason, waiters, counters);
@@ -103,7 +103,7 @@ impl RequestsInFlight {
         self.places.close();
     }
 
-    /// Waits until the session is over. Returns why.
+    /// Waits until the session is over. Returns the reason.
     pub(super) async fn ended(&self) -> CloseReason {
         let mut over = self.over.subscribe();
         match over.wait_for(Option::is_some).await {
@@ -115,10 +115,10 @@ impl RequestsInFlight {
 
 /// Counts requests as lost and ends them because the session is over.
 pub(super) fn end_all(reason: &CloseReason, waiters: Vec<Waiter>, counters: &Counters) {
-    // Before they end: who asks for statistics then finds them counted.
+    // Counted first, so that a waiter that reads the statistics finds its request counted.
     counters.lost(waiters.len() as u64);
     for waiter in waiters {
-        // One that was given up this very moment needs no answer.
+        // Fails if the request was given up at this moment; it then needs no answer.
         let _ = waiter.send(Answer::Over(reason.clone()));
     }
 }
@@ -139,7 +139,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn end_tells_all_requests_and_gives_out_no_place() {
+    async fn session_end_fails_all_requests() {
         let (requests, counters) = (RequestsInFlight::new(SessionId::random(), 1), Counters::default());
         let soon = tokio::time::Instant::now() + std::time::Duration::from_secs(60);
         let place = requests.place(&mut log(), soon).await.expect("one is free");

@@ -1,4 +1,4 @@
-//! The cloud's side of all sessions of a listener, without I/O.
+//! State machine of all sessions of a listener at the cloud, without I/O.
 
 use std::collections::{HashMap, HashSet};
 use std::net::SocketAddr;
@@ -6,7 +6,7 @@ use std::sync::Arc;
 
 use crate::SessionSettings;
 use crate::message::{
-    Accepted, ClockNews, Goodbye, Header, Open, Outcome, PeerClock, RefusalKind, Refused, Reply, Request,
+    Accepted, ClockUpdate, Goodbye, Header, Open, Outcome, PeerClock, RefusalKind, Refused, Reply, Request,
     SESSION_VERSIONS, STATISTICS_SINCE, SessionAccepted, SessionHello, SessionId, UnknownSession,
 };
 use crate::statistics::Counters;
@@ -14,7 +14,7 @@ use crate::transport::{AddressGroup, ConnectionId, Peer};
 use peernet_logger::HostId;
 use peernet_stream::VersionMismatch;
 
-/// Sessions that one connection may hold at once.
+/// Largest number of sessions of one connection.
 const SESSIONS_PER_CONNECTION: usize = 16;
 
 /// All sessions of a listener.
@@ -25,47 +25,48 @@ pub(crate) struct Server {
     max_message_bytes: u64,
     sessions: HashMap<SessionId, Entry>,
     connections: HashMap<ConnectionId, Vec<SessionId>>,
-    /// The last announcement of this host's clock.
+    /// Last announced state of this host's clocks.
     clock: Option<PeerClock>,
 }
 
 #[derive(Debug)]
 struct Entry {
     peer: Peer,
-    /// Identity that the edge claims.
+    /// Host id that the edge claims.
     host: HostId,
-    /// The version of the protocol that was chosen.
+    /// Version of the protocol that was chosen.
     version: u16,
     accepted: bool,
     in_flight: HashSet<u64>,
-    /// Largest message that the edge takes.
+    /// Largest message that the edge accepts. Bytes.
     max_message_bytes: u64,
     counters: Arc<Counters>,
 }
 
-/// A message of an edge, as it concerns its session.
+/// Effect of a message from an edge.
 #[derive(Debug, PartialEq)]
 pub(crate) enum EdgeMessage {
-    /// An edge asks for a session, which has this id from now on.
+    /// The edge asks for a session, which has this id from now on.
     Open(SessionId, Box<SessionHello>),
-    /// A request of an open session; it is in flight until [finished](Server::finish).
+    /// A request of an open session. It is in flight until [`Server::finish`].
     Request(Request),
-    /// Nothing to do but to answer this.
+    /// The message only needs this answer.
     Answer(Header),
-    /// The edge ended its session; with its run, if it tells how many iterations that was to have.
+    /// The edge ended its session. If it ended its run as well, the number is the number of iterations that the run was
+    /// to have.
     Closed(SessionId, Option<u64>),
-    /// Makes no sense.
+    /// The message is not valid, for this reason.
     Malformed(&'static str),
 }
 
-/// Rights of a connection by its sessions.
+/// Rights of a connection, derived from its sessions.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Admission {
-    /// It has no session and waits for none.
+    /// The connection has no session and waits for none.
     Unadmitted,
-    /// It waits for a session.
+    /// The connection waits for a session.
     Greeted,
-    /// It has a session.
+    /// The connection has a session.
     Admitted,
 }
 
@@ -73,11 +74,11 @@ pub(crate) enum Admission {
 #[derive(Clone, Debug)]
 pub(crate) struct Route {
     pub(crate) peer: Peer,
-    /// Largest message that the edge takes.
+    /// Largest message that the edge accepts. Bytes.
     pub(crate) max_message_bytes: u64,
-    /// The version of the protocol that was chosen.
+    /// Version of the protocol that was chosen.
     pub(crate) version: u16,
-    /// Counters of the answer.
+    /// Counters for the answer.
     pub(crate) counters: Arc<Counters>,
 }
 
@@ -114,7 +115,7 @@ impl Server {
         }
     }
 
-    /// The answer to a hello without a common version.
+    /// Returns the answer to a hello without a common version.
     pub(crate) fn incompatible(mismatch: &VersionMismatch) -> Header {
         let reason = mismatch.describe("the session protocol", "the cloud", "the edge");
         Header::Refused(Refused { versions: SESSION_VERSIONS, kind: RefusalKind::Incompatible, reason })
@@ -130,6 +131,7 @@ impl Server {
             Err(mismatch) => return EdgeMessage::Answer(Self::incompatible(&mismatch)),
         };
         let of_connection = self.connections.get(&peer.connection).map_or(0, Vec::len);
+        // Otherwise one edge could take the place of many with a single socket.
         if of_connection >= SESSIONS_PER_CONNECTION {
             let reason = format!(
                 "this connection has {SESSIONS_PER_CONNECTION} sessions already; close some or open another connection"
@@ -154,8 +156,10 @@ impl Server {
         EdgeMessage::Open(session, Box::new(open.hello))
     }
 
-    /// Returns the reason against one more session. One host may hold half of the sessions that others leave free, so that
-    /// there is always one for the next host; one address, behind which there may be several, three quarters.
+    /// Returns the reason against one more session, if there is one.
+    ///
+    /// One host may hold half of the sessions that others leave free, so that the next host always finds one. One
+    /// address, which several hosts may share, may hold three quarters.
     fn too_many(&self, peer: &Peer, host: HostId) -> Option<String> {
         let (all, max) = (self.sessions.len(), self.max_sessions);
         if all >= max {
@@ -173,21 +177,22 @@ impl Server {
             ));
         }
         let group = AddressGroup::of(peer.address?);
+        // All programs of this machine share the loopback address.
         if group.is_loopback() {
             return None;
         }
-        let is_there = |entry: &&Entry| entry.peer.address.is_some_and(|at| AddressGroup::of(at) == group);
-        let there = self.sessions.values().filter(is_there).count();
-        let most = ((max - (all - there)) * 3).div_ceil(4);
-        (there >= most).then(|| {
+        let is_of_group = |entry: &&Entry| entry.peer.address.is_some_and(|at| AddressGroup::of(at) == group);
+        let of_group = self.sessions.values().filter(is_of_group).count();
+        let most = ((max - (all - of_group)) * 3).div_ceil(4);
+        (of_group >= most).then(|| {
             format!(
-                "this address holds {there} sessions, and may hold {most}: three quarters of what others leave of the \
+                "this address holds {of_group} sessions, and may hold {most}: three quarters of what others leave of the \
                  cloud's max_sessions, {max}; close some or raise max_sessions there"
             )
         })
     }
 
-    /// Returns the admission of a connection, by its sessions now.
+    /// Returns the admission of a connection, derived from its present sessions.
     pub(crate) fn admission(&self, connection: ConnectionId) -> Admission {
         let sessions = self.connections.get(&connection).map_or(&[][..], Vec::as_slice);
         let accepted = |session| self.sessions.get(session).is_some_and(|entry| entry.accepted);
@@ -225,14 +230,15 @@ impl Server {
         EdgeMessage::Request(request)
     }
 
-    /// The session, if it is this connection's: to all others it does not exist.
+    /// Returns the session if it belongs to the connection of `peer`. For other connections it does not exist.
     fn owned(&mut self, peer: &Peer, session: SessionId) -> Option<&mut Entry> {
         self.sessions.get_mut(&session).filter(|entry| entry.peer.connection == peer.connection)
     }
 
-    /// Accepts a session that was asked for: what to send where. `None` when the edge is gone.
+    /// Accepts a session that was asked for. Returns the message and its destination; `None` if the edge is gone.
     ///
-    /// The announced state of the clock replaces the one that the caller read, perhaps before the announcement.
+    /// The announced state of the clocks replaces the one in `accepted`, which the caller may have read before the
+    /// announcement.
     pub(crate) fn accept(
         &mut self,
         session: SessionId,
@@ -254,33 +260,33 @@ impl Server {
         Some((entry.peer.clone(), header))
     }
 
-    /// Refuses a session that was asked for: what to send where. `None` when the edge is gone.
+    /// Refuses a session that was asked for. Returns the message and its destination; `None` if the edge is gone.
     pub(crate) fn refuse(&mut self, session: SessionId, reason: String) -> Option<(Peer, Header)> {
         self.forget(session).map(|entry| (entry.peer, Self::refusal(reason)))
     }
 
-    /// This is known of the clock from now on: what to send where.
+    /// Sets the state of the clocks. Returns the messages to the open sessions, with their destinations.
     pub(crate) fn announce(&mut self, clock: PeerClock) -> Vec<(Peer, Header)> {
         let open = self.sessions.iter().filter(|(_, entry)| entry.accepted);
-        let news = open
+        let headers = open
             .map(|(session, entry)| {
                 let clock = clock.clone().in_version(entry.version);
-                let news = ClockNews { session: *session, clock };
-                (entry.peer.clone(), Header::Clock(Box::new(news)))
+                let update = ClockUpdate { session: *session, clock };
+                (entry.peer.clone(), Header::Clock(Box::new(update)))
             })
             .collect();
         self.clock = Some(clock);
-        news
+        headers
     }
 
-    /// Returns the open sessions whose edges take reports of statistics, with their counters.
-    pub(crate) fn counted_sessions(&self) -> Vec<(SessionId, Peer, Arc<Counters>)> {
-        let told = |entry: &Entry| entry.accepted && entry.version >= STATISTICS_SINCE;
-        let open = self.sessions.iter().filter(|(_, entry)| told(entry));
+    /// Returns the open sessions whose version has reports of statistics, with their counters.
+    pub(crate) fn sessions_with_statistics(&self) -> Vec<(SessionId, Peer, Arc<Counters>)> {
+        let gets_statistics = |entry: &Entry| entry.accepted && entry.version >= STATISTICS_SINCE;
+        let open = self.sessions.iter().filter(|(_, entry)| gets_statistics(entry));
         open.map(|(session, entry)| (*session, entry.peer.clone(), Arc::clone(&entry.counters))).collect()
     }
 
-    /// A request has its answer: where to send it. `None` when the session is gone.
+    /// Ends a request that has its answer. Returns the destination of the answer; `None` if the session is gone.
     pub(crate) fn finish(&mut self, session: SessionId, request: u64) -> Option<Route> {
         let entry = self.sessions.get_mut(&session)?;
         entry.in_flight.remove(&request).then(|| Route {
@@ -291,22 +297,23 @@ impl Server {
         })
     }
 
-    /// Returns what counts the messages of a session.
+    /// Returns the message counters of a session.
     pub(crate) fn counters(&self, session: SessionId) -> Option<Arc<Counters>> {
         self.sessions.get(&session).map(|entry| Arc::clone(&entry.counters))
     }
 
-    /// Returns what counts the messages of a connection, which has one session as a rule.
+    /// Returns the message counters of a connection. Connections normally have one session; if there are several, those
+    /// of the first.
     pub(crate) fn counters_of(&self, connection: ConnectionId) -> Option<Arc<Counters>> {
         self.counters(self.session_of(connection)?)
     }
 
-    /// Returns a session of a connection.
+    /// Returns the first session of a connection.
     pub(crate) fn session_of(&self, connection: ConnectionId) -> Option<SessionId> {
         self.connections.get(&connection)?.first().copied()
     }
 
-    /// A connection's peer has another address from now on.
+    /// Updates the address of a connection's peer.
     pub(crate) fn moved(&mut self, connection: ConnectionId, address: SocketAddr) {
         for session in self.connections.get(&connection).into_iter().flatten() {
             if let Some(entry) = self.sessions.get_mut(session) {
@@ -315,8 +322,8 @@ impl Server {
         }
     }
 
-    /// A connection ended: its sessions are gone.
-    pub(crate) fn gone(&mut self, connection: ConnectionId) -> Vec<SessionId> {
+    /// Removes the sessions of a connection that ended. Returns them.
+    pub(crate) fn remove_connection(&mut self, connection: ConnectionId) -> Vec<SessionId> {
         let sessions = self.connections.remove(&connection).unwrap_or_default();
         for session in &sessions {
             self.sessions.remove(session);
@@ -324,7 +331,7 @@ impl Server {
         sessions
     }
 
-    /// Ends all sessions: what to send where.
+    /// Ends all sessions. Returns the messages to their edges, with their destinations.
     pub(crate) fn goodbye(&mut self, reason: &str) -> Vec<(Peer, Header)> {
         self.connections.clear();
         let farewell = |session, entry: Entry| {
@@ -338,7 +345,7 @@ impl Server {
         self.sessions.drain().map(|(session, entry)| farewell(session, entry)).collect()
     }
 
-    /// Requests that wait for their answer.
+    /// Returns the number of requests that wait for their answer.
     pub(crate) fn in_flight(&self) -> usize {
         self.sessions.values().map(|entry| entry.in_flight.len()).sum()
     }

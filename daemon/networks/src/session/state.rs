@@ -7,39 +7,40 @@ use peernet_logger::{Recorder, stage};
 use peernet_sample::Sample;
 use tokio::sync::{oneshot, watch};
 
-use super::exchange::{Departed, RequestError, Sizes};
+use super::exchange::{DepartedRequest, RequestError, Sizes};
 use super::remarks::Remarks;
 use super::requests_in_flight::{Answer, RequestsInFlight};
 use crate::message::{
     Departure, Header, HeaderError, PeerClock, RAW_STAMPS_SINCE, Request, SampleHeader, SessionId,
-    TreeFrameError, encode_tree, put_upload,
+    TreeFrameError, add_upload, encode_tree,
 };
 use crate::statistics::{ConnectionStatistics, Counters};
 use crate::transport::{EdgeSender, SendFailure, SendOptions};
 
-/// Terms that both ends of a session agreed on.
+/// Terms on which both ends of a session agreed.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct SessionTerms {
     pub(super) session: SessionId,
-    /// The version of the protocol that the cloud chose.
+    /// Version of the protocol that the cloud chose.
     pub(super) version: u16,
-    /// The tighter limit of both ends.
+    /// Smaller one of the limits of both ends. Bytes.
     pub(super) max_message_bytes: u64,
 }
 
 impl SessionTerms {
-    /// Returns the clocks that the stamps of exchanges are of: the cloud's is the free-running one where the version has it.
+    /// Returns the clocks of the stamps in exchanges. The cloud's clock is the free-running one if the version supports
+    /// it.
     pub(super) const fn clocks(self) -> RelatedClocks {
         if self.has_raw_stamps() { RelatedClocks::Raw } else { RelatedClocks::RawToWall }
     }
 
-    /// Whether the version has stamps of the cloud's free-running clock.
+    /// Returns whether the version has stamps of the cloud's free-running clock.
     pub(super) const fn has_raw_stamps(self) -> bool {
         self.version >= RAW_STAMPS_SINCE
     }
 }
 
-/// An open session.
+/// State of an open session.
 #[derive(Debug)]
 pub(super) struct SessionState {
     pub(super) terms: SessionTerms,
@@ -48,14 +49,14 @@ pub(super) struct SessionState {
     pub(super) clock: SharedClock,
     pub(super) counters: Counters,
     pub(super) peer_clock: watch::Sender<PeerClock>,
-    /// Last report of the cloud on its end of the connection.
+    /// Last report of the cloud about its end of the connection.
     pub(super) peer_statistics: watch::Sender<Option<ConnectionStatistics>>,
     pub(super) remarks: Remarks,
-    /// Number of iterations that the run was to have, once it is over.
+    /// Number of iterations that the run was to have; set when the run is over.
     pub(super) ordered: OnceLock<u64>,
 }
 
-/// Why a sample cannot be sent.
+/// Reason why a sample cannot be sent.
 #[derive(Debug, thiserror::Error)]
 enum UnsendableSample {
     #[error(transparent)]
@@ -66,34 +67,35 @@ enum UnsendableSample {
     TooLarge { bytes: u64, most: u64 },
 }
 
-/// A request under way. Giving it up is dropping it.
-pub(super) struct Pending<'a> {
+/// A request in flight. Dropping it gives the request up.
+pub(super) struct PendingRequest<'a> {
     requests: &'a RequestsInFlight,
     request: u64,
-    pub(super) departed: Departed,
+    pub(super) departed: DepartedRequest,
     pub(super) sizes: Sizes,
     pub(super) answer: oneshot::Receiver<Answer>,
 }
 
-impl Drop for Pending<'_> {
+impl Drop for PendingRequest<'_> {
     fn drop(&mut self) {
         self.requests.give_up(self.request);
     }
 }
 
 impl SessionState {
-    /// Returns what was sent and received so far.
+    /// Returns the statistics of the connection so far.
     pub(super) fn statistics(&self) -> ConnectionStatistics {
         self.counters.statistics(&self.sender.statistics())
     }
 
-    /// Encodes and hands to the network, from the task that asks for it.
+    /// Encodes a sample and hands it to the network. The calling task writes to the socket itself, because a switch to
+    /// another task would take time.
     pub(super) fn send(
         &self,
         log: &mut Recorder,
         sample: &Sample,
         deadline: tokio::time::Instant,
-    ) -> Result<Pending<'_>, RequestError> {
+    ) -> Result<PendingRequest<'_>, RequestError> {
         let failed =
             |error: UnsendableSample| RequestError::Failed(format!("the sample cannot be sent: {error}"));
         let encoding = log.start(stage::ENCODE);
@@ -107,21 +109,22 @@ impl SessionState {
         };
         let (request, answer) = self.requests.begin()?;
 
-        // Before the stamp, as the one at the answer is after it: if they are equal, so is all in between.
+        // Read before the stamp, while the epoch of the answer is read after its stamp. If both are equal, the clock
+        // was not stepped in between.
         let epoch = self.clock.epoch();
         let stamp = self.clock.stamp();
         log.stop_at(encoding, stamp.mono);
-        let (told_epoch, sent_raw) = if self.terms.has_raw_stamps() {
+        let (sent_epoch, sent_raw) = if self.terms.has_raw_stamps() {
             (epoch, Some(stamp.raw))
         } else {
             (self.clock.wall_epoch(), None)
         };
         let start = log.offset(stamp.mono);
-        let departure = Departure { sent: stamp.wall, start, epoch: told_epoch, sent_raw };
-        let departed = Departed { upload: put_upload(log.tree_mut(), departure), at: stamp, epoch };
-        // From here on the request is given up by dropping it.
+        let departure = Departure { sent: stamp.wall, start, epoch: sent_epoch, sent_raw };
+        let departed = DepartedRequest { upload: add_upload(log.tree_mut(), departure), at: stamp, epoch };
+        // From here on an early return drops `pending` and so gives the request up.
         let mut pending =
-            Pending { requests: &self.requests, request, departed, sizes: Sizes::default(), answer };
+            PendingRequest { requests: &self.requests, request, departed, sizes: Sizes::default(), answer };
         let header = Header::Request(Request {
             session: self.terms.session,
             request,
@@ -154,6 +157,7 @@ impl SessionState {
     ) -> Result<(bytes::Bytes, SampleHeader), UnsendableSample> {
         let header = SampleHeader::of(sample)?;
         let tree = encode_tree(log.tree())?;
+        // Checked before sending, so that an error names the sample and the connection survives.
         let bytes = sample.payload_bytes().saturating_add(tree.len() as u64);
         let most = self.terms.max_message_bytes;
         if bytes > most {

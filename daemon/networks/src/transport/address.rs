@@ -1,4 +1,7 @@
-//! Where a peer is found.
+//! Addresses of peers and listeners.
+//!
+//! The scheme of an address alone selects the network. A network that a configuration names next to an address selects
+//! nothing; it is only checked for agreement with the scheme.
 
 use std::collections::BTreeSet;
 use std::fmt;
@@ -10,41 +13,41 @@ use serde::{Deserialize, Serialize};
 
 use super::NetworkKind;
 
-/// The address of a peer or of a listener: `tcp://host:port`. Its scheme selects the network.
+/// Address of a peer or of a listener, such as `tcp://host:port`. Its scheme selects the network.
 ///
-/// The host is a name, an IPv4 address, or an IPv6 address in brackets. `0.0.0.0` and `[::]` listen on every
-/// interface; port 0 lets the system choose one. Where peers find each other by way of a third program, as in
-/// `ros1://master:11311/name`, host and port are that program's, and a name tells the listeners apart; in a domain, as in
-/// `ros2://7/name`, there is no such program.
+/// The host is a name, an IPv4 address, or an IPv6 address in brackets. `0.0.0.0` and `[::]` listen on all interfaces.
+/// With port 0 the system chooses a port. In networks where a third program lets peers find each other, as in
+/// `ros1://master:11311/name`, host and port are those of that program and the name identifies the listener. In a
+/// domain, as in `ros2://7/name`, there is no such program.
 #[derive(Clone, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(try_from = "String", into = "String")]
 pub struct Address {
     scheme: Scheme,
     host: Host,
     port: u16,
-    /// Name of the listener; only where the network's [`AddressForm`] has one.
+    /// Name of the listener, if the network's [`AddressForm`] has one.
     name: Option<String>,
 }
 
-/// How the addresses of a network are written after `scheme://`.
+/// Form of the addresses of a network after `scheme://`.
 #[derive(Clone, Copy, Debug)]
 pub(crate) enum AddressForm {
     /// `host:port` of the listener.
     HostPort,
-    /// `host:port/name`: where the listener's name is looked up, and that name.
+    /// `host:port/name`: the program that knows the listener, and the listener's name.
     Named {
-        /// Port where none is given.
+        /// Default port.
         port: u16,
-        /// Name where none is given.
+        /// Default name.
         name: &'static str,
-        /// The scheme of addresses that have a domain in place of host and port.
+        /// Scheme of addresses that have a domain in place of host and port.
         in_domain: &'static str,
-        /// Returns the address of a listener of which only the name is known, by the environment of this process.
+        /// Returns the address of the listener with this name, using the environment of this process.
         find: fn(&str, Option<u64>) -> Result<String, UnknownAddress>,
     },
 }
 
-/// Nothing says where a listener is looked up of which only the name is known.
+/// Error: the environment does not say where a listener with a known name is to be looked up.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("{0}")]
 pub struct UnknownAddress(pub(crate) String);
@@ -59,7 +62,7 @@ impl AddressForm {
     }
 }
 
-/// What stands before `://`, and the network that it selects.
+/// The scheme of an address (the text before `://`), and the network that it selects.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 struct Scheme {
     network: NetworkKind,
@@ -67,7 +70,7 @@ struct Scheme {
 }
 
 impl Scheme {
-    /// The scheme of a network that was named without an address.
+    /// Returns the first scheme of a network.
     const fn of(network: NetworkKind) -> Self {
         Self { network, text: network.schemes()[0] }
     }
@@ -88,93 +91,93 @@ enum Host {
     Domain(u16),
 }
 
-/// A text that is not an address.
+/// Error: the text is not an address.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("{text:?} is not an address: {problem}; write {}", forms_like(text, NetworkKind::ALL))]
 pub struct InvalidAddress {
-    /// What was given.
+    /// The text.
     pub text: String,
-    /// What is wrong with it.
+    /// The reason.
     pub problem: AddressProblem,
 }
 
-/// A text that is not an address at which agents and the aggregator exchange the event stream.
+/// Error: the text is not an address for the event stream between agents and aggregator.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("{:?} is not an address: {}; write {}", .0.text, .0.problem, forms_like(&.0.text, &[NetworkKind::default()]))]
 pub struct InvalidEventStreamAddress(pub InvalidAddress);
 
-/// What is wrong with a text that is not an address.
+/// Reason why a text is not an address.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum AddressProblem {
-    /// It does not begin with `tcp://`.
+    /// The text does not begin with a scheme such as `tcp://`.
     #[error("the scheme is missing")]
     NoScheme,
-    /// It begins with another scheme.
+    /// The scheme is unknown.
     #[error("unknown scheme {0:?}")]
     UnknownScheme(String),
-    /// A bracket opens and does not close.
+    /// An opening bracket is not closed.
     #[error("the closing bracket is missing")]
     NoClosingBracket,
-    /// What stands in brackets is not an IPv6 address.
+    /// The text in brackets is not an IPv6 address.
     #[error("{0:?} is not an IPv6 address")]
     InvalidIpv6(String),
-    /// An IPv6 address stands without brackets.
+    /// An IPv6 address is not in brackets.
     #[error("an IPv6 host needs brackets")]
     Ipv6WithoutBrackets,
-    /// There is no host.
+    /// The host is missing.
     #[error("the host is missing")]
     NoHost,
     /// The host consists of digits and dots and is not an IPv4 address.
     #[error("{0:?} is not an IPv4 address")]
     InvalidIpv4(String),
-    /// The host cannot be a name.
+    /// The host is not a valid host name.
     #[error("{0:?} is not a host name")]
     InvalidName(String),
-    /// There is no port.
+    /// The port is missing.
     #[error("the port is missing")]
     NoPort,
     /// The port is not a number.
     #[error("{0:?} is not a port")]
     InvalidPort(String),
-    /// The port is too large a number.
+    /// The port is above 65,535.
     #[error("port {0} is above 65535")]
     PortTooLarge(String),
-    /// The domain is not a number of one.
+    /// The domain is not the number of a domain.
     #[error("{0:?} is not a domain; domains of ROS 2 go from 0 to {most}", most = Ros2Settings::MAX_DOMAIN_ID)]
     InvalidDomain(String),
-    /// The listener's name cannot be part of the name of a topic.
+    /// The listener's name cannot be part of a topic name.
     #[error("the name {0:?} must begin with a letter and have only letters, digits and _")]
     InvalidListenerName(String),
 }
 
-/// A network that was named beside an address of another one.
+/// Error: a configuration names another network than the one of the address.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("the network is {named}, but {address} is an address of {}; leave the network out, or write {}", .address.network(), forms_of(&[*.named]))]
 pub struct NetworkMismatch {
-    /// The network that was named.
+    /// Network that was named.
     pub named: NetworkKind,
-    /// The address of another network.
+    /// Address of another network.
     pub address: Address,
 }
 
-/// An address of a network that does not carry the event stream between agent and aggregator.
+/// Error: the network of this address does not carry the event stream between agent and aggregator.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("the event stream goes over {default}, but {0} is an address of {network}; write {form}", default = NetworkKind::default(), network = .0.network(), form = forms_of(&[NetworkKind::default()]))]
 pub struct NoEventStream(pub Address);
 
 impl Address {
-    /// The address of an IP address and a port: `tcp://…`.
+    /// Returns the address `tcp://ip:port`.
     pub const fn of_ip(ip: IpAddr, port: u16) -> Self {
         Self { scheme: Scheme::of(NetworkKind::ALL[0]), host: Host::Ip(ip), port, name: None }
     }
 
-    /// The same network at an IP address and a port.
+    /// Returns the address with its host and port replaced.
     #[must_use]
     pub fn at_ip(&self, ip: IpAddr, port: u16) -> Self {
         Self { scheme: self.scheme, host: Host::Ip(ip), port, name: self.name.clone() }
     }
 
-    /// The domain in which the listener is found, where it is in one.
+    /// Returns the domain of the listener, if the address has one.
     pub const fn domain(&self) -> Option<u16> {
         match &self.host {
             Host::Domain(domain) => Some(*domain),
@@ -182,20 +185,20 @@ impl Address {
         }
     }
 
-    /// The network that the scheme selects.
+    /// Returns the network that the scheme selects.
     pub const fn network(&self) -> NetworkKind {
         self.scheme.network
     }
 
-    /// What stands before `://`.
+    /// Returns the scheme: the text before `://`.
     pub const fn scheme(&self) -> &'static str {
         self.scheme.text
     }
 
-    /// Checks that a network that was named beside the address is the one that the scheme selects.
+    /// Checks that `named`, a network that was named next to the address, is the one that the scheme selects.
     ///
     /// # Errors
-    /// When it is another one.
+    /// If it is another network.
     pub fn check_network(&self, named: Option<NetworkKind>) -> Result<(), NetworkMismatch> {
         match named {
             Some(named) if named != self.network() => Err(NetworkMismatch { named, address: self.clone() }),
@@ -203,15 +206,15 @@ impl Address {
         }
     }
 
-    /// Checks that the event stream between agent and aggregator can go over this address's network.
+    /// Checks that the network of this address carries the event stream between agent and aggregator.
     ///
     /// # Errors
-    /// When it cannot.
+    /// If it does not.
     pub fn check_event_stream(&self) -> Result<(), NoEventStream> {
         if self.network() == NetworkKind::default() { Ok(()) } else { Err(NoEventStream(self.clone())) }
     }
 
-    /// The host, without brackets; the number of a domain where that is in its place.
+    /// Returns the host without brackets, or the number of the domain.
     pub fn host(&self) -> String {
         match &self.host {
             Host::Domain(domain) => domain.to_string(),
@@ -220,27 +223,28 @@ impl Address {
         }
     }
 
-    /// The port; 0 asks the system to choose. In a domain it means nothing.
+    /// Returns the port; 0 lets the system choose one. Meaningless in a domain.
     pub const fn port(&self) -> u16 {
         self.port
     }
 
-    /// The name of the listener, where host and port are not its own but those of a program that knows it.
+    /// Returns the name of the listener, in networks whose host and port are those of a program that knows the
+    /// listener.
     pub fn listener_name(&self) -> Option<&str> {
         self.name.as_deref()
     }
 
-    /// Whether only this machine can reach a listener at this address.
+    /// Returns whether only this machine can reach a listener at this address.
     pub fn is_loopback(&self) -> bool {
         match &self.host {
             Host::Ip(ip) => ip.is_loopback(),
             Host::Name(name) => name.eq_ignore_ascii_case("localhost"),
-            // Its interfaces are settings.
+            // The interfaces of a domain are a setting, not part of the address.
             Host::Domain(_) => false,
         }
     }
 
-    /// `host:port`, IPv6 in brackets; the number of a domain where that is in its place.
+    /// Returns `host:port` with IPv6 hosts in brackets, or the number of the domain.
     pub fn authority(&self) -> String {
         match &self.host {
             Host::Domain(domain) => domain.to_string(),
@@ -311,7 +315,7 @@ fn has_port(authority: &str) -> bool {
     authority.rsplit_once(':').is_some_and(|(_, port)| !port.contains(']'))
 }
 
-/// The name of a listener, which becomes part of the name of a topic.
+/// Parses the name of a listener, which becomes part of a topic name.
 fn parse_name(name: &str) -> Result<String, AddressProblem> {
     let is_name = name.starts_with(|first: char| first.is_ascii_alphabetic())
         && name.len() <= 63
@@ -319,8 +323,8 @@ fn parse_name(name: &str) -> Result<String, AddressProblem> {
     if is_name { Ok(name.to_owned()) } else { Err(AddressProblem::InvalidListenerName(name.to_owned())) }
 }
 
-/// How a text that is meant to be an address of one of these networks is written, for messages: with its own scheme where that is one of
-/// theirs.
+/// Returns the forms of addresses of these networks, for error texts. If `text` has the scheme of one of them, returns
+/// only the form of that scheme.
 fn forms_like(text: &str, networks: &[NetworkKind]) -> String {
     let scheme = text.split_once("://").and_then(|(scheme, _)| Scheme::find(scheme));
     let scheme = scheme.filter(|scheme| networks.contains(&scheme.network));
@@ -332,7 +336,7 @@ fn forms_like(text: &str, networks: &[NetworkKind]) -> String {
     format!("{forms}{brackets}")
 }
 
-/// How addresses of these networks are written.
+/// Returns the forms of all addresses of these networks.
 fn forms_of(networks: &[NetworkKind]) -> String {
     let form = |network: &NetworkKind| {
         let form = network.address_form();
@@ -342,7 +346,7 @@ fn forms_of(networks: &[NetworkKind]) -> String {
     forms.into_iter().collect::<Vec<_>>().join(" or ")
 }
 
-/// A name or an IPv4 address; what looks like an IPv4 address must be one.
+/// Parses a host name or an IPv4 address. A text of digits and dots must be an IPv4 address.
 fn parse_host(host: &str) -> Result<Host, AddressProblem> {
     if host.is_empty() {
         return Err(AddressProblem::NoHost);

@@ -1,14 +1,14 @@
-//! Which addresses one machine may have all of.
+//! Groups of addresses for limits per address.
 
 use std::net::{IpAddr, Ipv6Addr, SocketAddr};
 
-/// Addresses that count as one: an IPv4 address, or the /64 network of an IPv6 address, which one machine can
-/// have all of.
+/// Addresses that limits treat as one: an IPv4 address, or the /64 network of an IPv6 address. One machine can use all
+/// addresses of such a network.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct AddressGroup(IpAddr);
 
 impl AddressGroup {
-    /// The group of a peer.
+    /// Returns the group of a peer's address.
     pub fn of(address: SocketAddr) -> Self {
         match address.ip().to_canonical() {
             IpAddr::V6(ip) if !ip.is_loopback() => {
@@ -18,7 +18,8 @@ impl AddressGroup {
         }
     }
 
-    /// Whether it is this machine itself, whose processes can do worse than to open connections.
+    /// Returns whether the address is this machine's loopback. Limits make an exception for it, because a local process
+    /// can do worse things than open connections.
     pub fn is_loopback(self) -> bool {
         self.0.is_loopback()
     }
@@ -29,7 +30,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn an_ipv6_network_counts_as_one_address() {
+    fn ipv6_network_counts_as_one_address() {
         let group = |text: &str| AddressGroup::of(text.parse().expect("an address"));
         assert_eq!(group("[2001:db8::1]:1"), group("[2001:db8::ffff:1]:2"));
         assert_ne!(group("[2001:db8:0:1::1]:1"), group("[2001:db8::1]:1"));

@@ -1,43 +1,43 @@
-//! What a network checks of a configuration on this host.
+//! Checks of a configuration that depend on the build and on this host.
 
 use std::error::Error;
 
 use crate::{Address, SessionSettings};
 
-/// What is wrong; only the network itself knows the type.
+/// A problem whose type only the network itself knows.
 type Problem = Box<dyn Error + Send + Sync>;
 
 /// The checks of a network that depend on the build and on this host.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct HostChecks {
-    /// Checks that peers at an address of the network can be reached by this build.
+    /// Checks that this build can reach peers at an address of the network.
     pub(crate) address: fn(&Address) -> Result<(), Problem>,
-    /// Checks the settings that only the network has; an error names their key.
+    /// Checks the settings that only the network has. An error names the key.
     pub(crate) settings: fn(&SessionSettings) -> Result<(), (&'static str, Problem)>,
 }
 
 impl HostChecks {
-    /// A network that works everywhere.
+    /// Checks of a network that works on every host.
     pub(crate) const NONE: Self = Self { address: |_| Ok(()), settings: |_| Ok(()) };
 }
 
-/// An address that cannot be used on this host.
+/// Error: an address cannot be used on this host.
 #[derive(Debug, thiserror::Error)]
 #[error("{address}: {problem}")]
 pub struct UnusableAddress {
     /// The address.
     pub address: Address,
-    /// Why.
+    /// The reason.
     pub problem: Problem,
 }
 
-/// A setting that cannot be used on this host.
+/// Error: a setting cannot be used on this host.
 #[derive(Debug, thiserror::Error)]
 #[error("{key}: {problem}")]
 pub struct UnusableSetting {
-    /// The key below that of the session.
+    /// Key below the key of the session settings.
     pub key: &'static str,
-    /// Why.
+    /// The reason.
     pub problem: Problem,
 }
 
@@ -45,7 +45,7 @@ impl Address {
     /// Checks that this host can use the address, without connecting to it.
     ///
     /// # Errors
-    /// When the build lacks the network.
+    /// If the build lacks the network.
     pub fn check_host(&self) -> Result<(), UnusableAddress> {
         (self.network().host_checks().address)(self)
             .map_err(|problem| UnusableAddress { address: self.clone(), problem })

@@ -1,23 +1,23 @@
-//! Memory shared by many connections: bytes are reserved before they are taken, and given back when dropped.
+//! Memory budgets that many connections share: bytes are reserved before memory is used, and returned on drop.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
-/// Bytes that several holders may take together.
+/// Largest number of bytes that all holders together may reserve.
 #[derive(Debug)]
 pub(crate) struct MemoryBudget {
     limit: u64,
     held: AtomicU64,
 }
 
-/// Bytes reserved in a budget; given back when dropped.
+/// Bytes reserved in a budget; returned on drop.
 #[derive(Debug)]
 pub(crate) struct Reservation {
     budget: Arc<MemoryBudget>,
     bytes: u64,
 }
 
-/// A reservation would have exceeded its budget.
+/// Error: a reservation would exceed its budget.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Exhausted;
 
@@ -41,10 +41,10 @@ impl Reservation {
         Self { budget: Arc::clone(budget), bytes: 0 }
     }
 
-    /// Grows or shrinks the reservation to `bytes` of `budget`; a reservation in another budget moves there.
+    /// Grows or shrinks the reservation to `bytes` of `budget`. A reservation in another budget moves to this one.
     ///
     /// # Errors
-    /// When `budget` has no room; the reservation is unchanged then.
+    /// If `budget` has no room. The reservation is then unchanged.
     pub(crate) fn set(&mut self, budget: &Arc<MemoryBudget>, bytes: u64) -> Result<(), Exhausted> {
         if !Arc::ptr_eq(&self.budget, budget) {
             let mut moved = Self::empty(budget);
@@ -68,7 +68,7 @@ impl Reservation {
         self.bytes
     }
 
-    /// Hands over all that is reserved; nothing is left here.
+    /// Moves all reserved bytes to a new reservation.
     pub(crate) fn take(&mut self) -> Self {
         Self { budget: Arc::clone(&self.budget), bytes: std::mem::take(&mut self.bytes) }
     }

@@ -1,6 +1,10 @@
-//! What a transport is: whole messages of several frames, to and from peers that come and go.
+//! Transports: they carry whole messages of several frames to and from peers that come and go.
 //!
-//! A new transport is one file here, registered in [`NetworkKind`].
+//! A new transport is one file here, registered in [`NetworkKind`]. The scheme of an address selects the network.
+//!
+//! A transport delivers whole messages. It also reports messages that are incomplete or lost and bytes that are invalid
+//! ([`EdgeArrival`], [`Arrival`]). The tag of a message is the number of its request, so that a loss ends that request
+//! alone.
 
 mod address;
 mod address_group;
@@ -39,11 +43,11 @@ use crate::SessionSettings;
 use crate::message::SessionHello;
 use crate::statistics::{ConnectionAddresses, TransportStatistics};
 
-/// Makes the enum of all networks of lines `Variant = "name" at "scheme" in module`. A network whose addresses have one of
-/// several schemes lists them all, as in `at "ros1" | "ros2"`; its module asks the address which one it is.
+/// Defines the enum of all networks from lines `Variant = "name" at "scheme" in module`. A network with several schemes
+/// lists them all, as in `at "ros1" | "ros2"`; its module reads the scheme from the address.
 macro_rules! networks {
     ($($(#[$about:meta])* $variant:ident = $name:literal at $($scheme:literal)|+ in $module:ident;)*) => {
-        /// The networks a sample can travel over.
+        /// The networks over which samples can be sent.
         #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
         pub enum NetworkKind {
             $($(#[$about])* #[serde(rename = $name)] $variant,)*
@@ -53,31 +57,31 @@ macro_rules! networks {
             /// Every kind, in the order of declaration.
             pub const ALL: &'static [Self] = &[$(Self::$variant),*];
 
-            /// The name used in configurations, in storage and on the pages.
+            /// Returns the name that configurations, storage and pages use.
             pub const fn name(self) -> &'static str {
                 match self { $(Self::$variant => $name),* }
             }
 
-            /// How the addresses of its peers begin: `tcp` of `tcp://host:port`. Where there are several, the first is taken
-            /// for an address without one.
+            /// Returns the schemes of its addresses, such as `tcp` of `tcp://host:port`. The first one is used for an
+            /// address that is made without a scheme.
             pub const fn schemes(self) -> &'static [&'static str] {
                 match self { $(Self::$variant => &[$($scheme),+]),* }
             }
 
-            /// How the addresses of its peers are written after the scheme.
+            /// Returns the form of its addresses after the scheme.
             pub(crate) const fn address_form(self) -> AddressForm {
                 match self { $(Self::$variant => $module::ADDRESS_FORM),* }
             }
 
-            /// What this network checks on this host.
+            /// Returns the checks of this network that depend on the build and on this host.
             pub(crate) const fn host_checks(self) -> HostChecks {
                 match self { $(Self::$variant => $module::HOST_CHECKS),* }
             }
 
-            /// Binds a socket at an address of this network and closes it again. Blocks.
+            /// Binds a socket to an address of this network and closes it again. Blocks.
             ///
             /// # Errors
-            /// What the system says of it; a port that is in use is told as such.
+            /// The error of the system. A port that is in use has its own error kind.
             pub fn try_bind(self, address: &Address) -> io::Result<()> {
                 match self { $(Self::$variant => $module::try_bind(address)),* }
             }
@@ -87,7 +91,7 @@ macro_rules! networks {
                 address: &Address,
                 settings: &SessionSettings,
                 dialler: &Dialler<'_>,
-            ) -> Result<Dialled, DialFailure> {
+            ) -> Result<EdgeConnection, DialFailure> {
                 match self { $(Self::$variant => $module::dial(address, settings, dialler).await),* }
             }
 
@@ -97,7 +101,7 @@ macro_rules! networks {
                 settings: &SessionSettings,
                 ports: NonZeroUsize,
                 clock: &SharedClock,
-            ) -> Result<Bound, BindFailure> {
+            ) -> Result<BoundPort, BindFailure> {
                 match self { $(Self::$variant => $module::bind(address, settings, ports, clock).await),* }
             }
         }
@@ -106,34 +110,34 @@ macro_rules! networks {
 
 // A new transport is registered here.
 networks! {
-    /// ZMTP over TCP: any ZeroMQ library can be the peer (DEALER on the edge, ROUTER on the cloud).
+    /// ZMTP over TCP. The peer can be any ZeroMQ library (DEALER on the edge, ROUTER on the cloud).
     #[default]
     ZmqTcp = "zmq-tcp" at "tcp" in zmq_tcp;
-    /// RADIO and DISH datagrams over UDP, of which some may be lost.
+    /// RADIO and DISH datagrams over UDP. Messages may be lost.
     ZmqUdp = "zmq-udp" at "udp" in zmq_udp;
-    /// Topics of ROS, which other programs of ROS can see.
+    /// Topics of ROS, which other ROS programs can see.
     Ros = "ros" at "ros1" | "ros2" in ros;
 }
 
 impl NetworkKind {
-    /// Whether listeners of this network are found by their names, not at a host and a port of their own.
+    /// Returns whether listeners of this network are found by name and not by host and port.
     pub fn has_named_listeners(self) -> bool {
         matches!(self.address_form(), AddressForm::Named { .. })
     }
 
-    /// Checks on this host the settings that only this network has.
+    /// Checks the settings that only this network has on this host.
     ///
     /// # Errors
-    /// When this host cannot use one of them.
+    /// If this host cannot use one of them.
     pub fn check_settings(self, settings: &SessionSettings) -> Result<(), UnusableSetting> {
         (self.host_checks().settings)(settings).map_err(|(key, problem)| UnusableSetting { key, problem })
     }
 
-    /// Returns the address of a listener of which only the name is known, by the environment variables of this process and
-    /// the version of ROS; `None` where listeners are not found by their names.
+    /// Returns the address of the listener with this name. Uses the environment variables of this process and the
+    /// version of ROS. `None` if the network does not find listeners by name.
     ///
     /// # Errors
-    /// When nothing that can be used says where names are looked up.
+    /// If nothing says where names are looked up.
     pub fn find_listener(
         self,
         name: &str,
@@ -158,38 +162,38 @@ impl From<NetworkKind> for NetworkName {
     }
 }
 
-/// The frames of one message, in order.
+/// Frames of one message, in order.
 pub type Frames = Vec<Bytes>;
 
-/// Why a message was not handed to the network.
+/// Reason why a message was not handed to the network.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum SendFailure {
-    /// The peer takes messages more slowly than they are made.
+    /// The peer receives messages more slowly than they are sent.
     #[error("the network's send queue is full")]
     Full,
-    /// There is no connection any more.
+    /// The connection is gone, for this reason.
     #[error("{0}")]
     Gone(String),
 }
 
-/// What a transport may know of a message to carry it well.
+/// Properties of a message that a transport may use.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct SendOptions {
-    /// When the message is of no use any more.
+    /// Time after which the message is of no use.
     pub(crate) deadline: Option<Instant>,
-    /// The sender's number for the message: a loss that is noticed later carries it. A message without a tag is sent
-    /// again when it is lost.
+    /// Sender's number for the message, which a later report of its loss carries. A message without a tag is
+    /// retransmitted when it is lost.
     pub(crate) tag: Option<u64>,
 }
 
 /// A message that did not arrive as a whole.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct MessageLoss {
-    /// The sender's number for it; `None` when it gave none, or when nobody can tell.
+    /// Sender's number for the message; `None` if it has none or it is unknown.
     pub tag: Option<u64>,
-    /// Fragments that arrived.
+    /// Number of fragments that arrived.
     pub received: u32,
-    /// Fragments that it had; 0 when nobody can tell.
+    /// Number of fragments of the message; 0 if unknown.
     pub total: u32,
 }
 
@@ -202,157 +206,160 @@ impl fmt::Display for MessageLoss {
     }
 }
 
-/// Who opens a connection, and by which clock.
+/// The opener of a connection, and its clock.
 pub(crate) struct Dialler<'a> {
     pub(crate) hello: &'a SessionHello,
     pub(crate) clock: &'a SharedClock,
 }
 
-/// The edge's end of one connection. It is never re-established: a session lives and dies with it.
-pub(crate) struct Dialled {
-    /// Hands messages to the network, from any task or thread.
+/// The edge's end of one connection. A transport never re-establishes it, because a session exists exactly as long as
+/// its connection.
+pub(crate) struct EdgeConnection {
+    /// Sends messages, from any task or thread.
     pub(crate) sender: Box<dyn EdgeSender>,
-    /// Takes messages from the network, in one task.
+    /// Receives messages, in one task.
     pub(crate) receiver: Box<dyn EdgeReceiver>,
-    /// The other end has introduced itself as a cloud: it is no other program that listens there.
+    /// `true` if the other end has identified itself as a cloud, so that no other program listens there.
     pub(crate) is_cloud: bool,
 }
 
 /// The sending half of the edge's end.
 pub(crate) trait EdgeSender: Send + Sync + fmt::Debug {
-    /// Hands over a whole message without waiting.
+    /// Hands over a whole message. Never waits.
     fn send(&self, frames: Frames, options: SendOptions) -> Result<(), SendFailure>;
 
-    /// Both ends of the connection; `None` where the transport has no such addresses.
+    /// Returns the addresses of both ends; `None` if the transport has none.
     fn addresses(&self) -> Option<ConnectionAddresses> {
         None
     }
 
-    /// What makes the connection worse than it could be, and what to do about it.
+    /// Returns a text that says why the connection is worse than it could be, and what to do about it.
     fn caveat(&self) -> Option<&str> {
         None
     }
 
-    /// What the transport knows of the connection beside whole messages. It may ask the system.
+    /// Returns the transport's statistics of the connection. May ask the system.
     fn statistics(&self) -> TransportStatistics {
         TransportStatistics::default()
     }
 }
 
-/// Something that the edge's end of a connection noticed.
+/// Event at the edge's end of a connection.
 #[derive(Debug)]
 pub(crate) enum EdgeArrival {
-    /// A whole message.
+    /// A whole message arrived.
     Message(Frames),
-    /// A message of the cloud that did not arrive as a whole.
+    /// A message from the cloud did not arrive as a whole.
     Incomplete(MessageLoss),
-    /// A message to the cloud that did not arrive as a whole.
+    /// A message to the cloud did not arrive as a whole.
     Lost(MessageLoss),
-    /// Something that makes no sense; dropped.
+    /// Invalid data arrived and was dropped, for this reason.
     Garbage(String),
-    /// What makes the connection worse than it could be, on what object, and what to do.
+    /// The connection is worse than it could be; the text says why, names the object, and says what to do.
     Remark(String),
 }
 
-/// A connection has ended, and why.
+/// The connection has ended, for this reason.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("{0}")]
 pub(crate) struct Disconnected(pub(crate) String);
 
 /// The receiving half of the edge's end.
 pub(crate) trait EdgeReceiver: Send + fmt::Debug {
-    /// What arrives next, or why nothing more will. Dropping the future loses nothing.
+    /// Waits for the next event. An error means that the connection has ended. Cancel safe: dropping the future loses
+    /// nothing.
     fn receive(&mut self) -> BoxFuture<'_, Result<EdgeArrival, Disconnected>>;
 
-    /// Closes the connection, after what was sent has gone out or `linger` has passed.
+    /// Closes the connection after all messages have been sent, or after `linger`.
     fn close(self: Box<Self>, linger: Duration) -> BoxFuture<'static, ()>;
 }
 
-/// The cloud's end: one port, many peers.
-pub(crate) struct Bound {
-    /// Where it really listens.
+/// The cloud's end: one port with many peers.
+pub(crate) struct BoundPort {
+    /// Actual address of the port.
     pub(crate) address: Address,
-    /// What makes all of its connections worse than they could be, and what to do about it.
+    /// Text that says why all connections of the port are worse than they could be, and what to do about it.
     pub(crate) caveat: Option<String>,
-    /// Hands messages to the network, from any task or thread.
+    /// Sends messages, from any task or thread.
     pub(crate) sender: Box<dyn CloudSender>,
-    /// Takes messages from the network, in one task.
+    /// Receives messages, in one task.
     pub(crate) receiver: Box<dyn CloudReceiver>,
 }
 
 /// The sending half of the cloud's end.
 pub(crate) trait CloudSender: Send + Sync + fmt::Debug {
-    /// Hands over a whole message without waiting.
+    /// Hands over a whole message. Never waits.
     fn send(&self, peer: &Peer, frames: Frames, options: SendOptions) -> Result<(), SendFailure>;
 
-    /// A connection's hello has come and is being decided on.
+    /// Notes that a connection has asked for a session and waits for the decision.
     fn greet(&self, connection: ConnectionId);
 
-    /// A connection has a session: it may send requests.
+    /// Notes that a connection has a session and may send requests.
     fn admit(&self, connection: ConnectionId);
 
-    /// A connection has no session any more.
+    /// Notes that a connection has no session any more.
     fn demote(&self, connection: ConnectionId);
 
-    /// What the transport knows of a connection beside whole messages. It may ask the system.
+    /// Returns the transport's statistics of a connection. May ask the system.
     fn statistics(&self, connection: ConnectionId) -> TransportStatistics;
 }
 
 /// The receiving half of the cloud's end.
 pub(crate) trait CloudReceiver: Send + fmt::Debug {
-    /// What happened next; `None` when the socket is closed. Dropping the future loses nothing.
+    /// Waits for the next event. `None` means that the socket is closed. Cancel safe: dropping the future loses
+    /// nothing.
     fn receive(&mut self) -> BoxFuture<'_, Option<Arrival>>;
 
-    /// Closes all connections, after what was sent has gone out or `linger` has passed.
+    /// Closes all connections after all messages have been sent, or after `linger`.
     fn close(self: Box<Self>, linger: Duration) -> BoxFuture<'static, ()>;
 }
 
-/// Something that a listening transport noticed.
+/// Event at a listening transport.
 #[derive(Debug)]
 pub enum Arrival {
-    /// A whole message.
+    /// A whole message arrived.
     Message(Peer, Frames),
-    /// A message of a peer that did not arrive as a whole.
+    /// A message from a peer did not arrive as a whole.
     Incomplete(ConnectionId, MessageLoss),
-    /// A message to a peer that did not arrive as a whole.
+    /// A message to a peer did not arrive as a whole.
     Lost(ConnectionId, MessageLoss),
-    /// A connection's peer has another address from now on.
+    /// The address of a connection's peer has changed.
     Moved(ConnectionId, SocketAddr),
-    /// A connection ended.
+    /// A connection ended, for this reason.
     Gone(ConnectionId, String),
-    /// Bytes that are not even of the transport's own protocol; a connection that sent them was dropped.
+    /// Bytes that violate the transport's protocol arrived. A connection that sent them was dropped.
     Garbage(Option<SocketAddr>, String),
-    /// What makes a connection worse than it could be, on what object, and what to do.
+    /// A connection is worse than it could be; the text says why, names the object, and says what to do.
     Remark(ConnectionId, String),
-    /// An edge gets no connection: which host it says it is, and why.
+    /// An edge was refused: its claimed host, and the reason.
     Refused(Option<HostId>, String),
 }
 
-/// One connection of a listener, never used again after it ended.
+/// Number of a connection of a listener. Numbers are not reused.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct ConnectionId(pub(crate) u64);
 
-/// Who sent a message and how to answer.
+/// Sender of a message, and destination of the answer.
 #[derive(Clone, Debug)]
 pub struct Peer {
-    /// The connection it came on.
+    /// Connection of the message.
     pub connection: ConnectionId,
-    /// Where the peer is.
+    /// Address of the peer.
     pub address: Option<SocketAddr>,
 }
 
-/// Why there is no connection.
+/// Reason why a connection could not be opened.
 #[derive(Debug)]
 pub(crate) enum DialFailure {
-    /// Nobody answers there, or not in this protocol.
+    /// Nothing answers at the address, or not in this protocol.
     Unreachable(String),
-    /// The cloud is there, and gives no connection.
+    /// The cloud is there and refuses the connection.
     Refused(String),
-    /// The time for it is over.
+    /// The time limit has passed.
     TimedOut,
 }
 
-/// Why a listener could not be bound.
+/// Reason why a listener could not be bound.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum BindFailure {
     /// Another socket has the port.
@@ -361,17 +368,17 @@ pub enum BindFailure {
     /// The port needs a privilege.
     #[error("permission denied")]
     Denied,
-    /// The address is not one of this machine.
+    /// The address does not belong to this machine.
     #[error("this machine has no such address")]
     NotLocal,
-    /// Anything else.
+    /// Another error, in the words of the system.
     #[error("{0}")]
     Other(String),
 }
 
 #[cfg(test)]
 mod tests {
-    /// A module as a transport's is, which only has to compile.
+    /// A module with the items of a transport, which only has to compile.
     mod nowhere {
         use std::io;
         use std::num::NonZeroUsize;
@@ -379,7 +386,7 @@ mod tests {
         use peernet_clock::SharedClock;
 
         use super::super::{
-            Address, AddressForm, BindFailure, Bound, DialFailure, Dialled, Dialler, HostChecks,
+            Address, AddressForm, BindFailure, BoundPort, DialFailure, Dialler, EdgeConnection, HostChecks,
         };
         use crate::SessionSettings;
 
@@ -395,7 +402,7 @@ mod tests {
             address: &Address,
             _: &SessionSettings,
             _: &Dialler<'_>,
-        ) -> Result<Dialled, DialFailure> {
+        ) -> Result<EdgeConnection, DialFailure> {
             Err(DialFailure::Unreachable(address.to_string()))
         }
 
@@ -404,7 +411,7 @@ mod tests {
             _: &SessionSettings,
             _: NonZeroUsize,
             _: &SharedClock,
-        ) -> Result<Bound, BindFailure> {
+        ) -> Result<BoundPort, BindFailure> {
             Err(BindFailure::NotLocal)
         }
     }
@@ -420,16 +427,16 @@ mod tests {
         use peernet_clock::SharedClock;
 
         use super::super::{
-            Address, AddressForm, BindFailure, Bound, DialFailure, Dialled, Dialler, HostChecks,
+            Address, AddressForm, BindFailure, BoundPort, DialFailure, Dialler, EdgeConnection, HostChecks,
         };
         use super::nowhere;
         use crate::SessionSettings;
 
         networks! {
-            /// Has one scheme.
+            /// A network with one scheme.
             #[default]
             Wire = "wire" at "wire" in nowhere;
-            /// Has two.
+            /// A network with two schemes.
             Robot = "robot" at "robot1" | "robot2" in nowhere;
         }
     }
@@ -446,7 +453,7 @@ mod tests {
     use crate::{SESSION_VERSIONS, SessionSettings};
 
     #[tokio::test]
-    async fn one_name_may_stand_for_several_schemes() {
+    async fn listener_name_may_have_several_schemes() {
         let schemes = NetworkKind::ALL.iter().map(|kind| (kind.name(), kind.schemes()));
         let expected: [(&str, &[&str]); 2] = [("wire", &["wire"]), ("robot", &["robot1", "robot2"])];
         assert_eq!(schemes.collect::<Vec<_>>(), expected);

@@ -1,7 +1,8 @@
-//! What the kernel knows of a TCP connection: `TCP_INFO`, asked for through netlink by the addresses of both ends.
+//! The kernel's statistics of a TCP connection: `TCP_INFO`, requested through netlink by the addresses of both ends.
 //!
-//! The edge's ZeroMQ library does not hand out its sockets, and `getsockopt` needs one; netlink's `sock_diag` finds any
-//! connection of this network namespace, without a privilege. One question is three system calls and takes less than 30 µs.
+//! The edge's ZeroMQ library does not give access to its sockets, and `getsockopt` needs one. Netlink's `sock_diag`
+//! finds any connection of this network namespace without a privilege. One request needs three system calls and takes
+//! less than 30 µs.
 
 use std::io;
 use std::net::IpAddr;
@@ -19,13 +20,13 @@ use peernet_clock::Span;
 
 use crate::statistics::{ConnectionAddresses, DatagramStatistics, TransportRoundTrip, TransportStatistics};
 
-/// An answer has about 350 bytes; later kernels may add some.
+/// Size of the buffer for an answer. An answer has about 350 bytes; later kernels may add some.
 const ANSWER_BYTES: usize = 4_096;
 
-/// Stands in the place of a socket's cookie for any socket (`INET_DIAG_NOCOOKIE`).
+/// Cookie that matches any socket (`INET_DIAG_NOCOOKIE`).
 const ANY_COOKIE: [u8; 8] = [0xFF; 8];
 
-/// Why nothing is known of a connection.
+/// Reason why a connection has no statistics.
 #[derive(Debug, thiserror::Error)]
 enum TcpInfoError {
     #[error(transparent)]
@@ -34,14 +35,14 @@ enum TcpInfoError {
     Malformed(String),
 }
 
-/// Returns what the kernel knows of the connection between these addresses: nothing when there is none any more, or when
-/// the system does not say; the reason is logged once.
+/// Returns the kernel's statistics of the connection between these addresses. They are empty if the connection is gone
+/// or the system does not provide them; in the latter case the reason is logged once.
 pub(super) fn tcp_statistics(addresses: &ConnectionAddresses) -> TransportStatistics {
-    static IS_TOLD: AtomicBool = AtomicBool::new(false);
+    static IS_LOGGED: AtomicBool = AtomicBool::new(false);
     match ask(addresses) {
         Ok(info) => info.map_or_else(TransportStatistics::default, |info| read(&info)),
         Err(error) => {
-            if !IS_TOLD.swap(true, Ordering::Relaxed) {
+            if !IS_LOGGED.swap(true, Ordering::Relaxed) {
                 tracing::info!(
                     %error,
                     "the kernel does not tell of TCP connections (netlink sock_diag): round trips and retransmissions \
@@ -53,15 +54,16 @@ pub(super) fn tcp_statistics(addresses: &ConnectionAddresses) -> TransportStatis
     }
 }
 
-/// Returns the bytes of the kernel's `struct tcp_info`, which are as many as its version has fields.
+/// Returns the bytes of the kernel's `struct tcp_info`. Their number depends on the version of the kernel. `None` if
+/// the connection is gone.
 fn ask(addresses: &ConnectionAddresses) -> Result<Option<Vec<u8>>, TcpInfoError> {
-    let question = question(addresses);
+    let question = sock_diag_request(addresses);
     let (family, kind) = (AddressFamily::Netlink, SockType::Datagram);
     let socket = socket(family, kind, SockFlag::SOCK_CLOEXEC, SockProtocol::NetlinkSockDiag)
         .map_err(io::Error::from)?;
     send(socket.as_raw_fd(), &question, MsgFlags::empty()).map_err(io::Error::from)?;
     let mut answer = vec![0; ANSWER_BYTES];
-    // The kernel answers within the call that asks.
+    // The kernel answers within the call that sends the request.
     let length = recv(socket.as_raw_fd(), &mut answer, MsgFlags::MSG_DONTWAIT).map_err(io::Error::from)?;
     let answer = NetlinkMessage::<SockDiagMessage>::deserialize(&answer[..length])
         .map_err(|error| TcpInfoError::Malformed(error.to_string()))?;
@@ -77,7 +79,7 @@ fn ask(addresses: &ConnectionAddresses) -> Result<Option<Vec<u8>>, TcpInfoError>
     }
 }
 
-fn question(addresses: &ConnectionAddresses) -> Vec<u8> {
+fn sock_diag_request(addresses: &ConnectionAddresses) -> Vec<u8> {
     let ConnectionAddresses { local, remote } = addresses;
     let family = if local.is_ipv4() { AF_INET } else { AF_INET6 };
     let request = InetRequest {
@@ -90,7 +92,7 @@ fn question(addresses: &ConnectionAddresses) -> Vec<u8> {
             destination_port: remote.port(),
             source_address: local.ip(),
             destination_address: remote.ip(),
-            interface_id: scope(local),
+            interface_id: interface_index(local),
             cookie: ANY_COOKIE,
         },
     };
@@ -103,15 +105,16 @@ fn question(addresses: &ConnectionAddresses) -> Vec<u8> {
     bytes
 }
 
-/// The interface of a link-local address, without which it means nothing; 0 for any other.
-fn scope(address: &std::net::SocketAddr) -> u32 {
+/// Returns the interface of a link-local address, which is meaningless without it; 0 for any other address.
+fn interface_index(address: &std::net::SocketAddr) -> u32 {
     match address {
         std::net::SocketAddr::V6(address) => address.scope_id(),
         std::net::SocketAddr::V4(_) => 0,
     }
 }
 
-/// The kernel answers with the listening socket where the connection is gone: that is not the one asked for.
+/// Returns the statistics in an answer. If the connection is gone, the kernel answers with the listening socket, which
+/// is ignored.
 fn info_of(addresses: &ConnectionAddresses, response: InetResponse) -> Option<Vec<u8>> {
     let found: (IpAddr, u16) =
         (response.header.socket_id.destination_address, response.header.socket_id.destination_port);
@@ -124,12 +127,13 @@ fn info_of(addresses: &ConnectionAddresses, response: InetResponse) -> Option<Ve
     })
 }
 
-/// Reads the fields by their places in `struct tcp_info` of `linux/tcp.h`. Kernels add fields at the end only: what an
-/// older one does not have is not known.
+/// Reads the fields by their offsets in `struct tcp_info` of `linux/tcp.h`. Kernels only add fields at the end; those
+/// that an older kernel lacks are unknown.
 fn read(info: &[u8]) -> TransportStatistics {
     let field = |at: usize| Some(u32::from_ne_bytes(*info.get(at..)?.first_chunk()?));
     let total = |at: usize| field(at).map(u64::from);
     let micros = |value: u32| Span::from_micros(value.into());
+    // tcpi_rtt and tcpi_rttvar; 0 before the first measurement.
     let round_trip = field(68).zip(field(72)).filter(|(smoothed, _)| *smoothed > 0);
     TransportStatistics {
         sent: DatagramStatistics {
@@ -142,11 +146,11 @@ fn read(info: &[u8]) -> TransportStatistics {
         received: DatagramStatistics {
             datagrams: total(152), // tcpi_data_segs_in
             reordered: total(224), // tcpi_rcv_ooopack
-            // Only the sender counts what it sent again.
+            // Only the sender counts its retransmissions.
             ..DatagramStatistics::default()
         },
         round_trip: round_trip.map(|(smoothed, variation)| TransportRoundTrip {
-            // tcpi_min_rtt, all ones before the first.
+            // tcpi_min_rtt; all bits are set before the first measurement.
             min: field(148).filter(|min| *min != u32::MAX).map(micros),
             smoothed: micros(smoothed),
             variation: micros(variation),
@@ -166,7 +170,7 @@ mod tests {
         ConnectionAddresses { local: local.expect("connected"), remote: remote.expect("connected") }
     }
 
-    /// A connection over which 100 kB went to the accepting end and were acknowledged.
+    /// Returns a connection on which the accepting end has received and acknowledged 100 kB.
     fn used_connection(at: &str) -> (TcpStream, TcpStream) {
         let listener = TcpListener::bind(at).expect("a port");
         let mut dialled = TcpStream::connect(listener.local_addr().expect("bound")).expect("it listens");
@@ -207,7 +211,7 @@ mod tests {
     fn closed_connection_has_no_statistics() {
         let listener = TcpListener::bind("127.0.0.1:0").expect("a port");
         let port = listener.local_addr().expect("bound");
-        // Nobody connects from there: the kernel finds the listening socket instead.
+        // No connection comes from there, so the kernel finds the listening socket instead.
         let gone = ConnectionAddresses { local: port, remote: "127.0.0.1:1".parse().expect("an address") };
         assert!(ask(&gone).expect("the kernel tells").is_none());
         drop(listener);
@@ -216,7 +220,7 @@ mod tests {
     }
 
     #[test]
-    fn fields_that_kernel_lacks_are_unknown() {
+    fn fields_missing_in_kernel_are_unknown() {
         let mut info = [0_u8; 104];
         info[68..72].copy_from_slice(&1_500_u32.to_ne_bytes());
         info[72..76].copy_from_slice(&300_u32.to_ne_bytes());

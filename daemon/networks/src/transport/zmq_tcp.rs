@@ -1,8 +1,8 @@
 //! `zmq-tcp`: ZMTP 3.1 over TCP, a DEALER on the edge and a ROUTER on the cloud.
 //!
-//! The edge's socket is the library's, in its latency profile; the cloud's is [`zmtp`](super::zmtp). On both, the task
-//! that sends writes to the connection itself, and only what the kernel does not take at once is left to the
-//! connection's own task.
+//! The edge's socket is the library's, in its latency profile; the cloud's is [`zmtp`](super::zmtp). On both ends the
+//! sending task writes to the connection itself. Only what the kernel does not accept at once is left to the
+//! connection's own task. The library's reconnecting is disabled, because a session ends with its connection.
 
 use std::io;
 use std::num::NonZeroUsize;
@@ -20,37 +20,38 @@ use zeromq::{
 use super::tcp_info::tcp_statistics;
 use super::zmtp::{ListenerLimits, ZmtpListener, ZmtpSender};
 use super::{
-    AddressForm, Arrival, BindFailure, Bound, CloudReceiver, CloudSender, ConnectionId, DialFailure, Dialled,
-    Dialler, Disconnected, EdgeArrival, EdgeReceiver, EdgeSender, Frames, HostChecks, Peer, SendFailure,
-    SendOptions,
+    AddressForm, Arrival, BindFailure, BoundPort, CloudReceiver, CloudSender, ConnectionId, DialFailure,
+    Dialler, Disconnected, EdgeArrival, EdgeConnection, EdgeReceiver, EdgeSender, Frames, HostChecks, Peer,
+    SendFailure, SendOptions,
 };
 use crate::descriptors::DescriptorShare;
 use crate::message::MAX_FRAMES;
 use crate::statistics::{ConnectionAddresses, TransportStatistics};
 use crate::{Address, SessionSettings};
 
-/// How addresses are written.
+/// Form of addresses.
 pub(crate) const ADDRESS_FORM: AddressForm = AddressForm::HostPort;
 
-/// It works everywhere.
+/// This network works on every host.
 pub(crate) const HOST_CHECKS: HostChecks = HostChecks::NONE;
 
-/// Payload frames from this size on are read from the kernel straight into a buffer of their own.
+/// Smallest payload frame that is read from the kernel straight into a separate buffer. Bytes.
 const DIRECT_READ_BYTES: usize = 16 * 1024;
 
-/// The library would dial again by itself; a session ends with its connection, so it must not.
-const NEVER: Duration = Duration::from_secs(365 * 24 * 3600);
+/// Interval at which the library reconnects. A session ends with its connection, so the library must never reconnect.
+const RECONNECT_INTERVAL: Duration = Duration::from_secs(365 * 24 * 3600);
 
-/// How long finding out why a connection failed may take.
-const DIAGNOSIS: Duration = Duration::from_secs(1);
+/// Time limit for finding out why a connection failed.
+const DIAGNOSIS_TIMEOUT: Duration = Duration::from_secs(1);
 
-/// The library counts a slot for each frame beside its bytes.
+/// Returns the largest message in the library's terms, which count a slot for each frame in addition to its bytes.
 fn largest_message(settings: &SessionSettings) -> usize {
     let slots = MAX_FRAMES * size_of::<Payload>();
     usize::try_from(settings.max_message_bytes).unwrap_or(usize::MAX).saturating_add(slots)
 }
 
-/// Places for every request in flight, and for the few messages that open and close a session.
+/// Returns the number of places in a queue: for every request in flight, and for the few messages that open and close a
+/// session.
 const fn queue_length(settings: &SessionSettings) -> u32 {
     settings.max_in_flight.saturating_add(16)
 }
@@ -65,13 +66,15 @@ fn options(settings: &SessionSettings) -> Options {
         .recv_hwm(queue)
         .heartbeat_interval(settings.heartbeat_interval())
         .heartbeat_timeout(settings.heartbeat_timeout())
+        // Bytes that stay unacknowledged end the connection as silence does.
         .tcp_user_timeout(settings.heartbeat_timeout())
-        .reconnect(ReconnectPolicy::Fixed(NEVER))
+        .reconnect(ReconnectPolicy::Fixed(RECONNECT_INTERVAL))
         .linger(Duration::ZERO)
 }
 
 fn to_message(frames: Frames) -> Message {
     Message::multipart_payloads(frames.into_iter().map(|frame| {
+        // Short frames are stored inside the payload without an allocation.
         if frame.len() <= MAX_INLINE_PAYLOAD {
             Payload::from_slice(&frame)
         } else {
@@ -106,7 +109,7 @@ pub(crate) async fn dial(
     address: &Address,
     settings: &SessionSettings,
     _dialler: &Dialler<'_>,
-) -> Result<Dialled, DialFailure> {
+) -> Result<EdgeConnection, DialFailure> {
     let options = options(settings).handshake_timeout(settings.open_timeout());
     let socket = Socket::try_new(SocketType::Dealer, options).map_err(unreachable)?;
     let mut monitor = socket.monitor();
@@ -126,21 +129,21 @@ pub(crate) async fn dial(
         }
     };
     let receiver = Dealer { socket: socket.clone(), monitor, ended: None };
-    // Any ROUTER takes the connection, that of an aggregator too.
+    // Not known yet, because any ROUTER accepts the connection, also that of an aggregator.
     let sender = Box::new(DealerSender { socket, addresses });
-    Ok(Dialled { sender, receiver: Box::new(receiver), is_cloud: false })
+    Ok(EdgeConnection { sender, receiver: Box::new(receiver), is_cloud: false })
 }
 
-/// Both ends of a connection, as the library tells of them.
+/// Returns the addresses of both ends of a connection, as the library reports them.
 fn addresses(peer: &PeerInfo) -> Option<ConnectionAddresses> {
     let socket_address = |end: &Option<PeerIdent>| match end {
         Some(PeerIdent::Socket(address)) => Some(*address),
         _ => None,
     };
-    let told = &peer.diagnostics;
+    let diagnostics = &peer.diagnostics;
     Some(ConnectionAddresses {
-        local: socket_address(&told.local_address)?,
-        remote: socket_address(&told.remote_address)?,
+        local: socket_address(&diagnostics.local_address)?,
+        remote: socket_address(&diagnostics.remote_address)?,
     })
 }
 
@@ -151,9 +154,9 @@ fn unreachable(error: Error) -> DialFailure {
     }
 }
 
-/// The library keeps to itself why a connection failed: the system is asked once more.
+/// Finds out why a connection failed by connecting once more, because the library does not return the reason.
 async fn diagnose(address: &Address) -> DialFailure {
-    match tokio::time::timeout(DIAGNOSIS, tokio::net::TcpStream::connect(address.authority())).await {
+    match tokio::time::timeout(DIAGNOSIS_TIMEOUT, tokio::net::TcpStream::connect(address.authority())).await {
         Ok(Err(error)) => DialFailure::Unreachable(error.to_string().to_lowercase()),
         Ok(Ok(_)) => DialFailure::Unreachable("the connection broke while it was set up".into()),
         Err(_) => DialFailure::TimedOut,
@@ -167,7 +170,7 @@ struct DealerSender {
 }
 
 impl EdgeSender for DealerSender {
-    // TCP repeats what is lost: neither the deadline nor the tag is of use.
+    // The options are not used: TCP retransmits lost data, so neither the deadline nor the tag matters.
     fn send(&self, frames: Frames, _options: SendOptions) -> Result<(), SendFailure> {
         sent(self.socket.try_send(to_message(frames)))
     }
@@ -185,7 +188,7 @@ impl EdgeSender for DealerSender {
 struct Dealer {
     socket: Socket,
     monitor: MonitorStream,
-    /// Why the connection ended; what had arrived before is still handed out.
+    /// Reason why the connection ended. Messages that had arrived before are still returned.
     ended: Option<String>,
 }
 
@@ -194,6 +197,7 @@ impl EdgeReceiver for Dealer {
         Box::pin(async {
             let arrived = |message: &Message| Ok(EdgeArrival::Message(to_frames(message)));
             loop {
+                // Messages that arrived before the end are still returned.
                 if let Some(reason) = &self.ended {
                     return self
                         .socket
@@ -207,7 +211,7 @@ impl EdgeReceiver for Dealer {
                     }
                     event = self.monitor.recv() => match event {
                         Ok(MonitorEvent::Disconnected { reason, .. }) => self.ended = Some(reason_text(&reason)),
-                        // One connection makes a handful of events: more than the monitor holds is a peer gone wild.
+                        // One connection causes few events. An overflow of the monitor means that the peer misbehaves.
                         Err(error) => self.ended = Some(error.to_string()),
                         Ok(_) => {}
                     },
@@ -236,12 +240,12 @@ pub(crate) async fn bind(
     settings: &SessionSettings,
     ports: NonZeroUsize,
     _clock: &SharedClock,
-) -> Result<Bound, BindFailure> {
+) -> Result<BoundPort, BindFailure> {
     let listener = ZmtpListener::bind(&address.authority(), limits(settings, ports)).await?;
     let bound = listener.address();
     let sender = Box::new(listener.sender());
     let (address, receiver) = (address.at_ip(bound.ip(), bound.port()), Box::new(listener));
-    Ok(Bound { address, caveat: None, sender, receiver })
+    Ok(BoundPort { address, caveat: None, sender, receiver })
 }
 
 fn limits(settings: &SessionSettings, ports: NonZeroUsize) -> ListenerLimits {

@@ -1,4 +1,4 @@
-//! What two hosts tell each other of their clocks, and the stamps that relate them.
+//! Tests of the clock states that hosts exchange, and of the stamps that relate their clocks.
 
 use std::sync::atomic::{AtomicI64, AtomicU32, Ordering};
 use std::sync::{Arc, Mutex};
@@ -16,35 +16,35 @@ use crate::hostile::plain_session;
 use crate::support::{Cloud, PATIENCE, accepted, echo, log, request, sample, settings, within};
 use crate::wire::Header;
 
-/// Version 4 of the protocol alone, as releases before 0.3.0.
+/// Version 4 of the protocol alone, as releases before 0.3.0 speak it.
 const FOUR: VersionRange = VersionRange::single(4);
 const DAY: Span = Span::from_seconds(86_400);
 const HOUR: Span = Span::from_seconds(3_600);
 
-/// The system's clocks, moved by hand; every move is a new epoch.
+/// The system's clocks with offsets that tests set. Every change is a new epoch.
 #[derive(Debug)]
-struct Set {
+struct AdjustableClocks {
     system: SystemClock,
-    wall: Moved,
-    raw: Moved,
-    /// The clock that is moved right after the next stamp, by little.
-    slips: Mutex<Option<Slips>>,
+    wall: ClockOffset,
+    raw: ClockOffset,
+    /// The clock that is moved slightly right after the next stamp.
+    slips: Mutex<Option<SlippingClock>>,
 }
 
-/// How far a clock was moved, and how often.
+/// Offset of a clock, and the number of its changes.
 #[derive(Debug, Default)]
-struct Moved {
+struct ClockOffset {
     by: AtomicI64,
     epoch: AtomicU32,
 }
 
 #[derive(Clone, Copy, Debug)]
-enum Slips {
+enum SlippingClock {
     Wall,
     Raw,
 }
 
-impl Moved {
+impl ClockOffset {
     fn by(&self) -> Span {
         Span::from_nanos(self.by.load(Ordering::SeqCst))
     }
@@ -59,22 +59,27 @@ impl Moved {
     }
 }
 
-impl Set {
-    /// The wall clock and the free-running clock, so far ahead.
+impl AdjustableClocks {
+    /// Creates clocks with these offsets of the wall clock and the free-running clock.
     fn new(wall: Span, raw: Span) -> Arc<Self> {
         let system = SystemClock::new(ClockIdentity::new("boot", "set"));
-        let set = Self { system, wall: Moved::default(), raw: Moved::default(), slips: Mutex::default() };
+        let set = Self {
+            system,
+            wall: ClockOffset::default(),
+            raw: ClockOffset::default(),
+            slips: Mutex::default(),
+        };
         set.wall.unnoticed(wall);
         set.raw.unnoticed(raw);
         Arc::new(set)
     }
 
-    fn slip_after_next_stamp(&self, slips: Slips) {
+    fn slip_after_next_stamp(&self, slips: SlippingClock) {
         *self.slips.lock().expect("no panic") = Some(slips);
     }
 }
 
-impl Clock for Set {
+impl Clock for AdjustableClocks {
     fn wall(&self) -> WallTime {
         self.system.wall() + self.wall.by()
     }
@@ -95,8 +100,8 @@ impl Clock for Set {
         let stamp = self.system.stamp();
         let stamp = Stamp { wall: stamp.wall + self.wall.by(), raw: stamp.raw + self.raw.by(), ..stamp };
         match self.slips.lock().expect("no panic").take() {
-            Some(Slips::Wall) => self.wall.forward(Span::from_micros(-30)),
-            Some(Slips::Raw) => self.raw.forward(Span::from_micros(-30)),
+            Some(SlippingClock::Wall) => self.wall.forward(Span::from_micros(-30)),
+            Some(SlippingClock::Raw) => self.raw.forward(Span::from_micros(-30)),
             None => {}
         }
         stamp
@@ -127,7 +132,7 @@ fn transits(exchange: &Exchange) -> (Transit, Transit) {
 
 #[tokio::test]
 async fn exchange_carries_raw_stamps_beside_wall_stamps() {
-    let mut cloud = Cloud::start_by(Set::new(DAY, HOUR)).await;
+    let mut cloud = Cloud::start_by(AdjustableClocks::new(DAY, HOUR)).await;
     let (session, _) = cloud.session(settings()).await;
     assert_eq!(session.clocks(), RelatedClocks::Raw);
     let exchange = echo(&mut cloud, &session, "four stamps").await;
@@ -151,9 +156,9 @@ async fn exchange_carries_raw_stamps_beside_wall_stamps() {
 
 #[tokio::test]
 async fn session_of_version_four_has_wall_stamps_of_cloud() {
-    let cloud_clock = Set::new(DAY, HOUR);
+    let cloud_clock = AdjustableClocks::new(DAY, HOUR);
     let mut cloud = Cloud::start_by(cloud_clock.clone()).await;
-    let session = cloud.session_by(Set::new(Span::ZERO, Span::ZERO), FOUR).await;
+    let session = cloud.session_by(AdjustableClocks::new(Span::ZERO, Span::ZERO), FOUR).await;
     assert_eq!(session.clocks(), RelatedClocks::RawToWall);
     let exchange = echo(&mut cloud, &session, "four stamps").await;
     let (up, down) = transits(&exchange);
@@ -181,12 +186,12 @@ async fn session_of_version_four_has_wall_stamps_of_cloud() {
 }
 
 #[tokio::test]
-async fn the_time_that_the_cloud_took_is_measured_whatever_its_wall_clock_does() {
-    let clock = Set::new(Span::ZERO, Span::ZERO);
+async fn time_at_cloud_is_measured_despite_clock_steps() {
+    let clock = AdjustableClocks::new(Span::ZERO, Span::ZERO);
     let mut cloud = Cloud::start_by(clock.clone()).await;
     let mut open = Vec::new();
     for version in [4, 5] {
-        let edge = Set::new(Span::ZERO, Span::ZERO);
+        let edge = AdjustableClocks::new(Span::ZERO, Span::ZERO);
         let session = cloud.session_by(edge, VersionRange::single(version)).await;
         open.push(session.clone());
         let pending = request(&session, "stepped", PATIENCE);
@@ -209,12 +214,12 @@ async fn the_time_that_the_cloud_took_is_measured_whatever_its_wall_clock_does()
 }
 
 #[tokio::test]
-async fn cloud_clock_of_session_moved_meanwhile_leaves_nothing_to_learn() {
-    let clock = Set::new(Span::ZERO, Span::ZERO);
+async fn moved_cloud_clock_yields_no_observation() {
+    let clock = AdjustableClocks::new(Span::ZERO, Span::ZERO);
     let mut cloud = Cloud::start_by(clock.clone()).await;
     let mut open = Vec::new();
     for (version, moved, untouched) in [(4, &clock.wall, &clock.raw), (5, &clock.raw, &clock.wall)] {
-        let edge = Set::new(Span::ZERO, Span::ZERO);
+        let edge = AdjustableClocks::new(Span::ZERO, Span::ZERO);
         let session = cloud.session_by(edge, VersionRange::single(version)).await;
         open.push(session.clone());
         for (clock, voids) in [(moved, true), (untouched, false)] {
@@ -238,11 +243,11 @@ async fn cloud_clock_of_session_moved_meanwhile_leaves_nothing_to_learn() {
 }
 
 #[tokio::test]
-async fn raw_clock_of_edge_interrupted_meanwhile_leaves_nothing_to_learn() {
+async fn interrupted_raw_clock_of_edge_yields_no_observation() {
     let mut cloud = Cloud::start().await;
     let mut open = Vec::new();
     for version in [4, 5] {
-        let clock = Set::new(Span::ZERO, Span::ZERO);
+        let clock = AdjustableClocks::new(Span::ZERO, Span::ZERO);
         let session = cloud.session_by(clock.clone(), VersionRange::single(version)).await;
         open.push(session.clone());
         for (moved, voids) in [(&clock.raw, true), (&clock.wall, false)] {
@@ -259,12 +264,12 @@ async fn raw_clock_of_edge_interrupted_meanwhile_leaves_nothing_to_learn() {
 }
 
 #[tokio::test]
-async fn a_clock_moved_right_after_the_first_stamp_at_a_host_leaves_nothing_to_learn_from_either() {
-    let clock = Set::new(Span::ZERO, Span::ZERO);
+async fn clock_moved_after_first_stamp_yields_no_observation() {
+    let clock = AdjustableClocks::new(Span::ZERO, Span::ZERO);
     let mut cloud = Cloud::start_by(clock.clone()).await;
     let mut open = Vec::new();
-    for (version, slips) in [(4, Slips::Wall), (5, Slips::Raw)] {
-        let edge = Set::new(Span::ZERO, Span::ZERO);
+    for (version, slips) in [(4, SlippingClock::Wall), (5, SlippingClock::Raw)] {
+        let edge = AdjustableClocks::new(Span::ZERO, Span::ZERO);
         let session = cloud.session_by(edge.clone(), VersionRange::single(version)).await;
         open.push(session.clone());
         clock.slip_after_next_stamp(slips);
@@ -272,7 +277,7 @@ async fn a_clock_moved_right_after_the_first_stamp_at_a_host_leaves_nothing_to_l
         assert_eq!(exchange.observation, None);
         let exchange = echo(&mut cloud, &session, "after").await;
         assert_eq!(exchange.observation.expect("answered").cloud_epoch, Some(1));
-        edge.slip_after_next_stamp(Slips::Raw);
+        edge.slip_after_next_stamp(SlippingClock::Raw);
         let exchange = echo(&mut cloud, &session, "moved at the edge").await;
         assert_eq!((exchange.observation, edge.epoch()), (None, 1));
         let exchange = echo(&mut cloud, &session, "after").await;
@@ -281,7 +286,7 @@ async fn a_clock_moved_right_after_the_first_stamp_at_a_host_leaves_nothing_to_l
 }
 
 #[tokio::test]
-async fn what_no_model_answered_is_no_exchange() {
+async fn request_without_model_answer_yields_no_observation() {
     let mut cloud = Cloud::start().await;
     let (session, _) = cloud.session(settings()).await;
     let pending = request(&session, "forgotten", PATIENCE);
@@ -316,7 +321,7 @@ fn raw_news() -> PeerClock {
 }
 
 #[tokio::test]
-async fn an_announcement_reaches_open_sessions_and_those_to_come() {
+async fn announcement_reaches_all_open_and_later_sessions() {
     let mut cloud = Cloud::start().await;
     let announcer = cloud.listener.announcer();
     let (session, _) = cloud.session(settings()).await;
@@ -328,7 +333,7 @@ async fn an_announcement_reaches_open_sessions_and_those_to_come() {
     within(clock.changed()).await.expect("the session is open");
     assert_eq!(*clock.borrow_and_update(), news);
 
-    // It was accepted with what was true before the announcement.
+    // The session was accepted with the state before the announcement.
     let (later, _) = cloud.session(settings()).await;
     assert_eq!(*later.peer_clock().borrow(), news);
     assert_eq!(later.accepted().host_clock, news);
@@ -343,11 +348,13 @@ async fn an_announcement_reaches_open_sessions_and_those_to_come() {
 }
 
 #[tokio::test]
-async fn any_zeromq_program_can_read_an_announcement() {
+async fn plain_zeromq_socket_reads_announcement() {
     let mut cloud = Cloud::start().await;
     let (plain, session) = plain_session(&mut cloud).await;
     cloud.listener.announcer().announce(news());
-    let (Header::Clock { session: of, clock }, _) = plain.hear().await else { panic!("no announcement") };
+    let (Header::Clock { session: of, clock }, _) = plain.receive_message().await else {
+        panic!("no announcement")
+    };
     assert_eq!((of, clock.epoch, clock.text.as_str()), (session, 2, "chrony, 3 sources"));
     let discipline = clock.discipline.expect("announced");
     assert_eq!(

@@ -1,4 +1,4 @@
-//! Many edges at once, on several threads.
+//! Tests with many edges at once, on several threads.
 
 use std::time::Duration;
 
@@ -13,7 +13,7 @@ const EDGES: usize = 4;
 const TASKS: usize = 6;
 const REQUESTS: usize = 15;
 
-/// Sizes on both sides of what the kernel takes in one go, each with contents of its own.
+/// Returns a payload whose contents depend on the seed. Sizes are above and below what the kernel accepts in one write.
 fn payload(seed: usize) -> Bytes {
     let size = [10, 3_000, 70_000, 400_000][seed % 4] + seed;
     (0..size).map(|i| (i * 7 + seed) as u8).collect::<Vec<u8>>().into()
@@ -30,12 +30,12 @@ async fn work(session: Session, task: usize) -> Result<(), RequestError> {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 4)]
-async fn every_request_of_a_crowd_gets_its_own_answer() {
+async fn every_request_of_many_edges_is_answered() {
     crowd(TestNetwork::ZmqTcp).await;
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 4)]
-async fn every_datagram_request_of_a_crowd_gets_its_own_answer() {
+async fn every_datagram_request_of_many_edges_is_answered() {
     crowd(TestNetwork::ZmqUdp).await;
 }
 
@@ -54,7 +54,7 @@ async fn crowd(network: TestNetwork) {
                 Incoming::Open(open) => assert!(open.accept(accepted(host))),
                 Incoming::Request(request) => {
                     turn += 1;
-                    // Answers leave from the listening task and from others, interleaved.
+                    // Answers are sent from the listening task and from other tasks alternately.
                     if turn % 2 == 0 {
                         request.reply.send(request.log, Ok(request.sample));
                     } else {

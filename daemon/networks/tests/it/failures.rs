@@ -1,4 +1,4 @@
-//! Peers and connections that go away.
+//! Tests of peers and connections that go away.
 
 use std::sync::Arc;
 
@@ -35,7 +35,7 @@ async fn a_killed_cloud_loses_what_is_under_way_at_once(network: TestNetwork) {
 
     let exchange = within(session.request(log(), &sample("too late"), PATIENCE)).await;
     assert!(matches!(exchange.result, Err(RequestError::Lost(_))), "{:?}", exchange.result);
-    // Answers to a listener that is gone go nowhere, quietly.
+    // Answers to a listener that is gone are dropped without an error.
     for request in held {
         request.reply.send(request.log, Ok(request.sample));
     }
@@ -54,10 +54,11 @@ async fn a_restarted_cloud_takes_a_new_session_on_the_same_port(network: TestNet
     echo(&mut cloud, &new, "after").await;
 }
 
-/// The port is free as soon as the old listener's task has noticed that it is gone.
+/// Starts a cloud on the port of an earlier one. The port is free as soon as the old listener's task has noticed its
+/// end.
 async fn restart(address: &Address) -> Cloud {
     let is_taken = || match address.scheme() {
-        // Who binds asks the master or the domain, which tell.
+        // Binding asks the master or the domain, which find an earlier cloud.
         "ros1" | "ros2" => false,
         "udp" => std::net::UdpSocket::bind(address.authority()).is_err(),
         _ => std::net::TcpListener::bind(address.authority()).is_err(),
@@ -71,7 +72,7 @@ async fn restart(address: &Address) -> Cloud {
 async fn a_vanished_edge_closes_its_sessions(network: TestNetwork) {
     let mut cloud = Cloud::over(network).await;
     let address = cloud.address();
-    // The edge's runtime dies with all its sockets, without a goodbye.
+    // The edge's runtime is dropped with all its sockets, without a goodbye.
     let edge = std::thread::spawn(move || {
         let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().expect("a runtime");
         let session = runtime.block_on(open(&address, hello(), settings())).expect("accepted");
@@ -86,9 +87,9 @@ async fn a_vanished_edge_closes_its_sessions(network: TestNetwork) {
 }
 
 #[tokio::test]
-async fn a_silent_connection_is_given_up_after_the_heartbeat_timeout() {
+async fn silent_connection_ends_after_heartbeat_timeout() {
     let mut cloud = Cloud::start().await;
-    let wire = Wire::before(cloud.address()).await;
+    let wire = SilencingRelay::before(cloud.address()).await;
     let quick = SessionSettings { heartbeat_interval_ms: 50, heartbeat_timeout_ms: 200, ..settings() };
     let address = wire.address.clone();
     let edge = tokio::spawn(async move { open(&address, hello(), quick).await });
@@ -104,13 +105,13 @@ async fn a_silent_connection_is_given_up_after_the_heartbeat_timeout() {
     assert!(matches!(within(session.closed()).await, CloseReason::Broken(_)));
 }
 
-/// A relay in front of a cloud that can go silent without closing its connections, as a pulled cable does.
-struct Wire {
+/// A relay before a cloud that can become silent without closing its connections, as if a cable were pulled.
+struct SilencingRelay {
     address: Address,
     cut: Arc<Notify>,
 }
 
-impl Wire {
+impl SilencingRelay {
     async fn before(cloud: Address) -> Self {
         let listener = TcpListener::bind("127.0.0.1:0").await.expect("a free port");
         let local = listener.local_addr().expect("bound");

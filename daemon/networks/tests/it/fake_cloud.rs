@@ -7,7 +7,7 @@ use zeromq::{Message, Options, Socket, SocketType};
 use crate::support::{hello, open, settings, within};
 use crate::wire::{self, Header, Id, PROTOCOL};
 
-/// A cloud that says what it likes.
+/// A cloud that sends arbitrary messages.
 pub(crate) struct FakeCloud {
     socket: zeromq::IdentitySocket,
     pub(crate) address: Address,
@@ -21,12 +21,12 @@ impl FakeCloud {
         Self { socket, address: endpoint.to_string().parse().expect("an address") }
     }
 
-    pub(crate) async fn hear(&self) -> (zeromq::Identity, Header) {
+    pub(crate) async fn receive_message(&self) -> (zeromq::Identity, Header) {
         let (identity, message) = within(self.socket.recv_from()).await.expect("a message");
         (identity, rmp_serde::from_slice(&message[0]).expect("a header"))
     }
 
-    pub(crate) async fn say(&self, to: &zeromq::Identity, header: &Header, rest: Vec<Bytes>) {
+    pub(crate) async fn send_message(&self, to: &zeromq::Identity, header: &Header, rest: Vec<Bytes>) {
         let header = rmp_serde::to_vec_named(header).expect("serialises");
         let message = Message::multipart([vec![header.into()], rest].concat());
         within(self.socket.send_to(to, message)).await.expect("sent");
@@ -60,17 +60,17 @@ impl FakeCloud {
     ) -> (peernet_networks::Session, zeromq::Identity, Id) {
         let address = self.address.clone();
         let edge = tokio::spawn(async move { open(&address, hello(), settings()).await });
-        let (to, header) = self.hear().await;
+        let (to, header) = self.receive_message().await;
         assert!(matches!(header, Header::Open { .. }));
         let id = Id::from([3; 16]);
-        // Nonsense before the answer is passed over.
-        self.say(
+        // An invalid message before the answer is ignored.
+        self.send_message(
             &to,
             &Header::Goodbye { session: id.clone(), reason: String::new(), ordered: None },
             Vec::new(),
         )
         .await;
-        self.say(&to, &Self::accepted(id.clone(), version), Vec::new()).await;
+        self.send_message(&to, &Self::accepted(id.clone(), version), Vec::new()).await;
         (within(edge).await.expect("no panic").expect("accepted"), to, id)
     }
 }

@@ -1,4 +1,4 @@
-//! Opening and closing sessions.
+//! Tests of opening and closing sessions.
 
 use std::time::Duration;
 
@@ -10,17 +10,17 @@ use crate::support::{
 };
 
 over_every_network!(
-    an_accepted_session_tells_both_sides_who_the_other_is,
+    accepted_session_identifies_both_sides,
     dropping_the_last_clone_closes_the_session,
     a_refusal_arrives_with_its_reason,
-    nobody_there_is_said_at_once,
+    unreachable_cloud_is_reported_at_once,
     a_cloud_that_does_not_answer_times_out,
     sessions_beyond_the_limit_are_refused_until_one_goes
 );
 
-over_every_port!(a_port_in_use_is_said_with_what_to_do);
+over_every_port!(port_in_use_is_reported_with_advice);
 
-async fn an_accepted_session_tells_both_sides_who_the_other_is(network: TestNetwork) {
+async fn accepted_session_identifies_both_sides(network: TestNetwork) {
     let mut cloud = Cloud::over(network).await;
     let (address, expected) = (cloud.address(), hello());
     assert!(address.port() != 0 || address.domain().is_some());
@@ -70,7 +70,7 @@ async fn a_refusal_arrives_with_its_reason(network: TestNetwork) {
     assert!(matches!(within(edge).await.expect("no panic"), Err(OpenError::Refused { .. })));
 }
 
-async fn nobody_there_is_said_at_once(network: TestNetwork) {
+async fn unreachable_cloud_is_reported_at_once(network: TestNetwork) {
     let cloud = Cloud::over(network).await;
     let address = cloud.address();
     cloud.listener.close().await;
@@ -94,7 +94,7 @@ async fn nobody_there_is_said_at_once(network: TestNetwork) {
 
 async fn a_cloud_that_does_not_answer_times_out(network: TestNetwork) {
     let mut cloud = Cloud::over(network).await;
-    // A node of ROS asks its master several times before it can ask a cloud, or has to find it.
+    // A ROS node asks its master several times, or searches the cloud, before it can ask for a session.
     let waited_ms = if network.scheme().starts_with("ros") { 3_000 } else { 200 };
     let impatient = SessionSettings { open_timeout_ms: waited_ms, ..settings() };
     let address = cloud.address();
@@ -104,7 +104,7 @@ async fn a_cloud_that_does_not_answer_times_out(network: TestNetwork) {
     let address = cloud.address();
     let expected = match network.scheme() {
         "tcp" => OpenError::TimedOut { address, waited_ms },
-        // The other end has introduced itself as a cloud.
+        // The other end has identified itself as a cloud.
         _ => OpenError::Unanswered { address, reason: format!("nothing came within {waited_ms} ms") },
     };
     assert_eq!(error, expected);
@@ -112,7 +112,7 @@ async fn a_cloud_that_does_not_answer_times_out(network: TestNetwork) {
     assert!(!unanswered.accept(accepted(cloud.host)), "the edge is gone");
 }
 
-async fn a_port_in_use_is_said_with_what_to_do(network: TestNetwork) {
+async fn port_in_use_is_reported_with_advice(network: TestNetwork) {
     let cloud = Cloud::over(network).await;
     let again = Listener::bind(&cloud.address(), settings(), cloud.host, clock()).await;
     let error = again.expect_err("the port is taken");
@@ -145,7 +145,7 @@ async fn sessions_beyond_the_limit_are_refused_until_one_goes(network: TestNetwo
 }
 
 #[tokio::test]
-async fn the_settings_refuse_unknown_keys_and_have_defaults() {
+async fn settings_refuse_unknown_keys_and_have_defaults() {
     let read = |text: &str| serde_json::from_str::<SessionSettings>(text);
     assert_eq!(read("{}").expect("all defaults"), SessionSettings::default());
     assert!(read(r#"{"max_message_byte": 1}"#).is_err());

@@ -1,4 +1,4 @@
-//! Whoever reaches the port may send anything.
+//! Tests with peers that send arbitrary data to the port.
 
 use bytes::Bytes;
 use peernet_clock::{Span, WallTime};
@@ -12,7 +12,7 @@ use zeromq::Options;
 
 use crate::fake_cloud::FakeCloud;
 use crate::support::{Cloud, PATIENCE, accepted, echo, log, request, sample, settings, within};
-use crate::wire::{self, Header, Id, Outcome, PROTOCOL, Plain};
+use crate::wire::{self, Header, Id, Outcome, PROTOCOL, PlainSocket};
 
 fn tree() -> Bytes {
     let anchor = Anchor { host: HostId::random(), wall: WallTime::default() };
@@ -27,17 +27,18 @@ fn plain_request(session: &Id, number: u64, parts: usize) -> Header {
 }
 
 /// Opens a session over a plain socket.
-pub(crate) async fn plain_session(cloud: &mut Cloud) -> (Plain, Id) {
-    let plain = Plain::dealer(&cloud.address(), Options::default()).await;
-    plain.say(&wire::open(PROTOCOL), Vec::new()).await;
+pub(crate) async fn plain_session(cloud: &mut Cloud) -> (PlainSocket, Id) {
+    let plain = PlainSocket::dealer(&cloud.address(), Options::default()).await;
+    plain.send_message(&wire::open(PROTOCOL), Vec::new()).await;
     cloud.next_open().await.accept(accepted(cloud.host));
-    match plain.hear().await {
+    match plain.receive_message().await {
         (Header::Accepted { session, .. }, _) => (plain, session),
         other => panic!("{other:?}"),
     }
 }
 
-/// Lets the listener take in everything that is on its way, until a session's echo has come through.
+/// Waits until the listener has handled everything in transfer: a session's echo has returned. Then checks the count of
+/// malformed messages.
 async fn malformed_after(cloud: &mut Cloud, expected: u64) {
     let (session, _) = cloud.session(settings()).await;
     echo(cloud, &session, "the port still serves").await;
@@ -55,14 +56,14 @@ async fn malformed_after(cloud: &mut Cloud, expected: u64) {
 }
 
 #[tokio::test]
-async fn any_zeromq_program_can_be_an_edge() {
+async fn plain_zeromq_socket_is_served_as_edge() {
     let mut cloud = Cloud::start().await;
     let (plain, session) = plain_session(&mut cloud).await;
-    plain.say(&plain_request(&session, 7, 1), vec![tree(), "payload".into()]).await;
+    plain.send_message(&plain_request(&session, 7, 1), vec![tree(), "payload".into()]).await;
     let incoming = cloud.next_request().await;
     assert_eq!(incoming.sample.parts[0].bytes, "payload");
     incoming.reply.send(incoming.log, Ok(sample("answer")));
-    let (header, rest) = plain.hear().await;
+    let (header, rest) = plain.receive_message().await;
     assert!(matches!(header, Header::Reply(s, 7, Some(_), 0, Outcome::Answer(_)) if s == session));
     assert_eq!((rest.len(), &rest[1]), (2, &Bytes::from("answer")));
 }
@@ -76,7 +77,7 @@ async fn bytes_that_are_not_zmtp_are_dropped_and_counted() {
     {
         let mut stream = TcpStream::connect(address.clone()).await.expect("the port is open");
         stream.write_all(garbage).await.expect("sent");
-        // Until the listener hangs up; how it does so is its own affair.
+        // Until the listener closes the connection, in whatever way.
         let _ = within(stream.read_to_end(&mut Vec::new())).await;
     }
     malformed_after(&mut cloud, 2).await;
@@ -114,14 +115,14 @@ async fn frames_that_are_no_message_are_dropped_and_counted() {
         Header::Goodbye { session: Id::from([9; 16]), reason: "whose?".into(), ordered: None },
     ];
     for header in &out_of_place {
-        plain.say(header, Vec::new()).await;
+        plain.send_message(header, Vec::new()).await;
         expected += 1;
     }
     malformed_after(&mut cloud, expected).await;
 }
 
 #[tokio::test]
-async fn requests_that_make_no_sense_are_answered_as_failed() {
+async fn invalid_requests_are_answered_as_failed() {
     let mut cloud = Cloud::start().await;
     let (plain, session) = plain_session(&mut cloud).await;
     let cases: Vec<(usize, Vec<Bytes>)> = vec![
@@ -136,9 +137,9 @@ async fn requests_that_make_no_sense_are_answered_as_failed() {
     let count = cases.len() as u64;
     for (number, (parts, rest)) in cases.into_iter().enumerate() {
         let number = number as u64;
-        plain.say(&plain_request(&session, number, parts), rest).await;
+        plain.send_message(&plain_request(&session, number, parts), rest).await;
         let (header, _) = tokio::select! {
-            heard = plain.hear() => heard,
+            received = plain.receive_message() => received,
             incoming = cloud.next() => panic!("handed out {incoming:?}"),
         };
         assert!(
@@ -150,14 +151,14 @@ async fn requests_that_make_no_sense_are_answered_as_failed() {
 }
 
 #[tokio::test]
-async fn a_session_is_its_own_connections_and_unknown_to_all_others() {
+async fn session_of_another_connection_is_unknown() {
     let mut cloud = Cloud::start().await;
     let (_owner, session) = plain_session(&mut cloud).await;
     let (thief, _) = plain_session(&mut cloud).await;
     for (number, session) in [(3, session), (4, Id::from([7; 16]))] {
-        thief.say(&plain_request(&session, number, 1), vec![tree(), "x".into()]).await;
+        thief.send_message(&plain_request(&session, number, 1), vec![tree(), "x".into()]).await;
         let (header, _) = tokio::select! {
-            heard = thief.hear() => heard,
+            received = thief.receive_message() => received,
             incoming = cloud.next() => panic!("handed out {incoming:?}"),
         };
         assert!(
@@ -168,16 +169,16 @@ async fn a_session_is_its_own_connections_and_unknown_to_all_others() {
 }
 
 #[tokio::test]
-async fn a_flood_beyond_the_limit_is_answered_as_overload() {
+async fn requests_above_limit_are_answered_as_overload() {
     let two = SessionSettings { max_in_flight: 2, ..settings() };
     let mut cloud = Cloud::start_at("tcp://127.0.0.1:0", two).await;
     let (plain, session) = plain_session(&mut cloud).await;
     for number in 0..3 {
-        plain.say(&plain_request(&session, number, 0), vec![tree()]).await;
+        plain.send_message(&plain_request(&session, number, 0), vec![tree()]).await;
     }
     let held = [cloud.next_request().await, cloud.next_request().await];
     let (header, _) = tokio::select! {
-        heard = plain.hear() => heard,
+        received = plain.receive_message() => received,
         incoming = cloud.next() => panic!("handed out {incoming:?}"),
     };
     assert!(matches!(header, Header::Reply(_, 2, None, _, Outcome::Overloaded(_))), "{header:?}");
@@ -185,7 +186,7 @@ async fn a_flood_beyond_the_limit_is_answered_as_overload() {
 }
 
 #[tokio::test]
-async fn the_memory_of_all_requests_together_is_bounded() {
+async fn memory_of_all_requests_is_bounded() {
     let little = SessionSettings { max_in_flight_bytes: 100_000, ..settings() };
     let mut cloud = Cloud::start_at("tcp://127.0.0.1:0", little).await;
     let (first, session) = plain_session(&mut cloud).await;
@@ -193,24 +194,24 @@ async fn the_memory_of_all_requests_together_is_bounded() {
     let payload = || vec![tree(), Bytes::from(vec![1; 40_000])];
     let mut held = Vec::new();
     for number in 0..2 {
-        first.say(&plain_request(&session, number, 1), payload()).await;
+        first.send_message(&plain_request(&session, number, 1), payload()).await;
         held.push(cloud.next_request().await);
     }
-    second.say(&plain_request(&other, 0, 1), payload()).await;
+    second.send_message(&plain_request(&other, 0, 1), payload()).await;
     let (header, _) = tokio::select! {
-        heard = second.hear() => heard,
+        received = second.receive_message() => received,
         incoming = cloud.next() => panic!("handed out {incoming:?}"),
     };
     let Header::Reply(_, 0, None, _, Outcome::Overloaded(reason)) = header else { panic!("{header:?}") };
     assert!(reason.contains("max_in_flight_bytes is 100000"), "{reason}");
-    // What is answered makes room, also for others.
+    // Requests that are answered make room, also for others.
     held.clear();
-    second.say(&plain_request(&other, 1, 1), payload()).await;
+    second.send_message(&plain_request(&other, 1, 1), payload()).await;
     assert_eq!(cloud.next_request().await.sample.payload_bytes(), 40_000);
 }
 
 #[tokio::test]
-async fn a_crowd_of_silent_connections_keeps_nobody_out() {
+async fn silent_connections_do_not_block_new_edges() {
     let mut cloud = Cloud::start().await;
     let address = (cloud.address().host(), cloud.address().port());
     let mut silent = Vec::new();
@@ -219,44 +220,44 @@ async fn a_crowd_of_silent_connections_keeps_nobody_out() {
     }
     let (session, _) = cloud.session(settings()).await;
     echo(&mut cloud, &session, "still served").await;
-    // They are hung up on when their time for a handshake is over.
+    // They are closed when the time limit for the handshake has passed.
     malformed_after(&mut cloud, 300).await;
     drop(silent);
 }
 
 #[tokio::test]
-async fn a_chosen_routing_id_is_not_served() {
+async fn chosen_routing_id_is_refused() {
     let mut cloud = Cloud::start().await;
-    let plain = Plain::dealer(&cloud.address(), Options::default().identity("robot-1")).await;
-    plain.say(&wire::open(PROTOCOL), Vec::new()).await;
+    let plain = PlainSocket::dealer(&cloud.address(), Options::default().identity("robot-1")).await;
+    plain.send_message(&wire::open(PROTOCOL), Vec::new()).await;
     malformed_after(&mut cloud, 1).await;
 }
 
 #[tokio::test]
-async fn an_oversize_message_ends_its_own_connection_alone() {
+async fn oversize_message_ends_only_its_connection() {
     let small = SessionSettings { max_message_bytes: 100_000, ..settings() };
     let mut cloud = Cloud::start_at("tcp://127.0.0.1:0", small).await;
     let (good, _) = cloud.session(settings()).await;
     let (plain, session) = plain_session(&mut cloud).await;
-    plain.say(&plain_request(&session, 0, 1), vec![tree(), vec![0; 1_000_000].into()]).await;
+    plain.send_message(&plain_request(&session, 0, 1), vec![tree(), vec![0; 1_000_000].into()]).await;
     cloud.next_closed().await;
     echo(&mut cloud, &good, "not my fault").await;
 }
 
 #[tokio::test]
-async fn a_cloud_that_lost_the_session_ends_it() {
+async fn session_unknown_to_cloud_ends() {
     let cloud = FakeCloud::start().await;
     let (session, to, id) = cloud.session().await;
     let pending = request(&session, "do you know me?", PATIENCE);
-    let (_, header) = cloud.hear().await;
+    let (_, header) = cloud.receive_message().await;
     let Header::Request(_, number, ..) = header else { panic!("{header:?}") };
-    cloud.say(&to, &Header::UnknownSession { session: id, request: number }, Vec::new()).await;
+    cloud.send_message(&to, &Header::UnknownSession { session: id, request: number }, Vec::new()).await;
     let exchange = within(pending).await.expect("no panic");
     assert!(matches!(exchange.result, Err(RequestError::Lost(_))), "{:?}", exchange.result);
     assert_eq!(within(session.closed()).await, CloseReason::UnknownSession);
 }
 
-/// What a cloud adds to an edge's tree, which has three nodes: root, encode, upload.
+/// Returns the delta that a cloud adds to an edge's tree with three nodes: root, encode, upload.
 fn delta(base: u32, host: u8, closed: u32, node_host: u8) -> Bytes {
     let anchor = Anchor { host: HostId::from_bytes([host; 16]), wall: WallTime::default() };
     let node = Node {
@@ -274,7 +275,7 @@ fn delta(base: u32, host: u8, closed: u32, node_host: u8) -> Bytes {
 }
 
 #[tokio::test]
-async fn answers_that_make_no_sense_change_no_tree() {
+async fn invalid_answers_change_no_tree() {
     let cloud = FakeCloud::start().await;
     let (session, to, id) = cloud.session().await;
     let bad = [
@@ -288,11 +289,11 @@ async fn answers_that_make_no_sense_change_no_tree() {
     let count = bad.len() as u64;
     for delta in bad {
         let pending = request(&session, "x", PATIENCE);
-        let (_, header) = cloud.hear().await;
+        let (_, header) = cloud.receive_message().await;
         let Header::Request(_, number, ..) = header else { panic!("{header:?}") };
         let answer = Outcome::Answer((Vec::new(), String::new(), None));
         cloud
-            .say(
+            .send_message(
                 &to,
                 &Header::Reply(id.clone(), number, Some(wire::Departure(1, 1, 0, None)), 0, answer),
                 vec![delta],
@@ -309,7 +310,7 @@ async fn answers_that_make_no_sense_change_no_tree() {
         discipline: Some(wire::Discipline { source: "chrony".into(), error }),
         ..wire::host_clock(1)
     };
-    // Replies to requests never made, of other sessions, and plain garbage leave the session as it is.
+    // Replies to requests that were never made, replies of other sessions, and garbage do not affect the session.
     for header in [
         Header::Reply(id.clone(), 1_000, None, 0, Outcome::Failed(String::new())),
         Header::Reply(Id::from([8; 16]), 0, None, 0, Outcome::Failed(String::new())),
@@ -317,17 +318,17 @@ async fn answers_that_make_no_sense_change_no_tree() {
         Header::Clock { session: Id::from([8; 16]), clock: wire::host_clock(1) },
         Header::Clock { session: id.clone(), clock: impossible },
     ] {
-        cloud.say(&to, &header, Vec::new()).await;
+        cloud.send_message(&to, &header, Vec::new()).await;
     }
     let pending = tokio::spawn({
         let session = session.clone();
         async move { session.request(log(), &sample("y"), PATIENCE).await }
     });
-    let (_, header) = cloud.hear().await;
+    let (_, header) = cloud.receive_message().await;
     let Header::Request(_, number, ..) = header else { panic!("{header:?}") };
     let answer = Outcome::Answer((Vec::new(), String::new(), None));
     cloud
-        .say(
+        .send_message(
             &to,
             &Header::Reply(id, number, Some(wire::Departure(1, 1, 0, None)), 0, answer),
             vec![delta(3, 2, 2, 1)],
@@ -338,18 +339,18 @@ async fn answers_that_make_no_sense_change_no_tree() {
 }
 
 #[tokio::test]
-async fn reply_of_version_five_without_raw_stamps_makes_no_sense() {
+async fn version_five_reply_without_raw_stamps_is_invalid() {
     let cloud = FakeCloud::start().await;
     let (session, to, id) = cloud.session_of_version(5).await;
     let pending = tokio::spawn({
         let session = session.clone();
         async move { session.request(log(), &sample("x"), PATIENCE).await }
     });
-    let (_, header) = cloud.hear().await;
+    let (_, header) = cloud.receive_message().await;
     let Header::Request(_, number, ..) = header else { panic!("{header:?}") };
     let answer = Outcome::Answer((Vec::new(), String::new(), None));
     cloud
-        .say(
+        .send_message(
             &to,
             &Header::Reply(id, number, Some(wire::Departure(1, 1, 0, None)), 0, answer),
             vec![delta(3, 2, 2, 1)],

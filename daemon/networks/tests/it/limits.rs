@@ -1,4 +1,4 @@
-//! What a connection of a listening port may cost, against real sockets.
+//! Tests of the limits of a listening port, with real sockets.
 
 use std::net::SocketAddr;
 use std::time::Duration;
@@ -12,10 +12,10 @@ use zeromq::{Message, Options, Socket, SocketType};
 
 use crate::support::within;
 
-/// Bytes of the listener's READY after the first two.
+/// Length of the listener's READY after its first two bytes.
 const REST_OF_READY: usize = 28;
 
-/// Longer than any test takes.
+/// A time that is longer than any test.
 const LONG: Duration = Duration::from_secs(60);
 
 fn limits() -> ListenerLimits {
@@ -35,7 +35,7 @@ async fn bind(limits: ListenerLimits) -> ZmtpListener {
     ZmtpListener::bind("127.0.0.1:0", limits).await.expect("the port is free")
 }
 
-/// The next message; connections that ended meanwhile are passed over.
+/// Returns the next message. Ends of connections are ignored.
 async fn message(listener: &mut ZmtpListener) -> (Peer, Frames) {
     within(async {
         loop {
@@ -69,31 +69,31 @@ impl RawPeer {
         greeting.extend_from_slice(b"\x04\x1c\x05READY\x0bSocket-Type\x00\x00\x00\x06DEALER");
         let mut stream = TcpStream::connect(to).await.expect("the port is open");
         stream.write_all(&greeting).await.expect("sends");
-        // The listener's greeting and READY: it has taken ours in.
+        // The greeting and READY of the listener, which has handled ours then.
         within(stream.read_exact(&mut [0; 64 + 2])).await.expect("is greeted");
         Self(stream)
     }
 
-    /// Begins a frame that claims `length` bytes, and sends `bytes` of them.
+    /// Starts a frame that claims `length` bytes, and sends `bytes` of them.
     async fn begin_frame(&mut self, length: u64, bytes: usize) -> std::io::Result<()> {
         self.0.write_all(&[&[2][..], &length.to_be_bytes()].concat()).await?;
         self.0.write_all(&vec![7; bytes]).await
     }
 
-    async fn say(&mut self, text: &[u8]) {
+    async fn send_bytes(&mut self, text: &[u8]) {
         self.0.write_all(&[&[0, text.len() as u8][..], text].concat()).await.expect("sends");
     }
 
     async fn until_closed(mut self) {
-        // How it is closed is the system's affair.
+        // The connection may be closed in any way.
         let _reset = within(self.0.read_to_end(&mut Vec::new())).await;
     }
 }
 
-/// A peer whose hello was accepted.
+/// Returns a peer whose hello was accepted.
 async fn admitted(listener: &mut ZmtpListener) -> (RawPeer, Peer) {
     let mut raw = RawPeer::connect(listener.address()).await;
-    raw.say(b"hello").await;
+    raw.send_bytes(b"hello").await;
     let (peer, frames) = message(listener).await;
     assert_eq!(frames, ["hello"]);
     listener.sender().admit(peer.connection);
@@ -101,7 +101,7 @@ async fn admitted(listener: &mut ZmtpListener) -> (RawPeer, Peer) {
 }
 
 #[tokio::test]
-async fn a_claim_before_the_hello_closes_the_connection() {
+async fn claimed_length_before_hello_closes_connection() {
     let listener = bind(limits()).await;
     for claimed in [65_536, 4_000_000, u64::MAX >> 1] {
         let mut raw = RawPeer::connect(listener.address()).await;
@@ -112,18 +112,18 @@ async fn a_claim_before_the_hello_closes_the_connection() {
 }
 
 #[tokio::test]
-async fn a_connection_without_hello_is_closed_in_time() {
+async fn connection_without_hello_is_closed_in_time() {
     let mut listener = bind(ListenerLimits { hello_timeout: Duration::from_millis(100), ..limits() }).await;
     let (accepted, _) = admitted(&mut listener).await;
     RawPeer::connect(listener.address()).await.until_closed().await;
     until_rejected(&listener, Rejection::NoHello, 1).await;
-    // One whose host left again has the same time.
+    // A connection whose host has left has the same time limit.
     let (left, peer) = admitted(&mut listener).await;
     listener.sender().demote(peer.connection);
     left.until_closed().await;
     until_rejected(&listener, Rejection::NoHello, 2).await;
     let mut accepted = accepted;
-    accepted.say(b"still here").await;
+    accepted.send_bytes(b"still here").await;
     assert_eq!(message(&mut listener).await.1, ["still here"]);
 }
 
@@ -133,14 +133,14 @@ async fn unfinished_messages_share_one_budget() {
     let (mut held, mut open) = (Vec::new(), Vec::new());
     for _ in 0..8 {
         let (mut raw, peer) = admitted(&mut listener).await;
-        // A connection that is closed may be found so in the middle.
+        // Fails if the connection was closed in the meantime.
         let _closed = raw.begin_frame(4_000_000, 3_900_000).await;
         held.push(raw);
         open.push(peer.connection);
     }
     until_rejected(&listener, Rejection::NoMemory, 4).await;
     drop(held);
-    // Their memory is given back before anybody learns of their end.
+    // Their memory is returned before their end is reported.
     open.truncate(4);
     within(async {
         while !open.is_empty() {
@@ -156,7 +156,7 @@ async fn unfinished_messages_share_one_budget() {
 }
 
 #[tokio::test]
-async fn a_frame_that_stops_growing_is_given_up() {
+async fn stalled_frame_ends_connection() {
     let quick = ListenerLimits {
         heartbeat_interval: Duration::from_millis(50),
         heartbeat_timeout: Duration::from_millis(200),
@@ -170,26 +170,26 @@ async fn a_frame_that_stops_growing_is_given_up() {
 }
 
 #[tokio::test]
-async fn a_new_connection_replaces_the_oldest_silent_one() {
+async fn new_connection_replaces_oldest_silent_one() {
     let mut listener = bind(ListenerLimits { max_connections: 40, ..limits() }).await;
     let (mut first, _) = admitted(&mut listener).await;
     let mut silent = Vec::new();
     for _ in 0..30 {
         silent.push(RawPeer::connect(listener.address()).await);
     }
-    // A quarter of all may wait of one address.
+    // A quarter of all connections may wait from one address.
     until_rejected(&listener, Rejection::Replaced, 20).await;
     for closed in silent.drain(..20) {
         closed.until_closed().await;
     }
-    first.say(b"untouched").await;
+    first.send_bytes(b"untouched").await;
     assert_eq!(message(&mut listener).await.1, ["untouched"]);
-    silent[9].say(b"in time").await;
+    silent[9].send_bytes(b"in time").await;
     assert_eq!(message(&mut listener).await.1, ["in time"]);
 }
 
 #[tokio::test]
-async fn admitted_connections_at_the_limit_keep_their_places() {
+async fn admitted_connections_at_limit_are_not_replaced() {
     let mut listener = bind(ListenerLimits { max_connections: 4, ..limits() }).await;
     let mut open = Vec::new();
     for _ in 0..4 {
@@ -198,12 +198,12 @@ async fn admitted_connections_at_the_limit_keep_their_places() {
     let refused = TcpStream::connect(listener.address()).await.expect("the port is open");
     RawPeer(refused).until_closed().await;
     until_rejected(&listener, Rejection::TooMany, 1).await;
-    open[0].0.say(b"here").await;
+    open[0].0.send_bytes(b"here").await;
     assert_eq!(message(&mut listener).await.1, ["here"]);
 }
 
 #[tokio::test]
-async fn a_peer_that_reads_nothing_fills_no_memory() {
+async fn peer_not_reading_uses_bounded_memory() {
     let mut listener = bind(limits()).await;
     let (mut raw, peer) = admitted(&mut listener).await;
     let sender = listener.sender();
@@ -217,7 +217,7 @@ async fn a_peer_that_reads_nothing_fills_no_memory() {
         assert!(sent < 200, "the queue is bounded");
     };
     assert_eq!(failure, SendFailure::Full);
-    // What was taken arrives whole, and then there is room again.
+    // The accepted messages arrive whole, and then there is room again.
     let mut bytes = vec![0; sent * 500_009];
     let mut ready = [0; REST_OF_READY];
     within(raw.0.read_exact(&mut ready)).await.expect("the rest of READY");
@@ -227,7 +227,7 @@ async fn a_peer_that_reads_nothing_fills_no_memory() {
 }
 
 #[tokio::test]
-async fn a_flood_of_pings_without_reading_is_held_back() {
+async fn pings_of_peer_not_reading_are_throttled() {
     let mut listener = bind(limits()).await;
     let (mut raw, peer) = admitted(&mut listener).await;
     let pings = b"\x04\x17\x04PING\x00\x000123456789abcdef".repeat(4_096);
@@ -242,7 +242,7 @@ async fn a_flood_of_pings_without_reading_is_held_back() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn messages_of_all_sizes_come_and_go_whole_and_in_order() {
+async fn messages_of_all_sizes_arrive_in_order() {
     let mut listener = bind(limits()).await;
     let sender = listener.sender();
     let socket = Socket::new(SocketType::Dealer, Options::default().max_message_size(8 << 20));
@@ -273,13 +273,13 @@ async fn messages_of_all_sizes_come_and_go_whole_and_in_order() {
 }
 
 #[tokio::test]
-async fn what_was_sent_before_closing_arrives() {
+async fn messages_sent_before_closing_arrive() {
     let mut listener = bind(limits()).await;
     let (mut raw, peer) = admitted(&mut listener).await;
     let last = Bytes::from(vec![9; 3_000_000]);
     listener.sender().try_send(peer.connection, vec![last]).expect("there is room");
-    // The peer sends on, and has much to read.
-    raw.say(b"unread").await;
+    // The peer continues to send, and has much to read.
+    raw.send_bytes(b"unread").await;
     let closing = tokio::spawn(listener.close(Duration::from_secs(10)));
     let mut all = Vec::new();
     within(raw.0.read_to_end(&mut all)).await.expect("is not reset");

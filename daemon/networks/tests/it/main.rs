@@ -1,4 +1,4 @@
-//! Sessions over real sockets on loopback.
+//! Tests of sessions over real sockets on loopback.
 
 mod clocks;
 mod crowd;

@@ -1,4 +1,4 @@
-//! Requests and answers.
+//! Tests of requests and answers.
 
 use std::time::Duration;
 
@@ -128,7 +128,7 @@ async fn failures_come_back_with_their_reason_and_what_was_measured(network: Tes
     let mut cloud = Cloud::over(network).await;
     let (session, _) = cloud.session(settings()).await;
 
-    // A timeout beyond what the clock can hold is none.
+    // A timeout that the clock cannot represent counts as no timeout.
     let pending = request(&session, "broken picture", Duration::MAX);
     let mut incoming = cloud.next_request().await;
     incoming.log.time(stage::PREPROCESSING);
@@ -164,7 +164,7 @@ async fn a_late_answer_is_dropped_and_counted(network: TestNetwork) {
     assert!(exchange.log.tree().find(&["upload-bytes"]).is_some());
 
     slow.reply.send(slow.log, Ok(slow.sample));
-    // The next answer comes behind the late one.
+    // The next answer arrives after the late one.
     echo(&mut cloud, &session, "next").await;
     assert_eq!(session.statistics().late_messages, 1);
     assert_eq!(session.statistics().lost_messages, 0);

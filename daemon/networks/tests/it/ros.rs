@@ -1,4 +1,4 @@
-//! What sessions over topics of ROS 1 have of their own.
+//! Tests of sessions over topics of ROS 1.
 
 use std::time::Duration;
 
@@ -15,7 +15,7 @@ use crate::support::{
     Cloud, PATIENCE, TestNetwork, accepted, clock, echo, hello, log, open, settings, within,
 };
 
-/// A node of another program.
+/// Returns a node of another program.
 pub(crate) async fn foreign_node(master: &RosMaster, name: &str) -> Node {
     let environment = Environment {
         master: RpcUri::parse(&master.uri()).expect("a URI"),
@@ -25,7 +25,7 @@ pub(crate) async fn foreign_node(master: &RosMaster, name: &str) -> Node {
     Node::new(&environment, name, clock()).await.expect("the master answers")
 }
 
-/// The topic of a session's requests.
+/// Returns the topic of a session's requests.
 fn request_topic(pipeline: &str) -> String {
     format!("/{}/request", pipeline.replace('-', "_"))
 }
@@ -41,7 +41,7 @@ pub(crate) async fn exchange(cloud: &mut Cloud, session: &Session, sample: Sampl
     within(pending).await.expect("no panic").result.expect("an answer")
 }
 
-/// A session whose pipeline has a known name.
+/// Opens a session. Returns it with the name of its pipeline.
 pub(crate) async fn session(cloud: &mut Cloud) -> (Session, String) {
     let (address, hello) = (cloud.address(), hello());
     let pipeline = hello.pipeline.to_string();
@@ -83,7 +83,7 @@ async fn other_programs_see_pictures_as_their_own_type() {
         .await
         .expect("registered");
     let picture = Sample::of(Description::unshaped(MediaType::Jpeg), Bytes::from(vec![9; 5_000]));
-    // The first pictures travel in the companions, until the topic is there.
+    // The first pictures are sent in the companions until the topic is open.
     let seen = loop {
         exchange(&mut cloud, &session, picture.clone()).await;
         let seen = tokio::time::timeout(Duration::from_millis(50), pictures.recv()).await;
@@ -97,9 +97,9 @@ async fn other_programs_see_pictures_as_their_own_type() {
     assert_eq!(session.statistics().lost_messages, 0);
 }
 
-// The master is restarted on this thread, which takes its time.
+// The master is restarted on this thread, which blocks it.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn sessions_go_on_while_master_is_restarted() {
+async fn sessions_continue_while_master_restarts() {
     let mut master = RosMaster::start();
     let mut cloud = Cloud::start_at(&master.address(), settings()).await;
     let (first, _) = session(&mut cloud).await;
@@ -123,7 +123,7 @@ async fn sessions_go_on_while_master_is_restarted() {
 }
 
 #[tokio::test]
-async fn master_that_is_away_is_named() {
+async fn unreachable_master_is_named() {
     let mut master = RosMaster::start();
     let address = master.address().parse().expect("an address");
     master.kill();
@@ -139,7 +139,7 @@ async fn new_connection_of_same_pipeline_replaces_earlier_one() {
     replace_connections(Cloud::over(TestNetwork::Ros1).await).await;
 }
 
-/// Opens three connections of one pipeline in a row: each ends the one before, and works.
+/// Opens three connections of one pipeline in succession. Each one ends the one before, and works.
 pub(crate) async fn replace_connections(mut cloud: Cloud) {
     let hello = hello();
     let mut earlier: Option<Session> = None;
@@ -168,7 +168,7 @@ pub(crate) async fn replace_connections(mut cloud: Cloud) {
 }
 
 #[tokio::test]
-async fn name_that_another_cloud_has_is_refused() {
+async fn name_of_another_cloud_is_refused() {
     let cloud = Cloud::over(TestNetwork::Ros1).await;
     let again = Listener::bind(&cloud.address(), settings(), cloud.host, clock()).await;
     let error = again.expect_err("the name is taken").to_string();
@@ -219,7 +219,7 @@ async fn messages_of_second_publishers_are_dropped() {
     second_publisher_is_remarked(&mut cloud, &session, "node /stranger", &topic).await;
 }
 
-/// Exchanges until the cloud remarks on a second publisher.
+/// Exchanges requests until the cloud remarks on a second publisher.
 pub(crate) async fn second_publisher_is_remarked(
     cloud: &mut Cloud,
     session: &Session,
@@ -238,11 +238,11 @@ pub(crate) async fn second_publisher_is_remarked(
 }
 
 #[tokio::test]
-async fn edge_is_told_why_it_gets_no_connection() {
+async fn edge_gets_reason_of_refusal() {
     pipeline_of_another_host_is_refused(Cloud::over(TestNetwork::Ros1).await).await;
 }
 
-/// A second host asks for the topics of a pipeline: both ends say so, and the session goes on.
+/// Tests a second host that asks for the topics of a pipeline: both ends report it, and the session continues.
 pub(crate) async fn pipeline_of_another_host_is_refused(mut cloud: Cloud) {
     let (first, pipeline) = session(&mut cloud).await;
     let (address, hello) = (cloud.address(), hello());
@@ -284,7 +284,7 @@ async fn connection_without_session_ends_after_hello_timeout() {
 }
 
 #[tokio::test]
-async fn program_that_only_watches_and_is_slow_delays_nothing() {
+async fn slow_subscriber_delays_nothing() {
     let master = RosMaster::start();
     let mut cloud = Cloud::start_at(&master.address(), settings()).await;
     let (session, pipeline) = session(&mut cloud).await;

@@ -1,4 +1,4 @@
-//! What nodes of ROS 1 without a session may take from those that have one.
+//! Tests of the limits of ROS 1 nodes without a session.
 
 use bytes::Bytes;
 use peernet_networks::SessionSettings;
@@ -10,13 +10,13 @@ use crate::ros::{exchange, foreign_node, session};
 use crate::ros_master::RosMaster;
 use crate::support::{Cloud, accepted, clock, echo, hello, open, settings, within};
 
-/// Bytes that all sessions of a cloud share here.
+/// Number of bytes that all sessions of a cloud share in these tests.
 const SHARED: u64 = 1_000_000;
 
-/// Connections that are opened and never become a session.
+/// Number of connections that are opened without a session.
 const OTHERS: usize = 12;
 
-/// A companion of which the payload never comes.
+/// Returns a companion whose payload never arrives.
 fn half_a_message(sequence: u64, bytes: usize) -> EncodedMessage {
     let stamp = Time::from_nanos(1_000_000_000 + i64::try_from(sequence).expect("small"));
     let info = MessageInfo {
@@ -31,7 +31,7 @@ fn half_a_message(sequence: u64, bytes: usize) -> EncodedMessage {
 }
 
 #[tokio::test]
-async fn connection_is_not_replaced_from_another_address() {
+async fn other_address_cannot_replace_connection() {
     let master = RosMaster::start();
     let mut cloud = Cloud::start_at(&master.address(), settings()).await;
     let (address, hello) = (cloud.address(), hello());
@@ -53,7 +53,7 @@ async fn connection_is_not_replaced_from_another_address() {
     }
 }
 
-/// The topic on which a cloud is asked for connections.
+/// Returns the topic on which a cloud is asked for connections.
 async fn hellos_to(cloud: &Cloud, node: &Node) -> Publisher {
     let address = cloud.address().to_string();
     let topic = format!("/{}/sessions", address.rsplit('/').next().expect("a name"));
@@ -72,7 +72,7 @@ async fn send_hello(hellos: &Publisher, node: &Node, host: String, pipeline: Str
 }
 
 #[tokio::test]
-async fn connections_without_session_take_no_memory_from_sessions() {
+async fn connections_without_session_leave_memory_to_sessions() {
     let master = RosMaster::start();
     let limits = SessionSettings { max_message_bytes: SHARED, max_unfinished_bytes: SHARED, ..settings() };
     let mut cloud = Cloud::start_at(&master.address(), limits).await;

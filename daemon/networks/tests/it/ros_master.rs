@@ -1,4 +1,4 @@
-//! A master of ROS 1 in a process of its own.
+//! A ROS 1 master in a separate process.
 
 use std::net::TcpStream;
 use std::process::{Child, Command, Stdio};
@@ -9,7 +9,7 @@ use peernet_test_ports::free_port;
 
 use crate::support::next_number;
 
-/// A master, which ends with this value or with this process.
+/// A master that ends with this value or with this process.
 #[derive(Debug)]
 pub(crate) struct RosMaster {
     process: Child,
@@ -17,7 +17,7 @@ pub(crate) struct RosMaster {
 }
 
 impl RosMaster {
-    /// A master for all tests that leave it alone.
+    /// Returns a master for all tests that do not stop it.
     pub(crate) fn shared() -> &'static Self {
         static SHARED: OnceLock<RosMaster> = OnceLock::new();
         SHARED.get_or_init(Self::start)
@@ -28,7 +28,8 @@ impl RosMaster {
     }
 
     fn start_at(port: u16) -> Self {
-        // The shell ends it when its own input does: with this process, whatever ends that.
+        // The shell ends the master when the shell's input closes, which happens whenever and however this process
+        // ends.
         let process = Command::new("sh")
             .args(["-c", "rosmaster --core -p \"$0\" & read -r _; kill -9 $!; wait", &port.to_string()])
             .env("ROS_HOME", std::env::temp_dir())
@@ -46,7 +47,7 @@ impl RosMaster {
         Self { process, port }
     }
 
-    /// Kills it, and starts one at the same port that knows nothing.
+    /// Kills the master, and starts a new one without state at the same port.
     pub(crate) fn restart(&mut self) {
         self.kill();
         *self = Self::start_at(self.port);
@@ -57,7 +58,7 @@ impl RosMaster {
         self.process.wait().expect("it is a child");
     }
 
-    /// A name that no other cloud has.
+    /// Returns an address with a name that no other cloud has.
     pub(crate) fn address(&self) -> String {
         format!("ros1://127.0.0.1:{}/cloud{}", self.port, next_number())
     }
@@ -70,7 +71,7 @@ impl RosMaster {
 impl Drop for RosMaster {
     fn drop(&mut self) {
         drop(self.process.stdin.take());
-        // Nobody is left to tell.
+        // Fails if the process has already been waited for.
         let _ = self.process.wait();
     }
 }

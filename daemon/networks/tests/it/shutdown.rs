@@ -1,4 +1,4 @@
-//! A listener that closes in good order.
+//! Tests of a listener that closes.
 
 use std::sync::{Arc, Mutex, mpsc};
 use std::thread;
@@ -14,19 +14,19 @@ use crate::support::{
 
 over_every_network!(closing_waits_for_answers_and_says_goodbye, closing_does_not_wait_for_ever);
 
-/// The thread that a [`Gate`] holds up.
-const HELD: &str = "held";
+/// Name of the thread that a [`PausingClock`] stops.
+const PAUSED_THREAD: &str = "held";
 
-/// A clock at which one thread is held up once: it says that it is there, and waits for leave.
+/// A clock that stops one thread once: it signals that the thread has arrived, and waits for permission to continue.
 #[derive(Debug)]
-struct Gate {
+struct PausingClock {
     clock: SharedClock,
     closed: Mutex<Option<(oneshot::Sender<()>, mpsc::Receiver<()>)>>,
 }
 
-impl Clock for Gate {
+impl Clock for PausingClock {
     fn wall(&self) -> WallTime {
-        if thread::current().name() == Some(HELD)
+        if thread::current().name() == Some(PAUSED_THREAD)
             && let Some((arrived, leave)) = self.closed.lock().expect("no panic").take()
         {
             arrived.send(()).expect("waited for");
@@ -49,15 +49,15 @@ impl Clock for Gate {
 }
 
 #[tokio::test]
-async fn closing_waits_for_the_answer_that_is_just_being_sent() {
+async fn closing_waits_for_answer_being_sent() {
     let ((arrived, at_gate), (leave, left)) = (oneshot::channel(), mpsc::sync_channel(1));
-    let gate = Gate { clock: clock(), closed: Mutex::new(Some((arrived, left))) };
+    let gate = PausingClock { clock: clock(), closed: Mutex::new(Some((arrived, left))) };
     let mut cloud = Cloud::start_by(Arc::new(gate)).await;
     let (session, _) = cloud.session(settings()).await;
     let pending = [request(&session, "one", PATIENCE), request(&session, "other", PATIENCE)];
     let (slow, quick) = (cloud.next_request().await, cloud.next_request().await);
-    // Its request is answered, but the answer has not left yet.
-    let held = thread::Builder::new().name(HELD.to_owned());
+    // The request is answered, but the answer has not been sent yet.
+    let held = thread::Builder::new().name(PAUSED_THREAD.to_owned());
     let held = held.spawn(move || slow.reply.send(slow.log, Ok(slow.sample))).expect("a thread");
     within(at_gate).await.expect("it comes to the gate");
     let close = tokio::spawn(cloud.listener.close());

@@ -1,4 +1,4 @@
-//! What both ends count of a connection, and what the kernel tells of it.
+//! Tests of the statistics of a connection at both ends, and of those of the kernel.
 
 use peernet_clock::Span;
 use peernet_networks::interface_of;
@@ -30,7 +30,7 @@ async fn both_ends_count_same_bytes_and_messages() {
     mirrored.reverse();
     assert_eq!(totals(&edge), mirrored);
 
-    // What the cloud tells of its end is what was counted when it told.
+    // The cloud's report has the counts at the time of the report.
     let reader = session.statistics_reader();
     assert_eq!(reader.peer(), None, "nothing was told yet");
     cloud.listener.announcer().report_statistics();
@@ -41,7 +41,7 @@ async fn both_ends_count_same_bytes_and_messages() {
     assert!(peer.round_trip.is_some() && peer.sent.retransmitted.is_some(), "{peer:?}");
     assert_eq!((peer.malformed_messages, peer.lost_messages), (0, 0));
 
-    // What a listener adds up of several connections, no kernel counts.
+    // The kernel does not count across the connections of a listener.
     assert_eq!((listener.round_trip, listener.sent.retransmitted), (None, None));
 }
 

@@ -1,4 +1,4 @@
-//! An edge and a cloud on loopback, and a limit on how long anything may take.
+//! An edge and a cloud on loopback, and a time limit for every operation.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -17,10 +17,10 @@ use peernet_stream::{Hardware, VersionRange};
 
 use crate::ros_master::RosMaster;
 
-/// Far more than anything here needs; a test that hangs fails.
+/// Time limit of every operation, far above what is needed. A test that hangs fails.
 pub(crate) const PATIENCE: Duration = Duration::from_secs(20);
 
-/// Makes tests of a function that takes a [`TestNetwork`]: one for each network whose listeners have ports of their own.
+/// Makes tests from a function that takes a [`TestNetwork`]: one for each network whose listeners have ports.
 macro_rules! over_every_port {
     ($($name:ident),*) => {$(
         mod $name {
@@ -38,7 +38,7 @@ macro_rules! over_every_port {
 }
 pub(crate) use over_every_port;
 
-/// Makes tests of a function that takes a [`TestNetwork`]: one for each network.
+/// Makes tests from a function that takes a [`TestNetwork`]: one for each network.
 macro_rules! over_every_network {
     ($($name:ident),*) => {$(
         mod $name {
@@ -67,7 +67,7 @@ macro_rules! over_every_network {
 }
 pub(crate) use over_every_network;
 
-/// A network, in one version where it has several.
+/// A network, in one version if it has several.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum TestNetwork {
     ZmqTcp,
@@ -78,7 +78,7 @@ pub(crate) enum TestNetwork {
 }
 
 impl TestNetwork {
-    /// Scheme and host of an address.
+    /// Returns the scheme and the host of an address.
     pub(crate) fn scheme(self) -> &'static str {
         match self {
             Self::ZmqTcp => "tcp",
@@ -90,7 +90,7 @@ impl TestNetwork {
     }
 }
 
-/// A free port of this machine, a free name at a master of ROS 1, or a domain of ROS 2.
+/// Returns a free port of this machine, a free name at a ROS 1 master, or a ROS 2 domain.
 pub(crate) fn any_port(network: TestNetwork) -> String {
     match network {
         TestNetwork::Ros1 => RosMaster::shared().address(),
@@ -100,8 +100,8 @@ pub(crate) fn any_port(network: TestNetwork) -> String {
     }
 }
 
-/// A domain of ROS 2 that few other tests have, and a name that none has, not even in another process: all are in the domains of the
-/// loopback interface. The ports of higher domains may be those of other sockets.
+/// Returns a ROS 2 domain that few other tests use, and a name that no other test uses, not even in another process.
+/// All tests are in the domains of the loopback interface, and the ports of higher domains may belong to other sockets.
 #[cfg(feature = "ros2")]
 fn any_domain() -> String {
     let (process, number) = (std::process::id(), next_number());
@@ -121,7 +121,7 @@ pub(crate) fn settings() -> SessionSettings {
     SessionSettings { open_timeout_ms: 10_000, ros2, ..SessionSettings::default() }
 }
 
-/// A number that no other call returns.
+/// Returns a number that no other call returns.
 pub(crate) fn next_number() -> usize {
     static NUMBERS: AtomicUsize = AtomicUsize::new(1);
     NUMBERS.fetch_add(1, Ordering::Relaxed)
@@ -133,7 +133,7 @@ pub(crate) fn hello() -> SessionHello {
         host: HostId::random(),
         name: "robot-1".parse().expect("a name"),
         clock: ClockIdentity::new("boot", "system"),
-        // A pipeline of its own for each session of all processes, because topics of ROS are named after it.
+        // Each session of all processes has a separate pipeline, because ROS topics are named after it.
         pipeline: format!("line-{}-{}", std::process::id(), next_number()).parse().expect("a name"),
         model: Some("echo".parse().expect("a name")),
         device: None,
@@ -170,7 +170,7 @@ pub(crate) fn text(sample: &Sample) -> &str {
 pub(crate) struct Cloud {
     pub(crate) host: HostId,
     pub(crate) listener: Listener,
-    /// What was remarked on connections and refused, until now.
+    /// Remarks and refusals so far.
     pub(crate) remarks: Vec<String>,
 }
 
@@ -179,7 +179,7 @@ impl Cloud {
         Self::over(TestNetwork::ZmqTcp).await
     }
 
-    /// A cloud at a port of a network.
+    /// Starts a cloud on a port of a network.
     pub(crate) async fn over(network: TestNetwork) -> Self {
         Self::start_at(&any_port(network), settings()).await
     }
@@ -188,7 +188,7 @@ impl Cloud {
         Self::bind(address, settings, clock()).await
     }
 
-    /// A cloud that reads another clock.
+    /// Starts a cloud that reads another clock.
     pub(crate) async fn start_by(clock: SharedClock) -> Self {
         Self::bind("tcp://127.0.0.1:0", settings(), clock).await
     }
@@ -227,7 +227,7 @@ impl Cloud {
         }
     }
 
-    /// The next session that ends, and whether its edge said goodbye.
+    /// Returns the next session that ends, and whether its edge said goodbye.
     pub(crate) async fn next_closed(&mut self) -> (SessionId, bool) {
         match self.next().await {
             Incoming::Closed { session, said_goodbye, .. } => (session, said_goodbye),
@@ -235,7 +235,7 @@ impl Cloud {
         }
     }
 
-    /// Opens a session with an edge that goes by its own settings.
+    /// Opens a session with an edge that has these settings.
     pub(crate) async fn session(&mut self, settings: SessionSettings) -> (Session, SessionId) {
         let address = self.address();
         let edge = tokio::spawn(async move { open(&address, hello(), settings).await });
@@ -270,13 +270,13 @@ pub(crate) fn log() -> Recorder {
     Recorder::begin(clock(), HostId::random())
 }
 
-/// A request that runs by itself.
+/// Starts a request in a separate task.
 pub(crate) fn request(session: &Session, what: &str, timeout: Duration) -> tokio::task::JoinHandle<Exchange> {
     let (session, sample) = (session.clone(), sample(what));
     tokio::spawn(async move { session.request(log(), &sample, timeout).await })
 }
 
-/// Sends a request and lets the cloud echo it: the session works.
+/// Sends a request and lets the cloud echo it, which shows that the session works.
 pub(crate) async fn echo(cloud: &mut Cloud, session: &Session, what: &str) -> Exchange {
     let pending = request(session, what, PATIENCE);
     let incoming = cloud.next_request().await;

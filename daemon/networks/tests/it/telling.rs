@@ -1,4 +1,4 @@
-//! What hello and its answer carry beside identities.
+//! Tests of the values in hello and acceptance other than identities.
 
 use peernet_networks::MAX_CONDITIONS;
 use peernet_stream::{Condition, Grade, Hardware};
@@ -6,18 +6,20 @@ use zeromq::Options;
 
 use crate::fake_cloud::FakeCloud;
 use crate::support::{Cloud, accepted, hello, open, settings, within};
-use crate::wire::{self, Header, Id, PROTOCOL, Plain};
+use crate::wire::{self, Header, Id, PROTOCOL, PlainSocket};
 
 #[tokio::test]
-async fn an_edge_may_leave_the_model_to_the_cloud() {
+async fn hello_without_model_lets_cloud_choose() {
     let mut cloud = Cloud::start().await;
-    let plain = Plain::dealer(&cloud.address(), Options::default()).await;
+    let plain = PlainSocket::dealer(&cloud.address(), Options::default()).await;
     let hello = wire::Hello { model: None, ..wire::hello(PROTOCOL) };
-    plain.say(&Header::Open { hello, max_message_bytes: 1_000_000 }, Vec::new()).await;
+    plain.send_message(&Header::Open { hello, max_message_bytes: 1_000_000 }, Vec::new()).await;
     let wish = cloud.next_open().await;
     assert_eq!(wish.hello.model, None);
     wish.accept(accepted(cloud.host));
-    let (Header::Accepted { accepted, .. }, _) = plain.hear().await else { panic!("not accepted") };
+    let (Header::Accepted { accepted, .. }, _) = plain.receive_message().await else {
+        panic!("not accepted")
+    };
     assert_eq!(accepted.model, "echo", "the cloud says which one it is");
 }
 
@@ -31,7 +33,7 @@ fn found(host: &str) -> wire::Condition {
     }
 }
 
-/// The answer to a hello, with these conditions.
+/// Returns an acceptance with these conditions.
 fn telling(session: Id, conditions: Vec<wire::Condition>) -> Header {
     match FakeCloud::accepted(session, PROTOCOL) {
         Header::Accepted { protocol, session, accepted, max_message_bytes, max_in_flight } => {
@@ -43,15 +45,15 @@ fn telling(session: Id, conditions: Vec<wire::Condition>) -> Header {
 }
 
 #[tokio::test]
-async fn what_was_found_of_the_cloud_arrives_few_and_fit_to_print() {
+async fn conditions_of_cloud_are_bounded_and_printable() {
     let cloud = FakeCloud::start().await;
     let address = cloud.address.clone();
     let edge = tokio::spawn(async move { open(&address, hello(), settings()).await });
-    let (to, _) = cloud.hear().await;
+    let (to, _) = cloud.receive_message().await;
     let id = Id::from([3; 16]);
     let too_many = telling(id.clone(), vec![found("too many"); MAX_CONDITIONS + 1]);
-    cloud.say(&to, &too_many, Vec::new()).await;
-    cloud.say(&to, &telling(id, vec![found("fake"); MAX_CONDITIONS]), Vec::new()).await;
+    cloud.send_message(&to, &too_many, Vec::new()).await;
+    cloud.send_message(&to, &telling(id, vec![found("fake"); MAX_CONDITIONS]), Vec::new()).await;
     let session = within(edge).await.expect("no panic").expect("accepted");
     let expected = Condition {
         host: "fake".into(),
@@ -64,11 +66,11 @@ async fn what_was_found_of_the_cloud_arrives_few_and_fit_to_print() {
 }
 
 #[tokio::test]
-async fn what_the_cloud_is_made_of_arrives_short_and_fit_to_print() {
+async fn hardware_of_cloud_is_bounded_and_printable() {
     let cloud = FakeCloud::start().await;
     let address = cloud.address.clone();
     let edge = tokio::spawn(async move { open(&address, hello(), settings()).await });
-    let (to, _) = cloud.hear().await;
+    let (to, _) = cloud.receive_message().await;
     let Header::Accepted { protocol, session, accepted, max_message_bytes, max_in_flight } =
         FakeCloud::accepted(Id::from([3; 16]), PROTOCOL)
     else {
@@ -84,7 +86,7 @@ async fn what_the_cloud_is_made_of_arrives_short_and_fit_to_print() {
     };
     let accepted = wire::Accepted { hardware: Box::new(hardware), ..accepted };
     let answer = Header::Accepted { protocol, session, accepted, max_message_bytes, max_in_flight };
-    cloud.say(&to, &answer, Vec::new()).await;
+    cloud.send_message(&to, &answer, Vec::new()).await;
     let session = within(edge).await.expect("no panic").expect("accepted");
     let expected = Hardware {
         cpu: "x".repeat(128),

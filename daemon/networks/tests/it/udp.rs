@@ -1,4 +1,4 @@
-//! What is particular to `zmq-udp`: lost, doubled and reordered datagrams, strangers, large messages.
+//! Tests of `zmq-udp`: lost, duplicated and reordered datagrams, strangers, large messages.
 
 use std::time::Duration;
 
@@ -13,7 +13,7 @@ use tokio::task::JoinSet;
 use crate::support::{
     Cloud, PATIENCE, TestNetwork, accepted, echo, hello, log, open, request, settings, within,
 };
-use crate::udp_relay::{UdpRelay, Weather};
+use crate::udp_relay::{PathImpairment, UdpRelay};
 
 fn payload(size: usize, seed: usize) -> Bytes {
     (0..size).map(|i| (i * 7 + seed) as u8).collect::<Vec<u8>>().into()
@@ -23,7 +23,7 @@ fn sample_of(bytes: Bytes) -> Sample {
     Sample::of(Description::bytes(), bytes)
 }
 
-/// Answers every request with its own sample, until it is dropped.
+/// Answers every request with its own sample until the task is dropped.
 fn echo_all(mut cloud: Cloud) -> tokio::task::JoinHandle<()> {
     tokio::spawn(async move {
         while let Some(incoming) = cloud.listener.next().await {
@@ -36,8 +36,8 @@ fn echo_all(mut cloud: Cloud) -> tokio::task::JoinHandle<()> {
     })
 }
 
-/// Sends samples of so many bytes, `parallel` at a time. Returns how many were answered and how many were lost; all else
-/// fails.
+/// Sends samples of these sizes, `parallel` at a time. Returns the numbers of answered and lost ones; fails for all
+/// others.
 async fn exchange_all(session: &Session, sizes: Vec<usize>, parallel: usize) -> (usize, usize) {
     let places = std::sync::Arc::new(tokio::sync::Semaphore::new(parallel));
     let mut tasks = JoinSet::new();
@@ -75,7 +75,7 @@ async fn payloads_of_all_sizes_come_back_whole() {
         let session = open(&address, hello(), settings).await.expect("accepted");
         let sizes = vec![0, 1, 1_000, 60_000, 1_200_000, 20_000_000];
         let (answered, lost) = exchange_all(&session, sizes, 1).await;
-        // Nothing is dropped on loopback while the socket's buffer holds what is on its way.
+        // Loopback drops nothing while the socket's buffer has room for the bytes in flight.
         assert_eq!((answered, lost), (6, 0), "{datagram_bytes}");
         within(session.close()).await;
     }
@@ -84,8 +84,8 @@ async fn payloads_of_all_sizes_come_back_whole() {
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn answered_and_lost_are_all_that_was_sent() {
     let cloud = Cloud::over(TestNetwork::ZmqUdp).await;
-    let weather = Weather { loss: 2, doubled: 2, delayed: 5 };
-    let relay = UdpRelay::before(&cloud.address(), weather, 2_026).await;
+    let impairment = PathImpairment { loss: 2, doubled: 2, delayed: 5 };
+    let relay = UdpRelay::before(&cloud.address(), impairment, 2_026).await;
     let _echo = echo_all(cloud);
     let session = open(&relay.address, hello(), settings()).await.expect("accepted");
     let sizes = (0..300).map(|n| [0, 1, 1_000, 20_000][n % 4]).collect();
@@ -101,15 +101,15 @@ async fn answered_and_lost_are_all_that_was_sent() {
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn datagrams_of_both_directions_are_counted() {
     let cloud = Cloud::over(TestNetwork::ZmqUdp).await;
-    let weather = Weather { loss: 3, doubled: 3, delayed: 10 };
-    let relay = UdpRelay::before(&cloud.address(), weather, 77).await;
+    let impairment = PathImpairment { loss: 3, doubled: 3, delayed: 10 };
+    let relay = UdpRelay::before(&cloud.address(), impairment, 77).await;
     let _echo = echo_all(cloud);
     let session = open(&relay.address, hello(), settings()).await.expect("accepted");
     let addresses = session.statistics_reader().addresses().expect("it has addresses");
     assert!(addresses.local.ip().is_loopback() && addresses.remote.to_string() == relay.address.authority());
     let (answered, _) = exchange_all(&session, vec![10_000; 200], 4).await;
     assert!(answered > 0);
-    // Losses are known two seconds later, and those of the other direction after the next sign of life.
+    // Losses are known after two seconds, and those of the other direction after the next heartbeat.
     let is_counted = |direction: &DirectionStatistics| {
         [direction.lost, direction.duplicated, direction.reordered].iter().all(|count| *count > Some(5))
     };
@@ -134,9 +134,9 @@ async fn datagrams_of_both_directions_are_counted() {
 }
 
 #[tokio::test]
-async fn cut_path_ends_session_and_next_one_works() {
+async fn interrupted_path_ends_session_and_next_one_works() {
     let mut cloud = Cloud::over(TestNetwork::ZmqUdp).await;
-    let relay = UdpRelay::before(&cloud.address(), Weather::default(), 1).await;
+    let relay = UdpRelay::before(&cloud.address(), PathImpairment::default(), 1).await;
     let quick = SessionSettings { heartbeat_interval_ms: 50, heartbeat_timeout_ms: 200, ..settings() };
     let edge = tokio::spawn({
         let (address, quick) = (relay.address.clone(), quick.clone());
@@ -176,16 +176,16 @@ async fn cut_path_ends_session_and_next_one_works() {
 }
 
 #[tokio::test]
-async fn restarted_cloud_is_noticed_by_next_request() {
+async fn next_request_notices_restarted_cloud() {
     let mut cloud = Cloud::over(TestNetwork::ZmqUdp).await;
-    let relay = UdpRelay::before(&cloud.address(), Weather::default(), 1).await;
+    let relay = UdpRelay::before(&cloud.address(), PathImpairment::default(), 1).await;
     let edge = tokio::spawn({
         let address = relay.address.clone();
         async move { open(&address, hello(), settings()).await }
     });
     cloud.next_open().await.accept(accepted(cloud.host));
     let session = within(edge).await.expect("no panic").expect("accepted");
-    // The goodbye of the old one does not pass.
+    // The goodbye of the old cloud does not pass.
     relay.cut();
     let address = cloud.address();
     drop(cloud);
@@ -201,7 +201,7 @@ async fn restarted_cloud_is_noticed_by_next_request() {
 }
 
 #[tokio::test]
-async fn garbage_is_counted_and_harms_nothing() {
+async fn garbage_is_counted_without_effect() {
     let mut cloud = Cloud::over(TestNetwork::ZmqUdp).await;
     let (session, _) = cloud.session(settings()).await;
     let stranger = UdpSocket::bind("127.0.0.1:0").await.expect("a free port");
@@ -220,7 +220,7 @@ async fn garbage_is_counted_and_harms_nothing() {
 #[tokio::test]
 async fn altered_heartbeat_loses_no_later_request() {
     let mut cloud = Cloud::over(TestNetwork::ZmqUdp).await;
-    let relay = UdpRelay::before(&cloud.address(), Weather::default(), 1).await;
+    let relay = UdpRelay::before(&cloud.address(), PathImpairment::default(), 1).await;
     let quick = SessionSettings { heartbeat_interval_ms: 50, ..settings() };
     let edge = tokio::spawn({
         let address = relay.address.clone();

@@ -1,4 +1,4 @@
-//! A relay in front of a cloud's UDP port that drops, doubles, delays and alters datagrams.
+//! A relay before a cloud's UDP port that drops, duplicates, delays and alters datagrams.
 
 use std::net::SocketAddr;
 use std::sync::Arc;
@@ -10,15 +10,15 @@ use socket2::SockRef;
 use tokio::net::UdpSocket;
 use tokio::task::JoinHandle;
 
-/// What becomes of datagrams. Percent.
+/// Probabilities of impairments of datagrams. Percent.
 #[derive(Clone, Copy, Debug, Default)]
-pub(crate) struct Weather {
+pub(crate) struct PathImpairment {
     pub(crate) loss: u64,
     pub(crate) doubled: u64,
     pub(crate) delayed: u64,
 }
 
-/// A relay for one edge; it ends when it is dropped.
+/// A relay for one edge. It ends when it is dropped.
 pub(crate) struct UdpRelay {
     pub(crate) address: Address,
     loss: Arc<AtomicU64>,
@@ -40,32 +40,32 @@ async fn socket() -> Arc<UdpSocket> {
 }
 
 impl UdpRelay {
-    pub(crate) async fn before(cloud: &Address, weather: Weather, seed: u64) -> Self {
+    pub(crate) async fn before(cloud: &Address, impairment: PathImpairment, seed: u64) -> Self {
         let (front, back) = (socket().await, socket().await);
         let address = format!("udp://{}", front.local_addr().expect("bound"));
         back.connect(cloud.authority()).await.expect("an address");
-        let loss = Arc::new(AtomicU64::new(weather.loss));
+        let loss = Arc::new(AtomicU64::new(impairment.loss));
         let dropped = Arc::new(AtomicU64::new(0));
         let to_alter = Arc::new(AtomicU64::new(0));
         let counts = (Arc::clone(&loss), Arc::clone(&dropped), Arc::clone(&to_alter));
-        let task = tokio::spawn(carry(front, back, weather, counts, seed | 1));
+        let task = tokio::spawn(carry(front, back, impairment, counts, seed | 1));
         Self { address: address.parse().expect("an address"), loss, dropped, to_alter, task }
     }
 
-    /// From now on nothing passes, as after a pulled cable.
+    /// Stops all datagrams, as if a cable were pulled.
     pub(crate) fn cut(&self) {
         self.loss.store(100, Ordering::Relaxed);
     }
 
-    /// Waits until something did not pass.
+    /// Waits until a datagram was dropped.
     pub(crate) async fn dropped(&self) {
         while self.dropped.load(Ordering::Relaxed) == 0 {
             tokio::task::yield_now().await;
         }
     }
 
-    /// Alters the next heartbeat of the edge, as a broken link would: it says that 2^20 messages more were sent. Waits until it has
-    /// passed.
+    /// Alters the next heartbeat of the edge, as a faulty link would: it claims that 2^20 more messages were sent.
+    /// Waits until it has passed.
     pub(crate) async fn alter_heartbeat(&self) {
         self.to_alter.store(1, Ordering::Relaxed);
         while self.to_alter.load(Ordering::Relaxed) > 0 {
@@ -73,7 +73,7 @@ impl UdpRelay {
         }
     }
 
-    /// Everything passes again.
+    /// Lets all datagrams pass again.
     pub(crate) fn mend(&self) {
         self.loss.store(0, Ordering::Relaxed);
     }
@@ -82,7 +82,7 @@ impl UdpRelay {
 async fn carry(
     front: Arc<UdpSocket>,
     back: Arc<UdpSocket>,
-    weather: Weather,
+    impairment: PathImpairment,
     (loss, dropped, to_alter): (Arc<AtomicU64>, Arc<AtomicU64>, Arc<AtomicU64>),
     mut random: u64,
 ) {
@@ -101,7 +101,7 @@ async fn carry(
                 let Some(edge) = edge else { continue };
                 (&down[..length], Some(edge))
             }
-            // The port of a cloud that is gone answers with errors.
+            // The port of a cloud that is gone reports errors.
             else => continue,
         };
         let mut chance = |percent: u64| {
@@ -114,12 +114,12 @@ async fn carry(
             dropped.fetch_add(1, Ordering::Relaxed);
             continue;
         }
-        let copies = if chance(weather.doubled) { 2 } else { 1 };
-        let is_delayed = chance(weather.delayed);
+        let copies = if chance(impairment.doubled) { 2 } else { 1 };
+        let is_delayed = chance(impairment.delayed);
         for _ in 0..copies {
             let (front, back, datagram) = (Arc::clone(&front), Arc::clone(&back), datagram.to_vec());
             let pass = async move {
-                // What the sockets do not take is lost, as on a real path.
+                // Datagrams that the sockets do not accept are lost, as on a real path.
                 let _ = match to {
                     Some(edge) => front.send_to(&datagram, edge).await,
                     None => back.send(&datagram).await,
@@ -137,7 +137,7 @@ async fn carry(
     }
 }
 
-/// Sets bit 20 of the number of the next message in a ping of an edge. Returns whether the datagram is one.
+/// Sets bit 20 of the next message number in a ping of an edge. Returns whether the datagram is such a ping.
 fn alter(datagram: &mut [u8]) -> bool {
     // Group, kind, connection, time.
     const NEXT: usize = 8 + 1 + 8 + 8;

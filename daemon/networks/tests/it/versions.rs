@@ -1,15 +1,15 @@
-//! Peers of other versions.
+//! Tests with peers of other versions.
 
 use peernet_networks::{OpenError, SESSION_VERSIONS};
 use zeromq::Options;
 
 use crate::fake_cloud::FakeCloud;
 use crate::support::{Cloud, accepted, hello, open, settings, within};
-use crate::wire::{self, Header, Id, PROTOCOL, Plain};
+use crate::wire::{self, Header, Id, PROTOCOL, PlainSocket};
 
 const NEWEST: u16 = 5;
 
-/// An edge that speaks other versions, and names in its hello that this version does not know.
+/// Returns the hello of an edge that speaks other versions, with names that this version does not know.
 fn later(oldest: u16, newest: u16) -> Header {
     let hello = wire::Hello {
         newest: Some(newest),
@@ -23,20 +23,22 @@ fn later(oldest: u16, newest: u16) -> Header {
 #[tokio::test]
 async fn later_edge_is_served_in_common_version() {
     let mut cloud = Cloud::start().await;
-    let plain = Plain::dealer(&cloud.address(), Options::default()).await;
-    plain.say(&later(PROTOCOL - 1, PROTOCOL + 3), Vec::new()).await;
+    let plain = PlainSocket::dealer(&cloud.address(), Options::default()).await;
+    plain.send_message(&later(PROTOCOL - 1, PROTOCOL + 3), Vec::new()).await;
     let wish = cloud.next_open().await;
     assert_eq!(wish.hello.versions.newest(), PROTOCOL + 3);
     assert!(wish.accept(accepted(cloud.host)));
-    let (Header::Accepted { protocol, .. }, _) = plain.hear().await else { panic!("not accepted") };
+    let (Header::Accepted { protocol, .. }, _) = plain.receive_message().await else {
+        panic!("not accepted")
+    };
     assert_eq!(protocol, NEWEST);
 }
 
 /// Nothing connects to such a socket, and the session is opened all the same.
 #[tokio::test]
-async fn name_of_clock_socket_in_another_form_is_none() {
+async fn malformed_clock_socket_name_is_ignored() {
     let mut cloud = Cloud::start().await;
-    let plain = Plain::dealer(&cloud.address(), Options::default()).await;
+    let plain = PlainSocket::dealer(&cloud.address(), Options::default()).await;
     let good = "peernet-clock-000102030405060708090a0b0c0d0e0f";
     let long = format!("{good}{}", "0".repeat(10_000));
     let names = [
@@ -51,7 +53,7 @@ async fn name_of_clock_socket_in_another_form_is_none() {
     ];
     for name in names {
         let hello = wire::Hello { clock_socket: Some(name.to_owned()), ..wire::hello(PROTOCOL) };
-        plain.say(&Header::Open { hello, max_message_bytes: 1_000_000 }, Vec::new()).await;
+        plain.send_message(&Header::Open { hello, max_message_bytes: 1_000_000 }, Vec::new()).await;
         let wish = cloud.next_open().await;
         let taken = wish.hello.clock_socket.map(|name| name.to_string());
         assert_eq!(taken.as_deref(), (name == good).then_some(good));
@@ -61,7 +63,7 @@ async fn name_of_clock_socket_in_another_form_is_none() {
 #[tokio::test]
 async fn edge_without_common_version_is_refused_with_release() {
     let mut cloud = Cloud::start().await;
-    let plain = Plain::dealer(&cloud.address(), Options::default()).await;
+    let plain = PlainSocket::dealer(&cloud.address(), Options::default()).await;
     let mut unreadable = wire::hello(PROTOCOL + 5);
     unreadable.name = "names may have spaces then".into();
     let unreadable = Header::Open { hello: unreadable, max_message_bytes: 1 };
@@ -70,9 +72,9 @@ async fn edge_without_common_version_is_refused_with_release() {
         (later(PROTOCOL + 5, PROTOCOL + 6), "versions 9 to 10: update the cloud to at least PEERNet 0.9.0"),
         (unreadable, "version 9: update the cloud to at least the release of the edge"),
     ] {
-        plain.say(&said, Vec::new()).await;
+        plain.send_message(&said, Vec::new()).await;
         let (header, _) = tokio::select! {
-            heard = plain.hear() => heard,
+            received = plain.receive_message() => received,
             incoming = cloud.next() => panic!("handed out {incoming:?}"),
         };
         let Header::Refused { protocol, newest, since, kind, reason } = header else { panic!("{header:?}") };
@@ -83,13 +85,13 @@ async fn edge_without_common_version_is_refused_with_release() {
     }
 }
 
-/// What an edge makes of a cloud's answer, and the hello that it said.
+/// Returns the result of an edge for a cloud's answer, and the hello that it sent.
 async fn answered_by(answer: Header) -> (Result<(), OpenError>, wire::Hello, String) {
     let cloud = FakeCloud::start().await;
     let address = cloud.address.clone();
     let edge = tokio::spawn(async move { open(&address, hello(), settings()).await });
-    let (to, Header::Open { hello, .. }) = cloud.hear().await else { panic!("no hello") };
-    cloud.say(&to, &answer, Vec::new()).await;
+    let (to, Header::Open { hello, .. }) = cloud.receive_message().await else { panic!("no hello") };
+    cloud.send_message(&to, &answer, Vec::new()).await;
     let opened = within(edge).await.expect("no panic").map(|_| ());
     (opened, hello, cloud.address.to_string())
 }
@@ -116,7 +118,7 @@ async fn refused_edge_says_what_to_update() {
              program to at least PEERNet 0.4.0"
         )
     );
-    // As PEERNet 0.1.0 and older builds answer.
+    // The answers of PEERNet 0.1.0 and older builds.
     let (opened, _, address) = answered_by(refused(3, None, None)).await;
     assert_eq!(
         opened.expect_err("refused").to_string(),

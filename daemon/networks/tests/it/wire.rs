@@ -1,4 +1,4 @@
-//! The wire form, written down a second time: what any ZeroMQ program has to send.
+//! Independent description of the wire form: the messages that any ZeroMQ program has to send.
 
 use bytes::Bytes;
 use serde::{Deserialize, Serialize};
@@ -6,7 +6,7 @@ use zeromq::{Message, Options, Socket, SocketType};
 
 use crate::support::within;
 
-/// The version of the protocol that this is, where nothing else is said.
+/// Version of the protocol that is used unless a test states another one.
 pub(crate) const PROTOCOL: u16 = 4;
 
 #[derive(Serialize, Deserialize, Debug)]
@@ -78,7 +78,7 @@ pub(crate) enum Outcome {
 
 #[derive(Serialize, Deserialize, Debug)]
 pub(crate) struct Hello {
-    /// The oldest version that the edge speaks.
+    /// Oldest version that the edge speaks.
     pub(crate) protocol: u16,
     #[serde(default)]
     pub(crate) newest: Option<u16>,
@@ -90,10 +90,10 @@ pub(crate) struct Hello {
     pub(crate) pipeline: String,
     pub(crate) model: Option<String>,
     pub(crate) device: Option<String>,
-    /// Not before release 0.3.0.
+    /// Exists since release 0.3.0.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(crate) clock_socket: Option<String>,
-    /// Something a later version adds.
+    /// A name that a later version may add.
     #[serde(default)]
     pub(crate) colour: Option<String>,
 }
@@ -173,7 +173,7 @@ pub(crate) struct Step {
     pub(crate) by: i64,
 }
 
-/// A clock of which nothing is known.
+/// Returns the state of a clock of which nothing is known.
 pub(crate) fn host_clock(epoch: u32) -> HostClock {
     HostClock { epoch, discipline: None, text: String::new(), rehearsal: None }
 }
@@ -199,9 +199,9 @@ pub(crate) fn open(protocol: u16) -> Header {
 }
 
 /// A plain ZeroMQ socket.
-pub(crate) struct Plain(pub(crate) Socket);
+pub(crate) struct PlainSocket(pub(crate) Socket);
 
-impl Plain {
+impl PlainSocket {
     pub(crate) async fn dealer(address: &peernet_networks::Address, options: Options) -> Self {
         let socket = Socket::new(SocketType::Dealer, options);
         within(socket.connect(address.to_string())).await.expect("a socket");
@@ -212,12 +212,12 @@ impl Plain {
         within(self.0.send(Message::multipart(frames))).await.expect("sent");
     }
 
-    pub(crate) async fn say(&self, header: &Header, rest: Vec<Bytes>) {
+    pub(crate) async fn send_message(&self, header: &Header, rest: Vec<Bytes>) {
         let header = rmp_serde::to_vec_named(header).expect("serialises");
         self.frames([vec![header.into()], rest].concat()).await;
     }
 
-    pub(crate) async fn hear(&self) -> (Header, Vec<Bytes>) {
+    pub(crate) async fn receive_message(&self) -> (Header, Vec<Bytes>) {
         let message = within(self.0.recv()).await.expect("an answer");
         let frames: Vec<Bytes> = message.iter().collect();
         (rmp_serde::from_slice(&frames[0]).expect("a header"), frames[1..].to_vec())

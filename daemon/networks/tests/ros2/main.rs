@@ -1,6 +1,7 @@
-//! Sessions over topics of ROS 2, and what `it` tests of every network with ROS 2 among them.
+//! Tests of sessions over topics of ROS 2, and the tests of `it` for every network including ROS 2.
 //!
-//! A program of its own, so that one build of the whole workspace with ROS 2 makes it and no other tests.
+//! This is a separate test program, so that a single build of the workspace with ROS 2 produces it without the other
+//! tests.
 
 #[path = "../it/clocks.rs"]
 mod clocks;

@@ -1,4 +1,4 @@
-//! Sessions over topics of ROS 2.
+//! Tests of sessions over topics of ROS 2.
 
 use std::time::Duration;
 
@@ -18,7 +18,7 @@ use crate::support::{
     Cloud, PATIENCE, TestNetwork, accepted, clock, echo, hello, log, open, settings, within,
 };
 
-/// Settings with others for the topics of ROS 2.
+/// Returns settings with changed settings for the topics of ROS 2.
 fn with(change: impl FnOnce(&mut Ros2SessionSettings)) -> SessionSettings {
     let mut settings = settings();
     change(&mut settings.ros2);
@@ -29,7 +29,7 @@ async fn cloud() -> Cloud {
     Cloud::over(TestNetwork::Ros2).await
 }
 
-/// A node of another program in the cloud's domain.
+/// Returns a node of another program in the cloud's domain.
 async fn foreign_node(cloud: &Cloud) -> Ros2Node {
     let settings = Ros2Settings {
         domain_id: cloud.address().domain(),
@@ -51,7 +51,7 @@ fn picture(bytes: usize) -> Sample {
 
 const INFO: &str = "peernet_msgs/msg/MessageInfo";
 
-// The clients of ROS 2 have threads of their own, which must not wait for this one.
+// The ROS 2 clients have threads of their own, which must not wait for this one.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn payloads_of_all_sizes_and_types_come_back_identical() {
     for description in [
@@ -87,7 +87,7 @@ async fn other_programs_see_pictures_as_their_own_type() {
         .subscription(&topic(&pipeline, "request"), kind, &QosProfile::default())
         .expect("a subscription");
     let sample = picture(300_000);
-    // The first pictures travel in the companions, until the topic is there.
+    // The first pictures are sent in the companions until the topic is open.
     let seen = loop {
         exchange(&mut cloud, &session, sample.clone()).await;
         let seen = tokio::time::timeout(Duration::from_millis(50), pictures.receive()).await;
@@ -102,7 +102,7 @@ async fn other_programs_see_pictures_as_their_own_type() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn cloud_in_another_domain_is_not_found_and_domain_is_named() {
+async fn error_for_other_domain_names_the_domain() {
     let cloud = cloud().await;
     let domain = cloud.address().domain().expect("a domain");
     let name = cloud.address().listener_name().expect("a name").to_owned();
@@ -116,7 +116,7 @@ async fn cloud_in_another_domain_is_not_found_and_domain_is_named() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn name_that_another_cloud_has_is_refused() {
+async fn name_of_another_cloud_is_refused() {
     let cloud = cloud().await;
     let again = Listener::bind(&cloud.address(), settings(), cloud.host, clock()).await;
     let error = again.expect_err("the name is taken").to_string();
@@ -165,7 +165,7 @@ async fn messages_of_second_publishers_are_dropped() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn edge_is_told_why_it_gets_no_connection() {
+async fn edge_gets_reason_of_refusal() {
     pipeline_of_another_host_is_refused(cloud().await).await;
 }
 
@@ -197,7 +197,7 @@ async fn payloads_stay_in_companions_where_qos_does_not_fit() {
     let edge = tokio::spawn(async move { open(&address, hello, best_effort).await });
     assert!(cloud.next_open().await.accept(accepted(cloud.host)));
     let session = within(edge).await.expect("no panic").expect("accepted");
-    // The cloud requests more than the edge offers; nothing is lost all the same.
+    // The cloud requests more than the edge offers. Nothing is lost all the same.
     for _ in 0..20 {
         exchange(&mut cloud, &session, picture(100_000)).await;
     }
@@ -244,7 +244,7 @@ async fn best_effort_payloads_are_answered_or_lost_within_deadline() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn program_that_only_watches_and_is_slow_delays_nothing() {
+async fn slow_subscriber_delays_nothing() {
     let mut cloud = cloud().await;
     let (session, pipeline) = session(&mut cloud).await;
     let viewer = foreign_node(&cloud).await;

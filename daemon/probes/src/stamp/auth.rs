@@ -7,42 +7,42 @@ use std::path::{Path, PathBuf};
 use hmac::{Hmac, KeyInit, Mac};
 use sha2::Sha256;
 
-/// Bytes of an authentication code in a packet.
+/// Length of an authentication code in a packet. Bytes.
 pub const CODE_BYTES: usize = 16;
 
-/// Fewest bytes of a key.
+/// Shortest key. Bytes.
 const MIN_KEY_BYTES: usize = 16;
 
-/// Most bytes of a file that holds a key.
+/// Largest key file. Bytes.
 const MAX_FILE_BYTES: u64 = 4096;
 
-/// A key that both ends share. Never printed.
+/// A key that both ends share. Its `Debug` form hides it.
 #[derive(Clone)]
 pub struct Key(Hmac<Sha256>);
 
-/// Why a key could not be had.
+/// Reason why a key cannot be used.
 #[derive(Debug, thiserror::Error)]
 pub enum KeyError {
     /// The file cannot be read.
     #[error("cannot read the probes' key {}: {error}", path.display())]
     Read {
-        /// Which file.
+        /// Path of the file.
         path: PathBuf,
-        /// What the system said.
+        /// Error of the system.
         error: io::Error,
     },
-    /// Others than its owner could read it.
+    /// Users other than its owner can access the file.
     #[error(
         "the probes' key {} is open to others (mode {mode:04o}): restrict it with chmod 0600",
         path.display()
     )]
     OpenToOthers {
-        /// Which file.
+        /// Path of the file.
         path: PathBuf,
-        /// Its permission bits.
+        /// Permission bits of the file.
         mode: u32,
     },
-    /// It is not a key.
+    /// The file does not contain a key.
     #[error(
         "the probes' key {} is {what}: it takes one line of at least {} hexadecimal digits, such as \
          `openssl rand -hex 32` makes",
@@ -50,18 +50,19 @@ pub enum KeyError {
         2 * MIN_KEY_BYTES
     )]
     Malformed {
-        /// Which file.
+        /// Path of the file.
         path: PathBuf,
-        /// What is wrong with it.
+        /// Reason, such as "too short".
         what: &'static str,
     },
 }
 
 impl Key {
-    /// Reads a key from a file: one line of hexadecimal digits, at least 32, readable by its owner only.
+    /// Reads a key from a file: one line of at least 32 hexadecimal digits. Only the owner of the file may have access
+    /// to it.
     ///
     /// # Errors
-    /// When the file cannot be read, is open to others, or holds something else.
+    /// If the file cannot be read, is accessible to others, or contains something else.
     pub fn read(path: &Path) -> Result<Self, KeyError> {
         use std::io::Read;
         use std::os::unix::fs::PermissionsExt;
@@ -79,29 +80,29 @@ impl Key {
         Ok(Self::from_bytes(&bytes))
     }
 
-    /// The key of these bytes, whatever their number.
+    /// Returns the key with these bytes. Any length is allowed.
     pub fn from_bytes(bytes: &[u8]) -> Self {
         Self(Hmac::new_from_slice(bytes).expect("a key for HMAC has any length"))
     }
 
-    /// Random bytes for a key that nobody has yet.
+    /// Returns random bytes for a new key.
     pub fn random_bytes() -> [u8; 32] {
         rand::random()
     }
 
-    /// The authentication code of the parts, one after the other.
+    /// Returns the authentication code of the concatenated parts.
     pub fn code(&self, parts: &[&[u8]]) -> [u8; CODE_BYTES] {
         let mut code = [0; CODE_BYTES];
-        code.copy_from_slice(&self.over(parts).finalize().into_bytes()[..CODE_BYTES]);
+        code.copy_from_slice(&self.mac_of(parts).finalize().into_bytes()[..CODE_BYTES]);
         code
     }
 
-    /// Whether `code` is that of the parts; takes the same time wherever they differ.
+    /// Returns whether `code` is the authentication code of the concatenated parts. Takes constant time.
     pub fn verifies(&self, parts: &[&[u8]], code: &[u8]) -> bool {
-        code.len() == CODE_BYTES && self.over(parts).verify_truncated_left(code).is_ok()
+        code.len() == CODE_BYTES && self.mac_of(parts).verify_truncated_left(code).is_ok()
     }
 
-    fn over(&self, parts: &[&[u8]]) -> Hmac<Sha256> {
+    fn mac_of(&self, parts: &[&[u8]]) -> Hmac<Sha256> {
         let mut mac = self.0.clone();
         for part in parts {
             mac.update(part);

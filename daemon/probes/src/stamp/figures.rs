@@ -1,29 +1,29 @@
-//! What a reflector counts.
+//! Counters of a reflector.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
-/// Why a request was not answered.
+/// Reason why a request was not answered.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Refusal {
-    /// Shorter than a request can be.
+    /// The packet is shorter than a request.
     Short,
-    /// Not authenticated by the reflector's key.
+    /// The request is not authenticated by the reflector's key.
     Unauthenticated,
-    /// A reply, not a request: answering it would let two reflectors play ping-pong.
+    /// The packet is a reply. Answering it would let two reflectors form a loop.
     Reply,
-    /// Comes from port 0, to which nothing can be sent.
+    /// The request comes from port 0, to which nothing can be sent.
     NoPort,
-    /// Its source asked too often.
+    /// The source exceeded its rate.
     TooOften,
-    /// All sources without a session together asked too often.
+    /// All sources without a session together exceeded their rate.
     TooMany,
     /// The answer could not be sent.
     NotSent,
 }
 
 impl Refusal {
-    /// All of them.
+    /// Every reason, in the order of declaration.
     pub const ALL: [Self; 7] = [
         Self::Short,
         Self::Unauthenticated,
@@ -34,7 +34,7 @@ impl Refusal {
         Self::NotSent,
     ];
 
-    /// In a few words, for people and for labels.
+    /// Returns the reason in a few words, for people and for labels of metrics.
     pub const fn in_words(self) -> &'static str {
         match self {
             Self::Short => "shorter than a request",
@@ -48,7 +48,7 @@ impl Refusal {
     }
 }
 
-/// What a reflector did since it was bound. A handle: clones show the same figures.
+/// Handle to the counters of a reflector since it was bound. Clones show the same counters.
 #[derive(Clone, Debug, Default)]
 pub struct ReflectorFigures(Arc<Counters>);
 
@@ -58,17 +58,17 @@ struct Counters {
     refused: [AtomicU64; Refusal::ALL.len()],
 }
 
-/// [`ReflectorFigures`] at one moment.
+/// Values of [`ReflectorFigures`] at one time.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct ReflectorCounts {
-    /// Requests that were answered.
+    /// Number of answered requests.
     pub answered: u64,
-    /// Requests that were not, for each reason.
+    /// Number of refused requests, by reason.
     pub refused: [(Refusal, u64); Refusal::ALL.len()],
 }
 
 impl ReflectorFigures {
-    /// The figures now.
+    /// Returns the present values.
     pub fn read(&self) -> ReflectorCounts {
         let refused = |why: Refusal| (why, self.0.refused[why as usize].load(Ordering::Relaxed));
         ReflectorCounts {
@@ -87,7 +87,7 @@ impl ReflectorFigures {
 }
 
 impl ReflectorCounts {
-    /// Requests refused for this reason.
+    /// Returns the number of requests refused for this reason.
     pub fn refused(&self, why: Refusal) -> u64 {
         self.refused[why as usize].1
     }

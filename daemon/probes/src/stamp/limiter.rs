@@ -1,4 +1,4 @@
-//! How many probes a reflector answers.
+//! Limits of the rate at which a reflector answers.
 
 use std::collections::{HashMap, HashSet};
 use std::net::IpAddr;
@@ -6,15 +6,15 @@ use std::net::IpAddr;
 use peernet_clock::{MonoTime, Span};
 
 use super::figures::Refusal;
-use super::recent::Recent;
+use super::recent_map::RecentMap;
 
-/// Sources without a session whose rate is remembered at least.
+/// Smallest number of sources without a session whose rates are remembered.
 const SOURCES: usize = 4096;
 
-/// What all sources without a session may ask for together, as a multiple of what one may ask for.
+/// Rate of all sources without a session together, as a multiple of the rate of one source.
 const SHARED_FACTOR: u32 = 10;
 
-/// An IPv4 address or an IPv6 network of 64 bits, because that much belongs to any single host.
+/// An IPv4 address or an IPv6 network of 64 bits, because a single host can have that many addresses.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub(super) struct Source([u8; 16]);
 
@@ -27,11 +27,11 @@ impl From<IpAddr> for Source {
     }
 }
 
-/// A bucket of tokens that holds one second's worth and is refilled steadily (the generic cell rate algorithm,
-/// ITU-T I.371).
+/// A token bucket that holds the tokens of one second and is refilled continuously (generic cell rate algorithm, ITU-T
+/// I.371).
 #[derive(Clone, Copy, Debug, Default)]
 struct TokenBucket {
-    /// When the bucket would be full again.
+    /// Time at which the bucket will be full again.
     full: MonoTime,
 }
 
@@ -45,38 +45,40 @@ impl TokenBucket {
     }
 }
 
-/// Limits the replies per second in two levels.
+/// Limits the replies per second on two levels.
 ///
-/// A source that has a session with this host has a bucket of its own. All other sources have a bucket each and share
-/// one more, so that forged source addresses in any number are answered at the rate of that one bucket and take nothing
-/// from the sources with a session. The table of the others is bounded and forgets whoever asked least recently.
+/// A source that has a session with this host has its own bucket. Every other source has a bucket as well, and all of
+/// them share one more. Any number of forged source addresses is therefore answered at the rate of the shared bucket
+/// and takes nothing from the sources with a session. The table of the other sources is bounded; it forgets the ones
+/// that asked least recently.
 #[derive(Debug)]
 pub struct Limiter {
     peers: HashMap<Source, TokenBucket>,
-    others: Recent<Source, TokenBucket>,
+    others: RecentMap<Source, TokenBucket>,
     shared: TokenBucket,
     interval: Span,
     shared_interval: Span,
 }
 
 impl Limiter {
-    /// At most `per_second` replies for each source, at least one, and ten times as many for all sources without a
-    /// session together.
+    /// Creates a limiter with `per_second` replies for each source, at least one, and ten times as many for all sources
+    /// without a session together.
     pub fn new(per_second: u32) -> Self {
         let interval = |hz: u32| Span::from_nanos(1_000_000_000 / i64::from(hz.max(1)));
         Self {
             peers: HashMap::new(),
-            others: Recent::new(SOURCES),
+            others: RecentMap::new(SOURCES),
             shared: TokenBucket::default(),
             interval: interval(per_second),
             shared_interval: interval(per_second.max(1).saturating_mul(SHARED_FACTOR)),
         }
     }
 
-    /// Replaces the addresses that have a session. An address that was known before keeps what is left in its bucket, so
-    /// that opening sessions again and again gains nothing.
+    /// Replaces the addresses with a session. A known address keeps the contents of its bucket, so that reopening a
+    /// session gains nothing.
     pub fn set_peers(&mut self, addresses: &[IpAddr]) {
         let sources: HashSet<Source> = addresses.iter().copied().map(Source::from).collect();
+        // Keeps the contents of the bucket of a source whose session has ended.
         for (source, bucket) in self.peers.extract_if(|source, _| !sources.contains(source)) {
             *self.others.entry(source, TokenBucket::default) = bucket;
         }
@@ -86,7 +88,7 @@ impl Limiter {
         }
     }
 
-    /// Whether the address has a session.
+    /// Returns whether the address has a session.
     pub fn is_peer(&self, address: IpAddr) -> bool {
         self.peers.contains_key(&Source::from(address))
     }
@@ -94,7 +96,7 @@ impl Limiter {
     /// Counts a reply to `address`.
     ///
     /// # Errors
-    /// The limit that forbids it; the reply is not counted then.
+    /// The limit that forbids the reply, which is then not counted.
     pub fn admit(&mut self, address: IpAddr, now: MonoTime) -> Result<(), Refusal> {
         let source = Source::from(address);
         if let Some(bucket) = self.peers.get_mut(&source) {
@@ -104,7 +106,7 @@ impl Limiter {
             bucket.take(self.interval, now);
             return Ok(());
         }
-        // First, so that a flood of forged addresses does not even enter the table.
+        // Checked first, so that a flood of forged addresses does not even enter the table.
         if !self.shared.has_token(self.shared_interval, now) {
             return Err(Refusal::TooMany);
         }

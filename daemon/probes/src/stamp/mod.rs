@@ -1,11 +1,11 @@
-//! The protocol itself: packets, authentication, and what the two roles decide. No sockets, no timers.
+//! The protocol: packets, authentication, and the state machines of the two roles, without sockets and timers.
 
 pub mod auth;
 pub mod figures;
 pub mod kernel;
 pub mod limiter;
 pub mod packet;
-mod recent;
+mod recent_map;
 pub mod reflector;
 mod request_packet;
 pub mod sender;

@@ -1,19 +1,19 @@
-//! The base packets of both roles in both modes (RFC 8762, sections 4.2 and 4.3, with the session's identifier of
-//! RFC 8972, section 3). All numbers are big-endian.
+//! The base packets of both roles in both modes (RFC 8762, sections 4.2 and 4.3, with the session identifier of RFC
+//! 8972, section 3). All numbers are big-endian.
 
 use super::auth::{CODE_BYTES, Key};
 use super::timestamp::ErrorEstimate;
 
-/// Whether packets are authenticated; decides where their fields are.
+/// Mode of packets, which determines the offsets of their fields.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Mode {
-    /// Unauthenticated.
+    /// Unauthenticated packets.
     Open,
-    /// With an authentication code at the end of the base packet.
+    /// Packets with an authentication code at the end of the base packet.
     Authenticated,
 }
 
-/// Offsets of fields, in bytes.
+/// Offsets of fields. Bytes.
 struct Layout {
     timestamp: usize,
     estimate: usize,
@@ -48,12 +48,12 @@ const AUTHENTICATED: Layout = Layout {
 };
 
 impl Mode {
-    /// The mode of who has this key, or none.
+    /// Returns the mode for an optional key.
     pub const fn of(key: Option<&Key>) -> Self {
         if key.is_some() { Self::Authenticated } else { Self::Open }
     }
 
-    /// Bytes of the base packet, the same for both roles; TLVs follow it.
+    /// Returns the length of the base packet, which is the same for both roles. TLVs follow it.
     pub const fn base_bytes(self) -> usize {
         match self {
             Self::Open => 44,
@@ -69,38 +69,38 @@ impl Mode {
     }
 }
 
-/// What a sender's packet says.
+/// Base packet of a sender.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Request {
     /// Number of the packet in its session.
     pub sequence: u32,
-    /// When it was sent, in the estimate's format.
+    /// Time of departure, in the format of the error estimate.
     pub timestamp: u64,
-    /// Of the sender's stamp.
+    /// Error estimate of the sender's stamp.
     pub estimate: ErrorEstimate,
-    /// The session's identifier; zero where there is none.
+    /// Identifier of the session; zero means no identifier.
     pub ssid: u16,
 }
 
-/// What a reflector's packet says.
+/// Base packet of a reflector.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Reply {
-    /// Number of the reply: the request's, or a count of its own in a stateful reflector.
+    /// Number of the reply. It is the request's number, or a separate count in a stateful reflector.
     pub sequence: u32,
-    /// When the reply was sent, in the estimate's format.
+    /// Time of departure, in the format of the error estimate.
     pub timestamp: u64,
-    /// Of the reflector's stamps.
+    /// Error estimate of the reflector's stamps.
     pub estimate: ErrorEstimate,
-    /// When the request arrived, in the estimate's format.
+    /// Time of arrival of the request, in the format of the error estimate.
     pub received: u64,
-    /// What it answers.
+    /// The answered request.
     pub asked: Request,
-    /// Hops that the request's packet had left; zero where the reflector cannot tell.
+    /// Remaining hops of the request's packet; zero if unknown to the reflector.
     pub ttl: u8,
 }
 
 impl Request {
-    /// The request in a packet; `None` if it is too short for one.
+    /// Reads a request. `None` if the packet is too short.
     pub fn parse(mode: Mode, packet: &[u8]) -> Option<Self> {
         let base = packet.get(..mode.base_bytes())?;
         let at = mode.layout();
@@ -112,7 +112,7 @@ impl Request {
         })
     }
 
-    /// Writes the base packet, all of it; a code is still missing. `packet` holds at least the base.
+    /// Writes the whole base packet without its code. `packet` must be at least as long as the base packet.
     pub fn write(&self, mode: Mode, packet: &mut [u8]) {
         let base = &mut packet[..mode.base_bytes()];
         let at = mode.layout();
@@ -125,8 +125,8 @@ impl Request {
 }
 
 impl Reply {
-    /// The reply in a packet; `None` if it is too short for one. A request can be read as a reply too: its further
-    /// fields are then whatever follows it.
+    /// Reads a reply. `None` if the packet is too short. A request can also be read as a reply; the further fields are
+    /// then the bytes that follow it.
     pub fn parse(mode: Mode, packet: &[u8]) -> Option<Self> {
         let own = Request::parse(mode, packet)?;
         let at = mode.layout();
@@ -145,7 +145,7 @@ impl Reply {
         })
     }
 
-    /// Writes the base packet, all of it; a code is still missing. `packet` holds at least the base.
+    /// Writes the whole base packet without its code. `packet` must be at least as long as the base packet.
     pub fn write(&self, mode: Mode, packet: &mut [u8]) {
         let own = Request {
             sequence: self.sequence,
@@ -163,14 +163,14 @@ impl Reply {
     }
 }
 
-/// Writes the code of an authenticated base packet over all that stands before it.
+/// Writes the code of an authenticated base packet, which covers all bytes before it.
 pub fn seal(key: &Key, packet: &mut [u8]) {
     let at = Mode::Authenticated.base_bytes() - CODE_BYTES;
     let code = key.code(&[&packet[..at]]);
     put(packet, at, &code);
 }
 
-/// Whether an authenticated base packet carries its code.
+/// Returns whether an authenticated base packet has the right code.
 pub fn is_sealed(key: &Key, packet: &[u8]) -> bool {
     packet
         .get(..Mode::Authenticated.base_bytes())
@@ -178,7 +178,7 @@ pub fn is_sealed(key: &Key, packet: &[u8]) -> bool {
         .is_some_and(|(text, code)| key.verifies(&[text], code))
 }
 
-/// `N` bytes at `at`, which the caller has checked to be there.
+/// Returns the `N` bytes at `at`. The caller has checked the length.
 fn field<const N: usize>(packet: &[u8], at: usize) -> [u8; N] {
     *packet[at..].first_chunk().expect("offsets lie within the base packet")
 }

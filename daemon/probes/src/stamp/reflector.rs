@@ -1,7 +1,7 @@
-//! What a reflector makes of a packet (the session-reflector of RFC 8762, sections 4 and 4.3).
+//! State machine of a reflector (session-reflector of RFC 8762, sections 4 and 4.3).
 //!
-//! An answer is made in the request's own bytes, so that it has the request's length, whatever the request: a
-//! reflector cannot amplify.
+//! An answer is written into the bytes of its request. It therefore always has the length of the request, and a
+//! reflector cannot amplify traffic.
 
 use std::net::{IpAddr, SocketAddr};
 
@@ -11,60 +11,60 @@ use super::auth::{CODE_BYTES, Key};
 use super::figures::Refusal;
 use super::limiter::Limiter;
 use super::packet::{self, Mode, Reply, Request};
-use super::recent::Recent;
+use super::recent_map::RecentMap;
 use super::timestamp::ErrorEstimate;
 use super::tlv::{self, FollowUp, Origin, RawStamps};
 use super::uncertainty;
 
-/// STAMP sessions that are remembered at least, of peers and of others each.
+/// Smallest number of remembered STAMP sessions, for peers and for others each.
 const SESSIONS: usize = 4096;
 
-/// A reflector takes far less than this between receiving and replying.
+/// Longest time between receiving and replying; a reflector takes far less.
 const LONGEST_ANSWER: Span = Span::from_seconds(4);
 
-/// A reflector's state.
+/// State of a reflector.
 #[derive(Debug)]
-pub struct Reflecting {
+pub struct ReflectorState {
     key: Option<Key>,
-    /// Of the peers that have a session.
+    /// Key of the peers that have a session.
     session_key: Option<Key>,
     instance: u64,
     limiter: Limiter,
     sessions: Option<Sessions>,
 }
 
-/// The STAMP sessions of peers and those of others, apart: forged source addresses make the reflector forget only the
-/// latter.
+/// STAMP sessions of peers and of others. They are separate, so that forged source addresses only make the reflector
+/// forget the latter.
 #[derive(Debug)]
 struct Sessions {
-    peers: Recent<SessionId, Session>,
-    others: Recent<SessionId, Session>,
+    peers: RecentMap<SessionId, Session>,
+    others: RecentMap<SessionId, Session>,
 }
 
 impl Sessions {
     fn new() -> Self {
-        Self { peers: Recent::new(SESSIONS), others: Recent::new(SESSIONS) }
+        Self { peers: RecentMap::new(SESSIONS), others: RecentMap::new(SESSIONS) }
     }
 
-    fn table(&mut self, session: &SessionId) -> &mut Recent<SessionId, Session> {
+    fn table(&mut self, session: &SessionId) -> &mut RecentMap<SessionId, Session> {
         if session.is_peer { &mut self.peers } else { &mut self.others }
     }
 }
 
-/// Where and when a packet came.
+/// Source and time of a packet that arrived.
 #[derive(Clone, Copy, Debug)]
 pub struct Arrival {
-    /// From where.
+    /// Address of the sender.
     pub source: SocketAddr,
-    /// When, by the wall clock.
+    /// Time of arrival by the wall clock.
     pub received: WallTime,
-    /// When, by the free-running clock: not earlier than the truth.
+    /// Time of arrival by the free-running clock. Not earlier than the true one.
     pub received_raw: RawTime,
-    /// When, by the monotonic clock.
+    /// Time of arrival by the monotonic clock.
     pub now: MonoTime,
 }
 
-/// Which packets belong together.
+/// Identifies the packets that belong together.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct SessionId {
     source: SocketAddr,
@@ -75,18 +75,18 @@ pub struct SessionId {
 #[derive(Debug, Default)]
 struct Session {
     next: u32,
-    last: Option<Left>,
+    last: Option<LastReply>,
 }
 
-/// The latest reply of a session and when it left, by the wall clock and by the free-running clock.
+/// The latest reply of a session, and its departure by the wall clock and by the free-running clock.
 #[derive(Clone, Copy, Debug)]
-struct Left {
+struct LastReply {
     sequence: u32,
     wall: WallTime,
     raw: RawTime,
 }
 
-/// An answer that still lacks the stamp of its departure.
+/// An answer without its departure stamp.
 #[derive(Clone, Copy, Debug)]
 pub struct Answer {
     reply: Reply,
@@ -98,58 +98,59 @@ pub struct Answer {
 }
 
 impl Answer {
-    /// The reply's number, by which [`Reflecting::departed`] knows it.
+    /// Returns the number of the reply, for [`ReflectorState::departed`].
     pub const fn sequence(&self) -> u32 {
         self.reply.sequence
     }
 
-    /// The session that it belongs to.
+    /// Returns the session of the answer.
     pub const fn session(&self) -> SessionId {
         self.session
     }
 }
 
-impl Reflecting {
-    /// A reflector that has not seen anybody. With a key it answers only what the key authenticates; `stateful` tells
-    /// sessions apart; `instance` tells it from others in its answers.
+impl ReflectorState {
+    /// Creates a reflector without any sessions. With a `key` it answers only requests that the key authenticates.
+    /// `stateful` makes it distinguish sessions. Its answers carry `instance`.
     pub fn new(key: Option<Key>, instance: u64, max_per_source_hz: u32, stateful: bool) -> Self {
         let sessions = stateful.then(Sessions::new);
         let limiter = Limiter::new(max_per_source_hz);
         Self { key, session_key: None, instance, limiter, sessions }
     }
 
-    /// Answers what this key authenticates in the same way, and everything else as before. Without effect where there is a key
-    /// that all must have.
+    /// Sets a key of sessions: requests that it authenticates get authenticated answers, and all others are answered as
+    /// before. No effect if all requests must be authenticated.
     #[must_use]
     pub fn with_session_key(mut self, key: Option<Key>) -> Self {
         self.session_key = key;
         self
     }
 
-    /// Replaces the addresses of the peers that have a session with this host: each has a rate of its own, which nobody
-    /// else can use up.
+    /// Replaces the addresses of the peers that have a session with this host. Each of them has its own rate, which
+    /// others cannot use up.
     pub fn set_peers(&mut self, addresses: &[IpAddr]) {
         self.limiter.set_peers(addresses);
     }
 
-    /// Turns a request into its answer, in place; [`complete`](Self::complete) stamps it.
+    /// Turns a request into its answer, in place. [`complete`](Self::complete) stamps it.
     ///
     /// # Errors
-    /// Why it gets none. The source's share is spent only by what would be answered, so that nobody without the key
-    /// can use up another's.
+    /// The reason why it gets no answer. The rate of a source is only used by requests that would be answered, so that
+    /// a sender without the key cannot use up the rate of another.
     pub fn prepare(&mut self, packet: &mut [u8], arrival: &Arrival) -> Result<Answer, Refusal> {
         if arrival.source.port() == 0 {
             return Err(Refusal::NoPort);
         }
         let mode = self.mode(packet)?;
         let asked = Request::parse(mode, packet).ok_or(Refusal::Short)?;
-        // An authenticated reply of another process shows in the layout of its own only.
+        // An authenticated reply of another process is recognizable only in its own layout.
         let is_keyed_reply =
             self.session_key.is_some() && is_reply(Mode::Authenticated, packet, arrival.received);
         if is_keyed_reply || is_reply(mode, packet, arrival.received) {
             return Err(Refusal::Reply);
         }
         let address = arrival.source.ip();
+        // After the checks, so that only requests that would be answered use the rate.
         self.limiter.admit(address, arrival.now)?;
 
         let is_peer = self.limiter.is_peer(address);
@@ -177,8 +178,9 @@ impl Reflecting {
         Ok(Answer { reply, session: id, mode, intact, received_raw, previous })
     }
 
-    /// The mode of a request. Where nobody must have a key, its own form decides: what the key of the sessions authenticates is
-    /// authenticated, what claims to be and is not is refused, and all else is open.
+    /// Returns the mode of a request. If no key is mandatory, the form of the request decides. A request that the key
+    /// of the sessions authenticates is authenticated, one that claims to be and is not is refused, and all others are
+    /// open.
     fn mode(&self, packet: &[u8]) -> Result<Mode, Refusal> {
         let Some(key) = self.key_of(Mode::Authenticated) else { return Ok(Mode::Open) };
         if packet::is_sealed(key, packet) {
@@ -191,7 +193,7 @@ impl Reflecting {
         Err(if is_short { Refusal::Short } else { Refusal::Unauthenticated })
     }
 
-    /// The key by which packets of this mode are authenticated.
+    /// Returns the key that authenticates packets of this mode.
     fn key_of(&self, mode: Mode) -> Option<&Key> {
         match mode {
             Mode::Open => None,
@@ -199,11 +201,11 @@ impl Reflecting {
         }
     }
 
-    /// Stamps the answer and authenticates it; returns the stamp. To be sent at once.
+    /// Stamps and authenticates the answer. Returns the stamp. The answer must be sent at once.
     pub fn complete(&self, answer: &Answer, packet: &mut [u8], clock: &dyn Clock) -> Stamp {
         let mode = answer.mode;
         let now = clock.stamp();
-        // After the stamp: a step in between must show.
+        // Read after the stamp, so that a step in between is detected.
         let (epoch, wall_epoch) = (clock.epoch(), clock.wall_epoch());
         let reply = Reply { timestamp: answer.reply.estimate.format().encode(now.wall), ..answer.reply };
         reply.write(mode, packet);
@@ -230,17 +232,18 @@ impl Reflecting {
         now
     }
 
-    /// The answer was sent, not before `stamp`. Only now its number is used up.
+    /// Notes that the answer was sent, not before `stamp`. Only then is its number used up.
     pub fn sent(&mut self, answer: &Answer, stamp: Stamp) {
         if let Some(sessions) = &mut self.sessions {
             let session = sessions.table(&answer.session).entry(answer.session, Session::default);
             session.next = answer.sequence().wrapping_add(1);
-            session.last = Some(Left { sequence: answer.sequence(), wall: stamp.wall, raw: stamp.raw });
+            session.last = Some(LastReply { sequence: answer.sequence(), wall: stamp.wall, raw: stamp.raw });
         }
     }
 
-    /// The kernel's stamp of a reply's departure, and what follows from it for the free-running clock: a time that is not later than
-    /// the truth. Believed if it fits between the program's and the longest that a packet can wait here.
+    /// Handles the kernel's stamp of a reply's departure. `left_raw` is the derived time of the free-running clock,
+    /// which is not later than the true one. Times outside the range from the program's stamp to the longest wait of a
+    /// packet are ignored.
     pub fn departed(&mut self, session: &SessionId, sequence: u32, left: WallTime, left_raw: RawTime) {
         let last = self
             .sessions
@@ -258,11 +261,14 @@ impl Reflecting {
     }
 }
 
-/// Whether a packet is a reply: where a reply says when its request arrived, close before its own departure by the same
-/// clock, a request has zeros, or the padding of TWAMP-light, which looks so once in 2²⁹ packets if it is random.
+/// Returns whether a packet is a reply.
 ///
-/// A forged source address can point one reflector at another, or at an echo service. What comes back is a reply by
-/// this test, whoever made it, so that no loop lives longer than one round.
+/// A reply has the time of arrival of its request at a certain place, close to its own departure by the same clock. A
+/// request has zeros there, or the padding of TWAMP-light, which looks like a reply once in 2²⁹ packets if it is
+/// random.
+///
+/// A forged source address can direct the answers of one reflector to another one, or to an echo service. The packets
+/// that return are replies by this test, so that a loop ends after one round.
 fn is_reply(mode: Mode, packet: &[u8], near: WallTime) -> bool {
     Reply::parse(mode, packet).is_some_and(|reply| {
         let format = reply.estimate.format();
@@ -272,13 +278,14 @@ fn is_reply(mode: Mode, packet: &[u8], near: WallTime) -> bool {
     })
 }
 
-/// Whether the TLVs of an authenticated packet follow, as far as its form tells.
+/// Returns whether the form of a packet is that of an authenticated one with TLVs.
 fn claims_authentication(packet: &[u8]) -> bool {
     let tlvs = packet.get(Mode::Authenticated.base_bytes()..).unwrap_or_default();
     tlv::places(tlvs).any(|place| place.kind == tlv::HMAC && place.value.len() == CODE_BYTES)
 }
 
-/// Sets the flags of the TLVs and tells what is asked; those that are not intact only go back.
+/// Sets the flags of the TLVs and fills in the requested values. TLVs that are not intact are returned unchanged except
+/// for their flags.
 fn answer_tlvs(tlvs: &mut [u8], intact: bool, previous: Option<FollowUp>) {
     let mut at = 0;
     while let Some(place) = tlv::place_at(tlvs, at) {

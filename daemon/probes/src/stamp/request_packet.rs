@@ -1,4 +1,4 @@
-//! The packet of a sender's requests, which is written anew for each.
+//! The packet of a sender's requests, which is rewritten for each request.
 
 use std::ops::Range;
 
@@ -6,23 +6,23 @@ use peernet_clock::RelatedClocks;
 
 use super::auth::{CODE_BYTES, Key};
 use super::packet::{self, Mode, Request};
-use super::sender::SendingConfig;
+use super::sender::SenderConfig;
 use super::tlv::{self, FollowUp, Origin, RawStamps};
 
-/// Random octets of one request.
+/// Random octets of one request, which tie the answer to it.
 pub type Nonce = [u8; NONCE_BYTES];
 const NONCE_BYTES: usize = 16;
 
-/// A request's packet: the fields of STAMP, and empty TLVs that the reflector fills in.
+/// Packet of a request: the fields of STAMP, and empty TLVs that the reflector fills in.
 #[derive(Debug)]
 pub(super) struct RequestPacket {
     bytes: Vec<u8>,
-    /// Where the random octets stand.
+    /// Position of the random octets.
     nonce: Option<Range<usize>>,
 }
 
 impl RequestPacket {
-    pub(super) fn new(config: &SendingConfig) -> Self {
+    pub(super) fn new(config: &SenderConfig) -> Self {
         let mut bytes = vec![0; Mode::of(config.key.as_ref()).base_bytes()];
         tlv::push(&mut bytes, tlv::FOLLOW_UP, &[0; FollowUp::BYTES]);
         tlv::push(&mut bytes, tlv::ORIGIN, &Origin::default().to_value());
@@ -42,8 +42,8 @@ impl RequestPacket {
         Self { bytes, nonce }
     }
 
-    /// Writes and seals the TLVs of request `sequence`: what can be done before its departure is stamped. Returns the octets if requests
-    /// carry them.
+    /// Writes and seals the TLVs of request `sequence`, so that this is done before its departure is stamped. Returns
+    /// the octets if requests carry them.
     pub(super) fn prepare(&mut self, key: Option<&Key>, sequence: u32, octets: Nonce) -> Option<Nonce> {
         let nonce = self.nonce.clone().map(|place| {
             self.bytes[place].copy_from_slice(&octets);
@@ -56,7 +56,7 @@ impl RequestPacket {
         nonce
     }
 
-    /// Writes and seals the fields of a request, and returns the packet.
+    /// Writes and seals the fields of a request. Returns the packet.
     pub(super) fn finish(&mut self, key: Option<&Key>, request: &Request) -> &[u8] {
         request.write(Mode::of(key), &mut self.bytes);
         if let Some(key) = key {

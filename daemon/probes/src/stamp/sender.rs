@@ -1,4 +1,4 @@
-//! What a sender asks and what it makes of replies (the session-sender of RFC 8762, section 4.2).
+//! State machine of a sender (session-sender of RFC 8762, section 4.2).
 
 use std::collections::VecDeque;
 
@@ -13,39 +13,40 @@ pub use super::request_packet::Nonce;
 use super::request_packet::RequestPacket;
 use super::timestamp::{ErrorEstimate, Format};
 use super::tlv::{self, FollowUp, Origin, RawStamps};
-use super::uncertainty::{self, AGREEMENT};
+use super::uncertainty::{self, ORDER_TOLERANCE};
 
-/// Probes that are remembered at most, waiting or answered; a further one pushes out the oldest.
+/// Largest number of remembered probes, waiting or answered. A further one replaces the oldest.
 const MAX_PENDING: usize = 1024;
 
-/// Longest time between the program's stamp and the kernel's that is believed.
+/// Longest plausible time between the program's stamp and the kernel's.
 const LONGEST_DEPARTURE: Span = Span::from_seconds(1);
 
-/// Whom a sender asks, and how.
+/// Configuration of a sender.
 #[derive(Clone, Debug)]
-pub struct SendingConfig {
-    /// The key shared with the reflector.
+pub struct SenderConfig {
+    /// Key shared with the reflector.
     pub key: Option<Key>,
-    /// The only reflector that is believed, by its [`Origin::instance`]; any at `None`.
+    /// The only accepted reflector, by its [`Origin::instance`]; `None` accepts any.
     pub instance: Option<u64>,
-    /// With a key, whether each request carries random octets that its answer must bring back: what the TLVs say was then written
-    /// for this request, and not for another one of the same number that the same key authenticated.
+    /// `true` if each request carries random octets that its answer must return; only used with a key. The TLVs of such
+    /// an answer were written for this request, and not for another one of the same number that the same key
+    /// authenticated.
     pub bound: bool,
-    /// Which clock of the reflector is asked for. Reflectors of other implementations have the wall clock alone.
+    /// Clock of the reflector that is requested. Reflectors of other implementations only have the wall clock.
     pub clocks: RelatedClocks,
-    /// Tells the session from other sessions between the same ports.
+    /// Distinguishes the session from other sessions between the same ports.
     pub ssid: u16,
     /// Number of the first packet.
     pub first: u32,
     /// Bytes of padding.
     pub padding_bytes: u16,
-    /// After this a probe without an answer is lost.
+    /// Time after which a probe without an answer counts as lost.
     pub timeout: Span,
 }
 
-/// A sender's state.
+/// State of a sender.
 #[derive(Debug)]
-pub struct Sending {
+pub struct SenderState {
     key: Option<Key>,
     instance: Option<u64>,
     clocks: RelatedClocks,
@@ -53,117 +54,121 @@ pub struct Sending {
     next: u32,
     packet: RequestPacket,
     timeout: Span,
-    pending: VecDeque<Pending>,
-    /// Requests that were lost lately: their answers are late. At most [`MAX_PENDING`].
+    pending: VecDeque<PendingProbe>,
+    /// Requests that were lost recently, whose answers are late. At most [`MAX_PENDING`].
     lost: VecDeque<Departure>,
-    /// The kernel's stamps are of another clock than the program's.
+    /// `true` if the kernel's stamps are of another clock than the program's.
     distrusts_kernel: bool,
 }
 
-/// A request that was stamped.
+/// A request with its departure stamp.
 #[derive(Clone, Copy, Debug)]
 pub struct Departure {
     sequence: u32,
     timestamp: u64,
     sent: Stamp,
     nonce: Option<Nonce>,
-    /// How far the wall clock was ahead before.
+    /// Difference wall clock minus free-running clock, read before the stamp.
     ahead: Interval,
-    /// The edge's epoch, read before: the stamp belongs to this one or a later one.
+    /// Edge's epoch, read before: the stamp belongs to this epoch or a later one.
     epoch: u32,
 }
 
 impl Departure {
-    /// The request's number, by which [`Sending::departed`] knows it.
+    /// Returns the number of the request, for [`SenderState::departed`].
     pub const fn sequence(&self) -> u32 {
         self.sequence
     }
 }
 
 #[derive(Debug)]
-struct Pending {
+struct PendingProbe {
     departure: Departure,
-    /// When it left, by the kernel and not later than the truth.
+    /// Departure by the kernel's stamp, not later than the true one.
     left: Option<RawTime>,
-    /// The kernel says that it left before the program stamped it.
+    /// `true` if the kernel's stamp is before the program's.
     left_early: bool,
-    answer: Option<Answered>,
+    answer: Option<AnsweredProbe>,
 }
 
 #[derive(Debug)]
-struct Answered {
-    /// The reply's own number.
+struct AnsweredProbe {
+    /// Number of the reply.
     sequence: u32,
-    /// `None` if the edge's clock was interrupted meanwhile.
+    /// `None` if the edge's clock was interrupted in between.
     observation: Option<ExchangeObservation>,
 }
 
-/// When a packet came back.
+/// Arrival of a packet.
 #[derive(Clone, Copy, Debug)]
-pub struct Return {
-    /// The kernel's stamp of the arrival, if it made one.
+pub struct ReplyArrival {
+    /// Kernel's stamp of the arrival, if it made one.
     pub kernel: Option<WallTime>,
-    /// The clocks, read by the program thereafter.
+    /// Clocks, read by the program afterwards.
     pub read: Stamp,
-    /// How far the wall clock was ahead of the free-running one, read thereafter.
+    /// Difference wall clock minus free-running clock, read afterwards.
     pub ahead: Interval,
-    /// The edge's epoch, read thereafter.
+    /// Edge's epoch, read afterwards.
     pub epoch: u32,
 }
 
-/// What a reply told.
+/// Result of a valid reply.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Heard {
-    /// An earlier exchange, now with the stamp of when its reply really left.
+pub struct ReplyResult {
+    /// An earlier exchange, now with the stamp of its reply's true departure.
     pub refined: Option<ExchangeObservation>,
-    /// The exchange that it completes; `None` if the edge's clock was interrupted meanwhile: nothing follows from its stamps.
+    /// The exchange that the reply completes. `None` if the edge's clock was interrupted in between: nothing follows
+    /// from its stamps.
     pub answered: Option<ExchangeObservation>,
 }
 
-/// What the TLVs of a reply told.
+/// Values of the TLVs of a reply.
 #[derive(Clone, Copy, Debug, Default)]
-struct Told {
+struct TlvValues {
     follow_up: Option<FollowUp>,
     origin: Option<Origin>,
     raw: Option<RawStamps>,
     nonce: Option<Nonce>,
-    /// Why nothing of it is believed, where the TLVs are not as they were written.
+    /// Reason why none of them is believed, if the TLVs were altered.
     altered: Option<&'static str>,
 }
 
-/// What a reply tells of the reflector's related clock.
+/// Times of the reflector's related clock in a reply.
 #[derive(Clone, Copy, Debug)]
-struct There {
+struct ReflectorTimes {
     received: RawTime,
     replied: RawTime,
     epoch: Option<u32>,
-    /// Number of an earlier reply, and when it really left.
+    /// Number of an earlier reply, and its true departure.
     previous: Option<(u32, RawTime)>,
 }
 
-impl Sending {
-    /// A session that has sent nothing.
-    pub fn new(config: SendingConfig) -> Self {
+impl SenderState {
+    /// Creates a session that has sent nothing.
+    pub fn new(config: SenderConfig) -> Self {
         let packet = RequestPacket::new(&config);
-        let SendingConfig { key, instance, clocks, ssid, first, timeout, .. } = config;
+        let SenderConfig { key, instance, clocks, ssid, first, timeout, .. } = config;
         let (pending, lost) = (VecDeque::new(), VecDeque::new());
         let distrusts_kernel = false;
         Self { key, instance, clocks, ssid, next: first, packet, timeout, pending, lost, distrusts_kernel }
     }
 
-    /// The next request, stamped. To be sent at once, then told to [`sent`](Self::sent).
+    /// Returns the next request with its stamp. It must be sent at once and then passed to [`sent`](Self::sent).
     pub fn request(&mut self, clock: &dyn Clock) -> (Departure, &[u8]) {
         self.request_with(clock, rand::random())
     }
 
-    /// The same with octets that are given, where requests carry them; nobody else may know them before it is sent.
+    /// Returns the next request with the given octets, if requests carry octets. They must be secret until the request
+    /// is sent.
     pub fn request_with(&mut self, clock: &dyn Clock, octets: Nonce) -> (Departure, &[u8]) {
         let key = self.key.as_ref();
         let nonce = self.packet.prepare(key, self.next, octets);
         let ahead = clock.wall_ahead();
-        // Before the stamp, as the one at the return is after it: if they are equal, so is all in between.
+        // Read before the stamp, while the epoch at the return is read after its stamp. If both are equal, the clock
+        // was not interrupted in between.
         let epoch = clock.epoch();
         let sent = clock.stamp();
+        // NTP's format, because a stamp is returned exactly in it.
         let timestamp = Format::Ntp.encode(sent.wall);
         let estimate = ErrorEstimate::new(Format::Ntp, uncertainty::OWN);
         let request = Request { sequence: self.next, timestamp, estimate, ssid: self.ssid };
@@ -171,17 +176,17 @@ impl Sending {
         (Departure { sequence: self.next, timestamp, sent, nonce, ahead, epoch }, packet)
     }
 
-    /// The request was sent; returns how many earlier ones are given up for it.
+    /// Notes that the request was sent. Returns the number of earlier ones that are given up for it.
     pub fn sent(&mut self, departure: Departure) -> usize {
         self.next = departure.sequence.wrapping_add(1);
         let given_up = self.pending.len().saturating_sub(MAX_PENDING - 1);
         let lost = self.forget(given_up);
-        self.pending.push_back(Pending { departure, left: None, left_early: false, answer: None });
+        self.pending.push_back(PendingProbe { departure, left: None, left_early: false, answer: None });
         lost
     }
 
-    /// The kernel's stamp of a request's departure, and how far the wall clock was ahead when it was looked at thereafter. Believed
-    /// if it fits between the program's and the longest that a packet can wait here.
+    /// Handles the kernel's stamp of a request's departure; `ahead` is the difference of the clocks that was read
+    /// afterwards. A time outside the range from the program's stamp to the longest wait of a packet is ignored.
     pub fn departed(&mut self, sequence: u32, left: WallTime, ahead: Interval) {
         if self.distrusts_kernel {
             return;
@@ -191,12 +196,12 @@ impl Sending {
             let left = KernelStamp::between(left, before, ahead);
             let after = left.earliest - sent.raw;
             pending.left = (Span::ZERO..=LONGEST_DEPARTURE).contains(&after).then_some(left.earliest);
-            pending.left_early = left.is_steady && left.latest < sent.raw - AGREEMENT;
+            pending.left_early = left.is_steady && left.latest < sent.raw - ORDER_TOLERANCE;
         }
     }
 
-    /// Whether the kernel's stamps were found to be of another clock than the program's, as when something shows the
-    /// program a false time. They are ignored from then on.
+    /// Returns whether the kernel's stamps were found to be of another clock than the program's, for example if a tool
+    /// shows the program a false time. They are then ignored.
     pub const fn distrusts_kernel(&self) -> bool {
         self.distrusts_kernel
     }
@@ -209,14 +214,14 @@ impl Sending {
         }
     }
 
-    /// Forgets what is older than the timeout; returns how many of them are lost.
+    /// Forgets probes that are older than the timeout. Returns how many of them are lost.
     pub fn expire(&mut self, now: MonoTime) -> usize {
         let old = self.pending.iter().take_while(|pending| now - pending.departure.sent.mono >= self.timeout);
         let old = old.count();
         self.forget(old)
     }
 
-    /// Forgets the oldest; returns how many of them are lost.
+    /// Forgets the `oldest` oldest probes. Returns how many of them are lost.
     fn forget(&mut self, oldest: usize) -> usize {
         let unanswered = self.pending.drain(..oldest).filter(|pending| pending.answer.is_none());
         let before = self.lost.len();
@@ -226,143 +231,158 @@ impl Sending {
         lost
     }
 
-    /// When the next probe will be lost if it is not answered.
+    /// Returns the time at which the next probe will be lost if it is not answered.
     pub fn deadline(&self) -> Option<MonoTime> {
         let waiting = self.pending.iter().find(|pending| pending.answer.is_none())?;
         Some(waiting.departure.sent.mono + self.timeout)
     }
 
-    /// A packet from the target. Expire first.
+    /// Handles a packet from the target. [`expire`](Self::expire) must be called before.
     ///
     /// # Errors
-    /// Why it is no answer.
-    pub fn receive(&mut self, packet: &[u8], returned: &Return) -> Result<Heard, &'static str> {
+    /// The reason why it is not an answer.
+    pub fn receive(&mut self, packet: &[u8], returned: &ReplyArrival) -> Result<ReplyResult, &'static str> {
         let mode = Mode::of(self.key.as_ref());
         let reply = Reply::parse(mode, packet).ok_or("shorter than a reply")?;
         if self.key.as_ref().is_some_and(|key| !packet::is_sealed(key, packet)) {
             return Err("not authenticated by the key");
         }
-        // A reflector that does not know of identifiers leaves zero (RFC 8972, section 3).
+        // A reflector that does not know session identifiers leaves zero (RFC 8972, section 3).
         if reply.asked.ssid != self.ssid && reply.asked.ssid != 0 {
             return Err("of another session");
         }
-        let told = told(self.key.as_ref(), reply.sequence, &packet[mode.base_bytes()..]);
-        match (self.instance, told.origin) {
+        let tlv_values = read_tlvs(self.key.as_ref(), reply.sequence, &packet[mode.base_bytes()..]);
+        match (self.instance, tlv_values.origin) {
             (Some(expected), Some(origin)) if origin.instance != expected => return Err(ANOTHER_PROCESS),
             (Some(_), None) => {
                 let found = if self.key.is_some() { UNNAMED } else { NOT_OURS };
-                return Err(told.altered.unwrap_or(found));
+                return Err(tlv_values.altered.unwrap_or(found));
             }
             _ => {}
         }
-        let there = self.there(&reply, &told, returned.read.wall)?;
+        let reflector_times = self.reflector_times(&reply, &tlv_values, returned.read.wall)?;
         let Some(pending) = find(&mut self.pending, reply.asked.sequence) else {
             let late =
                 self.lost.iter().position(|lost| lost.sequence == reply.asked.sequence).ok_or(UNKNOWN)?;
-            is_answer_to(&self.lost[late], &reply, &told)?;
+            is_answer_to(&self.lost[late], &reply, &tlv_values)?;
             self.lost.remove(late);
             return Err(LATE);
         };
-        is_answer_to(&pending.departure, &reply, &told)?;
+        is_answer_to(&pending.departure, &reply, &tlv_values)?;
+        // A reply may come to a probe that is answered; it must not replace the first answer.
         if pending.answer.is_some() {
             return Err("a second answer to the same probe");
         }
-        // Between two equal epochs all stamps are of one clock.
+        // If the two epochs are equal, all stamps are of one clock.
         let Departure { sent, ahead, epoch, .. } = pending.departure;
         if epoch != returned.epoch {
-            pending.answer = Some(Answered { sequence: reply.sequence, observation: None });
-            return Ok(Heard { refined: None, answered: None });
+            pending.answer = Some(AnsweredProbe { sequence: reply.sequence, observation: None });
+            return Ok(ReplyResult { refined: None, answered: None });
         }
         let kernel = returned.kernel.map(|stamp| KernelStamp::between(stamp, ahead, returned.ahead));
         let is_impossible = |kernel: KernelStamp| {
             kernel.is_steady
-                && (kernel.earliest > returned.read.raw + AGREEMENT || kernel.latest < sent.raw - AGREEMENT)
+                && (kernel.earliest > returned.read.raw + ORDER_TOLERANCE
+                    || kernel.latest < sent.raw - ORDER_TOLERANCE)
         };
         if pending.left_early || kernel.is_some_and(is_impossible) {
             self.distrust_kernel();
         }
         let kernel = kernel.filter(|_| !self.distrusts_kernel);
         let pending = find(&mut self.pending, reply.asked.sequence).ok_or(UNKNOWN)?;
-        // The program's reads are the outer bounds, which the kernel's stamps may narrow.
+        // The program's readings are the outer bounds, which the kernel's stamps may narrow.
         let exchange = Exchange {
             sent: pending.left.map_or(sent.raw, |left| left.max(sent.raw)),
-            received: there.received,
-            replied: there.replied,
+            received: reflector_times.received,
+            replied: reflector_times.replied,
             returned: kernel.map_or(returned.read.raw, |kernel| kernel.latest.min(returned.read.raw)),
-            uncertainty: if told.origin.is_some() { uncertainty::OWN } else { uncertainty::FOREIGN },
+            uncertainty: if tlv_values.origin.is_some() { uncertainty::OWN } else { uncertainty::FOREIGN },
         };
         let answered = ExchangeObservation {
             exchange,
             cloud_elapsed: None,
             edge_epoch: returned.epoch,
-            cloud_epoch: there.epoch,
+            cloud_epoch: reflector_times.epoch,
         };
-        pending.answer = Some(Answered { sequence: reply.sequence, observation: Some(answered) });
-        let refined = there.previous.and_then(|(sequence, left)| {
+        pending.answer = Some(AnsweredProbe { sequence: reply.sequence, observation: Some(answered) });
+        let refined = reflector_times.previous.and_then(|(sequence, left)| {
             refine(&mut self.pending, reply.asked.sequence, sequence, left, answered.cloud_epoch)
         });
-        Ok(Heard { refined, answered: Some(answered) })
+        Ok(ReplyResult { refined, answered: Some(answered) })
     }
 
-    /// What a reply tells of the clock that was asked for.
-    fn there(&self, reply: &Reply, told: &Told, near: WallTime) -> Result<There, &'static str> {
+    /// Returns the times of the requested clock in a reply.
+    fn reflector_times(
+        &self,
+        reply: &Reply,
+        tlv_values: &TlvValues,
+        near: WallTime,
+    ) -> Result<ReflectorTimes, &'static str> {
         if self.clocks == RelatedClocks::Raw {
-            let RawStamps { epoch, received, replied, previous } = told.raw.ok_or(NOT_RAW)?;
-            return Ok(There { received, replied, epoch: Some(epoch), previous });
+            let RawStamps { epoch, received, replied, previous } = tlv_values.raw.ok_or(NOT_RAW)?;
+            return Ok(ReflectorTimes { received, replied, epoch: Some(epoch), previous });
         }
         let format = reply.estimate.format();
         let decode = |bits| if bits == 0 { None } else { format.decode(bits, near).map(RawTime::of_wall) };
         let stamps = decode(reply.received).zip(decode(reply.timestamp));
         let (received, replied) = stamps.ok_or("without the reflector's stamps")?;
-        let previous = told.follow_up.and_then(|told| Some((told.sequence, decode(told.timestamp)?)));
-        Ok(There { received, replied, epoch: told.origin.map(|origin| origin.epoch), previous })
+        let previous = tlv_values
+            .follow_up
+            .and_then(|follow_up| Some((follow_up.sequence, decode(follow_up.timestamp)?)));
+        Ok(ReflectorTimes {
+            received,
+            replied,
+            epoch: tlv_values.origin.map(|origin| origin.epoch),
+            previous,
+        })
     }
 }
 
-/// Of a valid reply to a probe that is lost already: the only reason that says nothing against the reply.
+/// Reason for a valid reply to a probe that is already lost. It is the only reason that says nothing against the reply.
 pub const LATE: &str = "later than the timeout of the probe";
-/// Of a reply that nothing waits for.
+/// Reason for a reply that no probe waits for.
 const UNKNOWN: &str = "to no probe of ours, or to one of long ago";
-/// Of a reply with what another one told.
+/// Reason for a reply with the values of another reply.
 const NOT_BOUND: &str = "with what was told to another probe";
-/// Of a reply by another reflector of ours than was expected.
+/// Reason for a reply of another PEERNet reflector than the expected one.
 pub const ANOTHER_PROCESS: &str = "another process answers the probes than serves the data";
-/// Of a reply by no reflector of ours where one was expected.
+/// Reason for a reply that is not of a PEERNet reflector although one was expected.
 pub const NOT_OURS: &str = "something else answers the probes than the agent that serves the data";
 
-/// Of an authentic reply with TLVs that do not fit their code (RFC 8972, section 4.8).
+/// Reason for an authentic reply with TLVs that do not match their code (RFC 8972, section 4.8).
 pub const ALTERED_ANSWER: &str = "an authentic reply with TLVs whose HMAC does not fit: they were altered on the way, or the reflector \
                                   does not know them";
-/// Of an authentic reply with flag I: its reflector found that of the request.
+/// Reason for an authentic reply with flag I: the code of the request's TLVs did not match at the reflector.
 pub const ALTERED_PROBE: &str = "an authentic reply whose TLVs say that the HMAC of the probe's TLVs does not fit: they were altered on the way";
-/// Of an authentic reply without the TLV that names its reflector.
+/// Reason for an authentic reply without the TLV that names its reflector.
 pub const UNNAMED: &str = "an authentic reply that does not say which process wrote it: its TLVs were cut off on the way, or the \
                            reflector is not of PEERNet";
 
-/// Of a reply by a reflector of ours that lacks the stamps of its free-running clock where they are asked for.
+/// Reason for a reply of a PEERNet reflector without the requested stamps of its free-running clock.
 const NOT_RAW: &str = "without the stamps of the reflector's free-running clock";
 
-/// Checks that a reply brings back what its request told.
-fn is_answer_to(request: &Departure, reply: &Reply, told: &Told) -> Result<(), &'static str> {
+/// Checks that a reply returns the stamp and the octets of its request.
+fn is_answer_to(request: &Departure, reply: &Reply, tlv_values: &TlvValues) -> Result<(), &'static str> {
     if request.timestamp != reply.asked.timestamp {
         return Err("to another stamp than was sent");
     }
-    if request.nonce.is_some_and(|nonce| told.nonce != Some(nonce)) {
+    if request.nonce.is_some_and(|nonce| tlv_values.nonce != Some(nonce)) {
         return Err(NOT_BOUND);
     }
     Ok(())
 }
 
-/// The probe of that number: they stand in order and without holes.
-fn find(pending: &mut VecDeque<Pending>, sequence: u32) -> Option<&mut Pending> {
+/// Returns the probe with this number. The probes are in order and without gaps.
+fn find(pending: &mut VecDeque<PendingProbe>, sequence: u32) -> Option<&mut PendingProbe> {
     let first = pending.front()?.departure.sequence;
     pending.get_mut(sequence.wrapping_sub(first) as usize)
 }
 
-/// The exchange whose reply had the number `sequence`, corrected: it left at `left`. A later stamp of departure is a
-/// better one. It was made after that reply's epoch was read, but before this one's: both must agree.
+/// Corrects the departure of the reply with the number `sequence` to `left`, and returns the exchange. A later stamp of
+/// departure is a better one. The stamp was made after that reply's epoch was read and before this one's, so that both
+/// epochs must be equal.
 fn refine(
-    pending: &mut VecDeque<Pending>,
+    pending: &mut VecDeque<PendingProbe>,
     now: u32,
     sequence: u32,
     left: RawTime,
@@ -381,32 +401,35 @@ fn refine(
     Some(*observation)
 }
 
-/// What the TLVs tell, as far as they may be believed (RFC 8972, section 4).
-fn told(key: Option<&Key>, sequence: u32, tlvs: &[u8]) -> Told {
-    let mut told = Told::default();
-    // A reflector that says so gives them back as they came: their code does not fit then.
+/// Returns the values of the TLVs that may be believed (RFC 8972, section 4).
+fn read_tlvs(key: Option<&Key>, sequence: u32, tlvs: &[u8]) -> TlvValues {
+    let mut tlv_values = TlvValues::default();
+    // A reflector that sets this flag returns the TLVs unchanged, so that their code does not match. The flag is
+    // therefore checked first.
     if tlv::places(tlvs).any(|place| place.flags & tlv::NOT_INTACT != 0) {
-        return Told { altered: Some(ALTERED_PROBE), ..told };
+        return TlvValues { altered: Some(ALTERED_PROBE), ..tlv_values };
     }
     if !tlv::are_intact(key, sequence, tlvs) {
-        return Told { altered: Some(ALTERED_ANSWER), ..told };
+        return TlvValues { altered: Some(ALTERED_ANSWER), ..tlv_values };
     }
     for place in tlv::places(tlvs) {
-        // What follows it is not authenticated.
+        // The TLVs after it are not authenticated.
         if place.overruns || place.flags & tlv::MALFORMED != 0 || place.kind == tlv::HMAC {
             break;
         }
         if place.flags & tlv::UNRECOGNISED == 0 {
             match place.kind {
-                tlv::EXTRA_PADDING => told.nonce = told.nonce.or(tlvs[place.value].try_into().ok()),
-                tlv::FOLLOW_UP => told.follow_up = FollowUp::from_value(&tlvs[place.value]),
-                tlv::ORIGIN => told.origin = Origin::from_value(&tlvs[place.value]),
+                tlv::EXTRA_PADDING => {
+                    tlv_values.nonce = tlv_values.nonce.or(tlvs[place.value].try_into().ok())
+                }
+                tlv::FOLLOW_UP => tlv_values.follow_up = FollowUp::from_value(&tlvs[place.value]),
+                tlv::ORIGIN => tlv_values.origin = Origin::from_value(&tlvs[place.value]),
                 tlv::RAW_STAMPS => {
-                    told.raw = RawStamps::from_value(&tlvs[place.value]).filter(RawStamps::is_filled);
+                    tlv_values.raw = RawStamps::from_value(&tlvs[place.value]).filter(RawStamps::is_filled);
                 }
                 _ => {}
             }
         }
     }
-    told
+    tlv_values
 }

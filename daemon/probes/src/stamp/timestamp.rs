@@ -1,4 +1,4 @@
-//! How stamps travel: the two 64-bit formats, and the Error Estimate that tells which one.
+//! Wire form of stamps: the two 64-bit formats, and the Error Estimate that says which one is used.
 
 use peernet_clock::{Span, WallTime};
 
@@ -7,11 +7,10 @@ const NTP_TO_UNIX: i64 = 2_208_988_800;
 
 const NANOS: i64 = 1_000_000_000;
 
-/// The form of a stamp in a packet.
+/// Format of a stamp in a packet.
 ///
-/// Probes are sent in NTP's format: all implementations know it, and it costs nothing, because its steps of
-/// 2⁻³² s = 0.23 ns are finer than the nanoseconds of our clocks, so that a stamp comes back exactly as it was. A
-/// reflector answers in the format in which it was asked.
+/// Probes are sent in NTP's format, which all implementations know. Its steps of 2⁻³² s = 0.23 ns are finer than the
+/// nanoseconds of our clocks, so that a stamp is returned exactly. A reflector answers in the format of the request.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Format {
     /// Seconds and 2⁻³² s since 1900, modulo 2³² s (RFC 5905, section 6).
@@ -22,7 +21,7 @@ pub enum Format {
 }
 
 impl Format {
-    /// The stamp as it travels, rounded to the nearest step.
+    /// Encodes a time, rounded to the nearest step.
     pub fn encode(self, time: WallTime) -> u64 {
         let seconds = time.unix_seconds();
         let nanos = time.unix_nanos().rem_euclid(NANOS).unsigned_abs();
@@ -35,8 +34,8 @@ impl Format {
         ((seconds & 0xFFFF_FFFF).unsigned_abs() << 32) | fraction
     }
 
-    /// The stamp that travelled. The era is the one that brings it nearest to `near`, within 68 years: NTP's first era
-    /// ends in 2036, PTP's in 2106. `None` where no clock shows such a time.
+    /// Decodes a stamp. The era is the one that brings it nearest to `near`, within 68 years: NTP's first era ends in
+    /// 2036, PTP's in 2106. `None` if the bits are not a valid time.
     pub fn decode(self, bits: u64, near: WallTime) -> Option<WallTime> {
         let fraction = (bits & 0xFFFF_FFFF) as i64;
         let (origin, nanos) = match self {
@@ -45,14 +44,14 @@ impl Format {
             Self::Ptp => return None,
         };
         let near = near.unix_seconds();
-        // Taken modulo 2³² and read as signed: the way to the stamp, forwards or backwards, that is shorter.
+        // The difference modulo 2³², read as signed, is the shorter way to the stamp in either direction.
         let way = ((bits >> 32) as u32).wrapping_sub((near + origin) as u32).cast_signed();
         let seconds = near + i64::from(way);
         Some(WallTime::from_unix_nanos(seconds.saturating_mul(NANOS).saturating_add(nanos)))
     }
 }
 
-/// How good stamps are, and their format (RFC 4656, section 4.1.2; RFC 8186, section 2.3).
+/// Error and format of stamps (RFC 4656, section 4.1.2; RFC 8186, section 2.3).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct ErrorEstimate(u16);
 
@@ -60,10 +59,10 @@ impl ErrorEstimate {
     const SYNCHRONISED: u16 = 1 << 15;
     const PTP: u16 = 1 << 14;
 
-    /// The least estimate of two bytes that is not below `error`. It does not claim that the clock follows UTC (S = 0):
-    /// the estimate speaks of stamps against their own clock.
+    /// Returns the smallest estimate of two bytes that is at least `error`. The S bit is 0: the estimate does not claim
+    /// that the clock follows UTC, because it is about stamps relative to their own clock.
     pub fn new(format: Format, error: Span) -> Self {
-        // 2⁻³² s are the unit; the multiplier has 8 bits and may not be zero.
+        // The unit is 2⁻³² s; the multiplier has 8 bits and may not be zero.
         let units = (u128::from(error.nanos().max(0).unsigned_abs()) << 32).div_ceil(1_000_000_000);
         let scale = (0..63).find(|scale| units.div_ceil(1 << scale) <= 255).unwrap_or(63);
         let multiplier = units.div_ceil(1 << scale).clamp(1, 255) as u16;
@@ -71,27 +70,27 @@ impl ErrorEstimate {
         Self(format | scale << 8 | multiplier)
     }
 
-    /// As it travels.
+    /// Returns the wire form.
     pub const fn bits(self) -> u16 {
         self.0
     }
 
-    /// From a packet.
+    /// Creates the estimate from its wire form.
     pub const fn from_bits(bits: u16) -> Self {
         Self(bits)
     }
 
-    /// The format of the packet's stamps.
+    /// Returns the format of the packet's stamps.
     pub const fn format(self) -> Format {
         if self.0 & Self::PTP == 0 { Format::Ntp } else { Format::Ptp }
     }
 
-    /// Whether the sender claims that its clock follows UTC.
+    /// Returns whether the sender claims that its clock follows UTC.
     pub const fn synchronised(self) -> bool {
         self.0 & Self::SYNCHRONISED != 0
     }
 
-    /// The error that is claimed: multiplier × 2⁻³² × 2^scale seconds.
+    /// Returns the claimed error: multiplier × 2⁻³² × 2^scale seconds.
     pub fn error(self) -> Span {
         let (scale, multiplier) = ((self.0 >> 8) & 0x3F, self.0 & 0xFF);
         Span::from_seconds_f64(f64::from(multiplier) * f64::from(i32::from(scale) - 32).exp2())

@@ -1,4 +1,4 @@
-//! What may follow a base packet: type, length, value (RFC 8972, section 4).
+//! TLVs (type, length, value) after a base packet (RFC 8972, section 4).
 
 use std::ops::Range;
 
@@ -6,54 +6,54 @@ use peernet_clock::RawTime;
 
 use super::auth::{CODE_BYTES, Key};
 
-/// Octets to make a packet larger.
+/// Type: octets that make a packet larger.
 pub const EXTRA_PADDING: u8 = 1;
-/// When the previous reply really left.
+/// Type: true departure of the previous reply.
 pub const FOLLOW_UP: u8 = 7;
-/// Authenticates the TLVs before it.
+/// Type: authentication of the TLVs before it.
 pub const HMAC: u8 = 8;
-/// Ours, of the range for private use: the mark `PEER`, then an [`Origin`].
+/// Type for private use: the mark `PEER`, then an [`Origin`].
 pub const ORIGIN: u8 = 252;
-/// Ours, of the range for private use: the mark `PRAW`, then [`RawStamps`].
+/// Type for private use: the mark `PRAW`, then [`RawStamps`].
 pub const RAW_STAMPS: u8 = 253;
 
-/// Flag: the reflector does not know the type. Senders set it, reflectors that know the type clear it.
+/// Flag: the reflector does not know the type. Senders set it; reflectors that know the type clear it.
 pub const UNRECOGNISED: u8 = 0x80;
 /// Flag: the length is wrong for the type or the packet.
 pub const MALFORMED: u8 = 0x40;
 /// Flag: the TLVs are not authenticated.
 pub const NOT_INTACT: u8 = 0x20;
 
-/// Bytes before the value: flags, type, length.
+/// Length of the header before the value: flags, type, length. Bytes.
 pub const HEADER_BYTES: usize = 4;
 
 const ORIGIN_MARK: [u8; 4] = *b"PEER";
 const RAW_MARK: [u8; 4] = *b"PRAW";
 
-/// Where a TLV stands among others.
+/// Position of a TLV among the bytes of all TLVs.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Place {
-    /// Of its first byte, the flags.
+    /// Offset of its first byte, the flags.
     pub at: usize,
-    /// Its flags.
+    /// Flags.
     pub flags: u8,
-    /// Its type.
+    /// Type.
     pub kind: u8,
-    /// Of its value; cut at the end of the packet if it claims more.
+    /// Range of its value; cut at the end of the packet if it claims more.
     pub value: Range<usize>,
-    /// It claims to be longer than the packet.
+    /// `true` if it claims to be longer than the packet.
     pub overruns: bool,
 }
 
 impl Place {
-    /// Where the next TLV begins, if there is one.
+    /// Returns the offset at which the next TLV would begin.
     pub const fn end(&self) -> usize {
         self.value.end
     }
 }
 
-/// The TLV that begins at `at`. None where no further one can: at fewer than four bytes, after one that overruns, and
-/// at the reserved type 0, which is the padding of TWAMP-light (RFC 8762, section 4.6).
+/// Returns the TLV that begins at `at`. `None` if no TLV can begin there: fewer than four bytes remain, the previous
+/// one overran, or the type is the reserved type 0, which is the padding of TWAMP-light (RFC 8762, section 4.6).
 pub fn place_at(tlvs: &[u8], at: usize) -> Option<Place> {
     let [flags, kind, high, low] = *tlvs.get(at..)?.first_chunk::<HEADER_BYTES>()?;
     if kind == 0 {
@@ -64,12 +64,12 @@ pub fn place_at(tlvs: &[u8], at: usize) -> Option<Place> {
     Some(Place { at, flags, kind, value: begin..end.min(tlvs.len()), overruns: end > tlvs.len() })
 }
 
-/// The TLVs after a base packet, in order.
+/// Returns the TLVs after a base packet, in order.
 pub fn places(tlvs: &[u8]) -> impl Iterator<Item = Place> + '_ {
     std::iter::successors(place_at(tlvs, 0), |last| place_at(tlvs, last.end()))
 }
 
-/// Appends a TLV as a sender does.
+/// Appends a TLV with the flags of a sender.
 pub fn push(packet: &mut Vec<u8>, kind: u8, value: &[u8]) {
     let length = u16::try_from(value.len()).expect("values of a sender are small");
     packet.extend_from_slice(&[UNRECOGNISED, kind]);
@@ -77,23 +77,23 @@ pub fn push(packet: &mut Vec<u8>, kind: u8, value: &[u8]) {
     packet.extend_from_slice(value);
 }
 
-/// How a stamp was made (RFC 8972, section 4.3).
+/// Method of a stamp: by software, local (RFC 8972, section 4.3).
 const SOFTWARE_LOCAL: u8 = 2;
 
-/// The value of [`FOLLOW_UP`].
+/// Value of [`FOLLOW_UP`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct FollowUp {
-    /// The previous reply's number.
+    /// Number of the previous reply.
     pub sequence: u32,
-    /// When it left, in the reply's format.
+    /// Departure of the previous reply, in the format of the reply.
     pub timestamp: u64,
 }
 
 impl FollowUp {
-    /// Bytes of the value.
+    /// Length of the value. Bytes.
     pub const BYTES: usize = 16;
 
-    /// The value as it travels.
+    /// Returns the wire form of the value.
     pub fn to_value(self) -> [u8; Self::BYTES] {
         let mut value = [0; Self::BYTES];
         value[..4].copy_from_slice(&self.sequence.to_be_bytes());
@@ -102,7 +102,7 @@ impl FollowUp {
         value
     }
 
-    /// From a value; `None` where the reflector had nothing to tell or the length is wrong.
+    /// Reads a value. `None` if the reflector had no previous reply or the length is wrong.
     pub fn from_value(value: &[u8]) -> Option<Self> {
         let value: &[u8; Self::BYTES] = value.try_into().ok()?;
         let sequence = u32::from_be_bytes(*value.first_chunk()?);
@@ -111,20 +111,20 @@ impl FollowUp {
     }
 }
 
-/// The value of [`ORIGIN`]: whose clock the stamps are of. A request has the room for it, with zeros.
+/// Value of [`ORIGIN`]: the reflector whose clock the stamps are of. A request has the same length of zeros.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Origin {
-    /// The reflector's [`epoch`](peernet_clock::Clock::epoch).
+    /// Epoch of the reflector's wall clock, [`wall_epoch`](peernet_clock::Clock::wall_epoch).
     pub epoch: u32,
-    /// The number that the reflector's process chose at random when it began.
+    /// Random number that the reflector's process chose at its start.
     pub instance: u64,
 }
 
 impl Origin {
-    /// Bytes of the value.
+    /// Length of the value. Bytes.
     pub const BYTES: usize = 16;
 
-    /// The value as it travels.
+    /// Returns the wire form of the value.
     pub fn to_value(self) -> [u8; Self::BYTES] {
         let mut value = [0; Self::BYTES];
         value[..4].copy_from_slice(&ORIGIN_MARK);
@@ -133,7 +133,7 @@ impl Origin {
         value
     }
 
-    /// From a value; `None` where somebody else uses the type.
+    /// Reads a value. `None` if another program uses the type.
     pub fn from_value(value: &[u8]) -> Option<Self> {
         let value: &[u8; Self::BYTES] = value.try_into().ok()?;
         let epoch = u32::from_be_bytes(*value[4..].first_chunk()?);
@@ -142,25 +142,25 @@ impl Origin {
     }
 }
 
-/// The value of [`RAW_STAMPS`]: when the reflector's free-running clock showed what. A request has the room for it, with zeros, so that
-/// the answer is no longer.
+/// Value of [`RAW_STAMPS`]: times of the reflector's free-running clock. A request has the same length of zeros, so
+/// that the answer is not longer.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct RawStamps {
-    /// The reflector's [`epoch`](peernet_clock::Clock::epoch).
+    /// Epoch of the reflector's free-running clock, [`epoch`](peernet_clock::Clock::epoch).
     pub epoch: u32,
-    /// Not earlier than the request arrived.
+    /// Arrival of the request. Not earlier than the true one.
     pub received: RawTime,
-    /// Not later than the reply left.
+    /// Departure of the reply. Not later than the true one.
     pub replied: RawTime,
-    /// Number of an earlier reply, and a time not later than it left.
+    /// Number of an earlier reply, and its departure, which is not later than the true one.
     pub previous: Option<(u32, RawTime)>,
 }
 
 impl RawStamps {
-    /// Bytes of the value.
+    /// Length of the value. Bytes.
     pub const BYTES: usize = 36;
 
-    /// The value as it travels.
+    /// Returns the wire form of the value.
     pub fn to_value(self) -> [u8; Self::BYTES] {
         let (sequence, left) = self.previous.unwrap_or_default();
         let mut value = [0; Self::BYTES];
@@ -173,7 +173,7 @@ impl RawStamps {
         value
     }
 
-    /// From a value; `None` where somebody else uses the type.
+    /// Reads a value. `None` if another program uses the type.
     pub fn from_value(value: &[u8]) -> Option<Self> {
         let value: &[u8; Self::BYTES] = value.try_into().ok()?;
         let raw = |at: usize| Some(RawTime::from_nanos(i64::from_be_bytes(*value[at..].first_chunk()?)));
@@ -183,21 +183,21 @@ impl RawStamps {
             epoch: number(4)?,
             received: raw(8)?,
             replied: raw(16)?,
-            // Zero is what a reflector leaves that remembers no earlier reply.
+            // A reflector that remembers no earlier reply leaves zero.
             previous: Some(previous).filter(|(_, left)| *left != RawTime::default()),
         };
         value.starts_with(&RAW_MARK).then_some(stamps)
     }
 
-    /// Whether a reflector has filled it in.
+    /// Returns whether a reflector has filled in the value.
     pub fn is_filled(&self) -> bool {
         self.replied != RawTime::default()
     }
 }
 
-/// Whether TLVs may be believed (RFC 8972, section 4.8): with a key, those before an [`HMAC`] that authenticates them
-/// and the packet's sequence number; without one, those that claim no authentication. Nothing but padding may follow
-/// an [`HMAC`], and padding alone needs none.
+/// Returns whether TLVs may be believed (RFC 8972, section 4.8). With a key, these are TLVs before an [`HMAC`] that
+/// authenticates them and the packet's sequence number. Without a key, these are TLVs without an [`HMAC`]. Only padding
+/// may follow an [`HMAC`], and padding alone needs none.
 pub fn are_intact(key: Option<&Key>, sequence: u32, tlvs: &[u8]) -> bool {
     let mut code = None;
     let mut bare = false;
@@ -219,7 +219,7 @@ pub fn are_intact(key: Option<&Key>, sequence: u32, tlvs: &[u8]) -> bool {
     }
 }
 
-/// Writes the code into the TLV [`HMAC`], where there is one.
+/// Writes the code into the TLV [`HMAC`], if there is one.
 pub fn seal(key: &Key, sequence: u32, tlvs: &mut [u8]) {
     let place = places(tlvs).find(|place| place.kind == HMAC && place.value.len() == CODE_BYTES);
     if let Some(place) = place {

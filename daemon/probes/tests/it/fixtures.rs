@@ -1,28 +1,28 @@
-//! The files in `tests/fixtures/wire/probe`: requests and replies of both modes, byte by byte.
+//! Tests that compare requests and replies of both modes with the files in `tests/fixtures/wire/probe`.
 //!
-//! Hosts of two versions probe each other, so that a reflector answers a stored request with the stored reply, and a
-//! sender takes the stored reply for the answer to its own request. `write_missing_fixtures` writes a file that is not
-//! there and never changes one that is.
+//! Hosts of different versions probe each other. Therefore a reflector must answer a stored request with the stored
+//! reply, and a sender must accept the stored reply as the answer to its request. `write_missing_fixtures` writes
+//! missing files and never changes an existing one.
 
 use std::fs;
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 
 use peernet_clock::{Clock, ClockIdentity, ManualClock, RelatedClocks, Span, WallTime};
-use peernet_probes::stamp::reflector::{Arrival, Reflecting};
-use peernet_probes::stamp::sender::{Heard, Return, Sending, SendingConfig};
+use peernet_probes::stamp::reflector::{Arrival, ReflectorState};
+use peernet_probes::stamp::sender::{ReplyArrival, ReplyResult, SenderConfig, SenderState};
 
 use crate::support::{INSTANCE, key};
 
-/// One way, and what the reflector takes.
-const WAY: Span = Span::from_micros(700);
-const REFLECTION: Span = Span::from_micros(50);
+/// Delay of one direction, and time that the reflector takes.
+const ONE_WAY_DELAY: Span = Span::from_micros(700);
+const REFLECTOR_DELAY: Span = Span::from_micros(50);
 
 fn file(mode: &str, name: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("../../tests/fixtures/wire/probe/{name}.{mode}.bin"))
 }
 
-/// The requests and replies of two probes, the second of which is told when the first reply really left.
+/// Requests and replies of two probes. The second reply reports when the first one really left.
 struct Conversation {
     requests: [Vec<u8>; 2],
     replies: [Vec<u8>; 2],
@@ -31,7 +31,7 @@ struct Conversation {
 impl Conversation {
     const NAMES: [(&str, &str); 2] = [("request-1", "reply-1"), ("request-2", "reply-2")];
 
-    /// Returns the packets with their files' names.
+    /// Returns the packets with the names of their files.
     fn files(&self) -> impl Iterator<Item = (&'static str, &[u8])> {
         let pairs = Self::NAMES.into_iter().zip(self.requests.iter().zip(&self.replies));
         pairs.flat_map(|((request, reply), (asked, answered))| {
@@ -51,14 +51,14 @@ impl Conversation {
     }
 }
 
-/// Sends two probes. The packets that arrive are those of `stored` where it is given.
-fn exchange(mode: &Mode, stored: Option<&Conversation>) -> (Conversation, Vec<Heard>) {
+/// Sends two probes. If `stored` is given, its packets arrive in place of those that were sent.
+fn exchange(mode: &Mode, stored: Option<&Conversation>) -> (Conversation, Vec<ReplyResult>) {
     let key = mode.with_key.then(|| key(7));
     let edge = ManualClock::new(
         WallTime::from_unix_nanos(1_800_000_000_123_456_789),
         ClockIdentity::new("fixture", "edge"),
     );
-    let mut sender = Sending::new(SendingConfig {
+    let mut sender = SenderState::new(SenderConfig {
         key: key.clone(),
         instance: Some(INSTANCE),
         bound: mode.bound,
@@ -68,17 +68,17 @@ fn exchange(mode: &Mode, stored: Option<&Conversation>) -> (Conversation, Vec<He
         padding_bytes: 24,
         timeout: Span::from_seconds(1),
     });
-    let mut reflector = Reflecting::new(key, INSTANCE, 1000, true);
+    let mut reflector = ReflectorState::new(key, INSTANCE, 1000, true);
     let source: SocketAddr = "192.0.2.1:40000".parse().expect("an address");
     let mut conversation = Conversation { requests: Default::default(), replies: Default::default() };
-    let mut heard = Vec::new();
+    let mut reply_results = Vec::new();
     for number in 0..2 {
         let (departure, request) = sender.request_with(&edge, [0xA5; 16]);
         conversation.requests[number] = request.to_vec();
         sender.sent(departure);
-        edge.advance(WAY);
+        edge.advance(ONE_WAY_DELAY);
 
-        // Its free-running clock shows what the edge's does.
+        // The reflector's free-running clock shows the same time as the edge's.
         let elapsed = edge.raw() - ManualClock::FIRST_RAW;
         let began = edge.wall() + Span::from_seconds(3) - elapsed;
         let cloud = ManualClock::new(began, ClockIdentity::new("fixture", "cloud"));
@@ -87,29 +87,29 @@ fn exchange(mode: &Mode, stored: Option<&Conversation>) -> (Conversation, Vec<He
         let (received, received_raw) = (cloud.wall(), cloud.raw());
         let arrival = Arrival { source, received, received_raw, now: edge.mono() };
         let answer = reflector.prepare(&mut packet, &arrival).expect("the request is answered");
-        cloud.advance(REFLECTION);
+        cloud.advance(REFLECTOR_DELAY);
         let stamp = reflector.complete(&answer, &mut packet, &cloud);
         reflector.sent(&answer, stamp);
         let left = stamp + Span::from_micros(5);
         reflector.departed(&answer.session(), answer.sequence(), left.wall, left.raw);
         conversation.replies[number] = packet;
 
-        edge.advance(REFLECTION + WAY);
+        edge.advance(REFLECTOR_DELAY + ONE_WAY_DELAY);
         let (ahead, epoch) = (edge.wall_ahead(), edge.epoch());
-        let returned = Return { kernel: None, read: edge.stamp(), ahead, epoch };
+        let returned = ReplyArrival { kernel: None, read: edge.stamp(), ahead, epoch };
         let reply = &stored.map_or(&conversation, |stored| stored).replies[number];
-        heard.push(sender.receive(reply, &returned).expect("the reply is taken"));
+        reply_results.push(sender.receive(reply, &returned).expect("the reply is taken"));
         edge.advance(Span::from_millis(200));
     }
-    (conversation, heard)
+    (conversation, reply_results)
 }
 
-/// Which packets are sent.
+/// Mode of the packets.
 struct Mode {
     name: &'static str,
     with_key: bool,
     clocks: RelatedClocks,
-    /// Octets tie an answer to its request. They are random elsewhere.
+    /// `true` if octets tie an answer to its request. They are random in other code, and fixed here.
     bound: bool,
 }
 
@@ -147,23 +147,27 @@ fn stored_request_gets_stored_reply() {
     for kind in MODES {
         let mode = kind.name;
         let stored = Conversation::read(mode);
-        let (today, heard) = exchange(&kind, Some(&stored));
+        let (today, reply_results) = exchange(&kind, Some(&stored));
         for ((name, packet), (_, before)) in today.files().zip(stored.files()) {
             assert!(packet == before, "{name}.{mode}: the bytes changed: {packet:02x?}, were {before:02x?}");
         }
-        let [first, second] = heard[..] else { panic!("two probes are answered: {heard:?}") };
-        let answered = [first, second].map(|heard| heard.answered.expect("the clock was not set").exchange);
+        let [first, second] = reply_results[..] else { panic!("two probes are answered: {reply_results:?}") };
+        let answered = [first, second].map(|result| result.answered.expect("the clock was not set").exchange);
         for exchange in answered {
-            assert_eq!(exchange.returned - exchange.sent, WAY + REFLECTION + WAY, "{mode}");
+            assert_eq!(
+                exchange.returned - exchange.sent,
+                ONE_WAY_DELAY + REFLECTOR_DELAY + ONE_WAY_DELAY,
+                "{mode}"
+            );
             let start = WallTime::from_unix_nanos(1_800_000_000_123_456_789);
             let began = Span::from_nanos(start.unix_nanos() - ManualClock::FIRST_RAW.nanos());
             let ahead = match kind.clocks {
                 RelatedClocks::Raw => Span::ZERO,
                 _ => began + Span::from_seconds(3),
             };
-            assert_eq!(exchange.received - exchange.sent, WAY + ahead, "{mode}");
+            assert_eq!(exchange.received - exchange.sent, ONE_WAY_DELAY + ahead, "{mode}");
         }
-        // The second reply says when the first one really left.
+        // The second reply reports when the first one really left.
         let refined = second.refined.expect("the first exchange is refined").exchange;
         assert_eq!(refined.replied - answered[0].replied, Span::from_micros(5), "{mode}");
     }

@@ -1,4 +1,4 @@
-//! A reflector among forged probes.
+//! Tests of a reflector that receives forged probes.
 
 use std::net::Ipv4Addr;
 use std::time::Duration;
@@ -6,19 +6,21 @@ use std::time::Duration;
 use peernet_probes::{ProbeResult, ReflectorConfig, Refusal};
 use tokio::net::UdpSocket;
 
-use crate::support::{PATIENCE, Probing, Running, prober_config, reflector_config, system_clock};
+use crate::support::{
+    PATIENCE, RunningProber, RunningReflector, prober_config, reflector_config, system_clock,
+};
 
-/// Probes that the reflector took from its socket.
-fn looked_at(running: &Running) -> u64 {
+/// Returns the number of probes that the reflector has read from its socket.
+fn looked_at(running: &RunningReflector) -> u64 {
     let counts = running.figures.read();
     counts.answered + counts.refused.iter().map(|(_, count)| count).sum::<u64>()
 }
 
-/// Forged sources, as far as loopback has them: each packet comes from an address of its own.
+/// Sends forged sources as far as loopback supports them: each packet comes from another address.
 #[tokio::test]
 async fn peers_are_answered_while_forged_sources_flood() {
     let config = ReflectorConfig { max_per_source_hz: 20, ..reflector_config() };
-    let running = Running::start(config, system_clock("cloud"));
+    let running = RunningReflector::start(config, system_clock("cloud"));
     running.peers.send_replace(vec![running.address.ip()]);
     let mut sockets = Vec::new();
     for number in 0..500u32 {
@@ -29,7 +31,7 @@ async fn peers_are_answered_while_forged_sources_flood() {
     let begun = clock.mono();
     let mut config = prober_config(running.address);
     config.timeout = Duration::from_secs(2);
-    let mut probing = Probing::start(config, 20.0, system_clock("edge"));
+    let mut probing = RunningProber::start(config, 20.0, system_clock("edge"));
     let (mut answered, mut sent) = (0, 0);
     while answered < 40 {
         for some in sockets.chunks(100) {
@@ -37,7 +39,7 @@ async fn peers_are_answered_while_forged_sources_flood() {
                 socket.send_to(&[0; 44], running.address).await.expect("sent");
                 sent += 1;
             }
-            // The socket's buffer holds some 250 packets: what is beyond is lost before anybody can choose.
+            // The socket's buffer holds about 250 packets. Further ones would be lost before the reflector can choose.
             let looked_at = async {
                 while looked_at(&running) < sent {
                     tokio::task::yield_now().await;

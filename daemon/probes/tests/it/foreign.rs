@@ -1,4 +1,4 @@
-//! Interoperability with stamp-suite, in both roles.
+//! Tests of interoperability with stamp-suite, in both roles.
 
 use std::path::PathBuf;
 use std::process::{Child, Command, Stdio};
@@ -10,7 +10,8 @@ use serde_json::Value;
 use tempfile::TempDir;
 
 use crate::support::{
-    PATIENCE, Probing, Running, prober_config, reflector_config, system_clock, wall_ahead_of_this_host,
+    PATIENCE, RunningProber, RunningReflector, prober_config, reflector_config, system_clock,
+    wall_ahead_of_this_host,
 };
 
 fn stamp_suite() -> Command {
@@ -22,12 +23,12 @@ fn stamp_suite() -> Command {
         program.display()
     );
     let mut command = Command::new(program);
-    // Its key would come from there too.
+    // Removed, because stamp-suite would read its key from it.
     command.env_remove("STAMP_HMAC_KEY").env("RUST_LOG", "warn").stdin(Stdio::null());
     command
 }
 
-/// A key that both read from one file.
+/// A key that both programs read from one file.
 struct SharedKey {
     _folder: TempDir,
     path: PathBuf,
@@ -52,12 +53,12 @@ impl SharedKey {
     }
 }
 
-/// Ends with the test.
-struct Foreign(Child);
+/// A process that is killed when the test ends.
+struct ForeignProcess(Child);
 
-impl Drop for Foreign {
+impl Drop for ForeignProcess {
     fn drop(&mut self) {
-        // It may have ended by itself.
+        // Fails if it has already exited.
         let _ = self.0.kill();
         let _ = self.0.wait();
     }
@@ -74,7 +75,7 @@ async fn asked_by_their_sender(
     more: &[&str],
 ) -> Value {
     let config = ReflectorConfig { key: key.map(SharedKey::ours), stamps, ..reflector_config() };
-    let running = Running::start(config, system_clock("cloud"));
+    let running = RunningReflector::start(config, system_clock("cloud"));
     let mut command = stamp_suite();
     command
         .args(["--remote-addr", "127.0.0.1", "--remote-port", &running.address.port().to_string()])
@@ -97,7 +98,7 @@ async fn asked_by_their_sender(
     serde_json::from_str(summary).expect("JSON")
 }
 
-/// What their sender says of twenty probes over one clock.
+/// Checks their sender's summary of twenty probes over one clock.
 fn is_content(summary: &Value) {
     let measured = "/measurements";
     assert_eq!(number(summary, "/packets_received"), 20.0, "{summary}");
@@ -105,7 +106,7 @@ fn is_content(summary: &Value) {
     for flag in ["malformed", "integrity_failed"] {
         assert_eq!(number(summary, &format!("{measured}/tlv_validation/flags/{flag}")), 0.0, "{summary}");
     }
-    // One clock: both directions take time, and no more than the round trip.
+    // With one clock, both directions take time, and no more than the round trip.
     let round_trip = number(summary, "/max_rtt_ms");
     for way in ["forward", "reverse"] {
         let least = number(summary, &format!("/owd/{way}_min_ms"));
@@ -117,14 +118,14 @@ fn is_content(summary: &Value) {
 }
 
 #[tokio::test]
-async fn their_sender_is_content_with_our_reflector() {
+async fn foreign_sender_accepts_our_replies() {
     for (stamps, format) in [(Stamps::Kernel, "NTP"), (Stamps::Program, "PTP")] {
         is_content(&asked_by_their_sender(None, stamps, format, &[]).await);
     }
 }
 
 #[tokio::test]
-async fn their_authenticated_sender_is_content_with_our_reflector() {
+async fn foreign_authenticated_sender_accepts_our_replies() {
     let key = SharedKey::new();
     let summary = asked_by_their_sender(Some(&key), Stamps::Kernel, "NTP", &["--extra-padding", "64"]).await;
     is_content(&summary);
@@ -132,7 +133,7 @@ async fn their_authenticated_sender_is_content_with_our_reflector() {
 }
 
 #[tokio::test]
-async fn their_sender_learns_which_tlvs_we_do_not_know() {
+async fn foreign_sender_sees_unrecognized_tlvs_flagged() {
     let more = ["--direct-measurement", "--location", "--extra-padding", "200"];
     let summary = asked_by_their_sender(None, Stamps::Kernel, "NTP", &more).await;
     is_content(&summary);
@@ -144,7 +145,7 @@ async fn answered_by_their_reflector(
     key: Option<&SharedKey>,
     more: &[&str],
 ) -> Vec<ProbeResult> {
-    // Out of the range from which the system gives ports away, on an address that only this test uses.
+    // A port outside the range from which the system assigns ports, on an address that only this test uses.
     let target = std::net::SocketAddr::new(address.parse().expect("an address"), 18_620);
     assert!(target.ip().is_loopback());
     let mut command = stamp_suite();
@@ -155,12 +156,12 @@ async fn answered_by_their_reflector(
     if let Some(key) = key {
         key.give(&mut command);
     }
-    let _foreign = Foreign(command.spawn().expect("it runs"));
+    let _foreign = ForeignProcess(command.spawn().expect("it runs"));
     let mut config = prober_config(target);
     config.key = key.map(SharedKey::ours);
     config.padding_bytes = 50;
     config.clocks = RelatedClocks::RawToWall;
-    let mut probing = Probing::start(config, 100.0, system_clock("edge"));
+    let mut probing = RunningProber::start(config, 100.0, system_clock("edge"));
     let mut results = Vec::new();
     let answered = async {
         while results.iter().filter(|result| matches!(result, ProbeResult::Answered(_))).count() < 30 {
@@ -178,7 +179,7 @@ fn of_one_clock(observation: &ExchangeObservation) {
     assert_eq!((observation.cloud_epoch, observation.exchange.uncertainty), (None, uncertainty::FOREIGN));
 }
 
-/// Nothing is refused or lost. Their follow-up may repeat the program's stamp: then there is nothing to refine.
+/// Checks that nothing is refused or lost. Their follow-up may repeat the program's stamp; then nothing is refined.
 fn is_sound(results: &[ProbeResult]) {
     for result in results {
         match result {
@@ -192,14 +193,14 @@ fn is_sound(results: &[ProbeResult]) {
 }
 
 #[tokio::test]
-async fn our_prober_is_answered_by_their_reflector() {
+async fn foreign_reflector_answers_our_prober() {
     is_sound(&answered_by_their_reflector("127.86.20.1", None, &["--stateful-reflector"]).await);
     is_sound(&answered_by_their_reflector("127.86.20.2", None, &["--clock-source", "PTP"]).await);
     is_sound(&answered_by_their_reflector("127.86.20.3", None, &["--tlv-mode", "ignore"]).await);
 }
 
 #[tokio::test]
-async fn our_authenticated_prober_is_answered_by_their_reflector() {
+async fn foreign_reflector_answers_our_authenticated_prober() {
     let key = SharedKey::new();
     is_sound(&answered_by_their_reflector("127.86.20.4", Some(&key), &["--stateful-reflector"]).await);
 }

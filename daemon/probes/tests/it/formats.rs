@@ -1,4 +1,4 @@
-//! Stamps, packets and codes as they travel.
+//! Tests of the wire forms of stamps, packets and codes.
 
 use std::os::unix::fs::PermissionsExt;
 
@@ -18,7 +18,7 @@ fn at(seconds: i64, nanos: i64) -> WallTime {
 }
 
 #[test]
-fn stamps_are_where_the_standards_have_them() {
+fn timestamps_have_the_standard_layout() {
     // 1970 in NTP's time, RFC 5905 figure 4.
     assert_eq!(Format::Ntp.encode(at(0, 0)), 2_208_988_800 << 32);
     assert_eq!(Format::Ntp.encode(at(0, SECOND / 2)), (2_208_988_800 << 32) | 1 << 31);
@@ -27,7 +27,7 @@ fn stamps_are_where_the_standards_have_them() {
 }
 
 #[test]
-fn the_rollover_of_2036_is_only_a_number() {
+fn ntp_timestamps_are_exact_around_2036_rollover() {
     // NTP's second era begins on 2036-02-07 at 06:28:16 UTC.
     let rollover = 2_085_978_496;
     assert_eq!(Format::Ntp.encode(at(rollover, 0)), 0);
@@ -41,7 +41,7 @@ fn the_rollover_of_2036_is_only_a_number() {
 }
 
 #[test]
-fn an_error_estimate_is_never_too_small() {
+fn error_estimate_has_format_and_valid_multiplier() {
     let estimate = ErrorEstimate::new(Format::Ptp, Span::from_nanos(4));
     assert_eq!(estimate.format(), Format::Ptp);
     assert!(!estimate.synchronised(), "we do not claim UTC");
@@ -52,7 +52,7 @@ fn an_error_estimate_is_never_too_small() {
 
 proptest! {
     #[test]
-    fn a_stamp_comes_back_exactly(seconds in -1_000_000_000i64..4_000_000_000, nanos in 0..SECOND, away in -2_000_000_000i64..2_000_000_000) {
+    fn encoded_timestamp_decodes_to_same_value(seconds in -1_000_000_000i64..4_000_000_000, nanos in 0..SECOND, away in -2_000_000_000i64..2_000_000_000) {
         let time = at(seconds, nanos);
         let near = at(seconds + away, 0);
         for format in [Format::Ntp, Format::Ptp] {
@@ -61,7 +61,7 @@ proptest! {
     }
 
     #[test]
-    fn any_64_bits_and_any_present_are_survived(bits: u64, near: i64) {
+    fn any_timestamp_is_converted_without_panic(bits: u64, near: i64) {
         for format in [Format::Ntp, Format::Ptp] {
             let _ = format.decode(bits, WallTime::from_unix_nanos(near));
             let _ = format.encode(WallTime::from_unix_nanos(near));
@@ -69,7 +69,7 @@ proptest! {
     }
 
     #[test]
-    fn an_estimate_holds_its_error(nanos in 0i64..1_000_000_000_000) {
+    fn encoded_error_estimate_covers_the_error(nanos in 0i64..1_000_000_000_000) {
         let error = Span::from_nanos(nanos);
         let estimate = ErrorEstimate::new(Format::Ntp, error);
         prop_assert!(estimate.error() + Span::from_nanos(1) >= error, "{} for {}", estimate.error().nanos(), nanos);
@@ -77,7 +77,7 @@ proptest! {
     }
 
     #[test]
-    fn packets_come_back(sequence: u32, timestamp: u64, bits: u16, ssid: u16, received: u64, number: u32, left: u64, own: u16, ttl: u8) {
+    fn encoded_packets_decode_to_same_values(sequence: u32, timestamp: u64, bits: u16, ssid: u16, received: u64, number: u32, left: u64, own: u16, ttl: u8) {
         for mode in [Mode::Open, Mode::Authenticated] {
             let asked = Request { sequence, timestamp, estimate: ErrorEstimate::from_bits(bits), ssid };
             let mut packet = vec![0xAA; mode.base_bytes()];
@@ -92,7 +92,7 @@ proptest! {
 }
 
 #[test]
-fn fields_are_where_rfc_8762_and_8972_have_them() {
+fn fields_have_the_layout_of_the_rfcs() {
     let asked = Request {
         sequence: 0x0102_0304,
         timestamp: 0x1112_1314_1516_1718,
@@ -150,7 +150,7 @@ fn the_code_is_hmac_sha_256_cut_to_16_bytes() {
 }
 
 #[test]
-fn a_base_packet_that_was_touched_anywhere_is_refused() {
+fn altered_base_packet_is_refused() {
     let mut packet = [3; 112];
     packet::seal(&key(7), &mut packet);
     assert!(packet::is_sealed(&key(7), &packet));
@@ -164,7 +164,7 @@ fn a_base_packet_that_was_touched_anywhere_is_refused() {
 }
 
 #[test]
-fn a_chain_of_tlvs_ends_where_no_further_one_can_begin() {
+fn tlv_iteration_ends_where_no_tlv_can_begin() {
     let kinds =
         |bytes: &[u8]| tlv::places(bytes).map(|place| (place.kind, place.overruns)).collect::<Vec<_>>();
     assert_eq!(kinds(&[]), []);
@@ -174,7 +174,7 @@ fn a_chain_of_tlvs_ends_where_no_further_one_can_begin() {
 }
 
 #[test]
-fn a_key_is_read_from_a_file_of_ones_own() {
+fn key_is_read_from_private_file_only() {
     let folder = tempfile::tempdir().expect("a folder");
     let path = folder.path().join("probes.key");
     let write = |text: &str, mode| {

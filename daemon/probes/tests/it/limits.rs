@@ -1,4 +1,4 @@
-//! How many probes are answered, and whose.
+//! Tests of the rates at which a reflector answers.
 
 use std::net::{IpAddr, Ipv4Addr};
 
@@ -20,7 +20,7 @@ fn admitted(limiter: &mut Limiter, address: IpAddr, now: MonoTime, asked: usize)
 }
 
 #[test]
-fn a_source_has_one_seconds_worth_and_then_its_rate() {
+fn source_is_limited_after_burst_of_one_second() {
     let mut limiter = Limiter::new(20);
     let (one, start) = (address("10.0.0.1"), MonoTime::from_nanos(5));
     assert_eq!(admitted(&mut limiter, one, start, 100), 20);
@@ -35,7 +35,7 @@ fn a_source_has_one_seconds_worth_and_then_its_rate() {
 }
 
 #[test]
-fn an_ipv6_network_is_one_source() {
+fn ipv6_network_counts_as_one_source() {
     let mut limiter = Limiter::new(5);
     let now = MonoTime::from_nanos(0);
     assert_eq!(admitted(&mut limiter, address("10.0.0.1"), now, 9), 5);
@@ -69,7 +69,7 @@ fn reopened_sessions_do_not_refill_the_bucket() {
 }
 
 proptest! {
-    /// A peer with a session that asks at its rate is always answered, whatever forged sources do.
+    /// A peer with a session that asks at its rate is always answered, whatever forged sources send.
     #[test]
     fn peers_are_answered_during_any_flood(
         rate in 1u32..200,
@@ -89,7 +89,8 @@ proptest! {
         }
     }
 
-    /// Neither one source nor all without a session together get more than one second's worth beyond their rate.
+    /// Neither one source nor all sources without a session together get more than one second's replies beyond their
+    /// rate.
     #[test]
     fn replies_never_exceed_the_rates(
         rate in 1u32..50,
@@ -100,7 +101,7 @@ proptest! {
         let mut replies: Vec<(u32, bool, MonoTime)> = Vec::new();
         for (source, pause, is_peer) in arrivals {
             now = now + Span::from_nanos(pause);
-            // Sessions come and go meanwhile.
+            // Sessions are opened and closed in between.
             if source == 0 {
                 let peers = [forged(0)];
                 limiter.set_peers(&peers[..usize::from(is_peer)]);

@@ -1,4 +1,4 @@
-//! Both roles over real sockets.
+//! Tests of both roles over real sockets.
 
 use std::time::Duration;
 
@@ -11,7 +11,7 @@ use tokio::net::UdpSocket;
 use tokio_util::sync::CancellationToken;
 
 use crate::support::{
-    INSTANCE, Probing, Running, key, loopback, prober_config, reflector_config, system_clock,
+    INSTANCE, RunningProber, RunningReflector, key, loopback, prober_config, reflector_config, system_clock,
     wall_ahead_of_this_host,
 };
 
@@ -23,18 +23,18 @@ fn refined(result: &ProbeResult) -> Option<ExchangeObservation> {
     if let ProbeResult::Refined(observation) = result { Some(*observation) } else { None }
 }
 
-/// On one clock the offset is zero: the bounds must hold it, every time.
+/// Returns whether the bounds of an exchange on one clock contain the true offset of zero.
 fn holds_zero(observation: &ExchangeObservation) -> bool {
     let Interval { lo, hi } = observation.exchange.bounds();
     lo <= Span::ZERO && Span::ZERO <= hi
 }
 
 async fn many(reflector: ReflectorConfig, stamps: Stamps, with_key: bool) -> Vec<ProbeResult> {
-    let running = Running::start(reflector, system_clock("cloud"));
+    let running = RunningReflector::start(reflector, system_clock("cloud"));
     let mut config = prober_config(running.address);
     config.stamps = stamps;
     config.key = with_key.then(|| key(7));
-    let mut probing = Probing::start(config, 500.0, system_clock("edge"));
+    let mut probing = RunningProber::start(config, 500.0, system_clock("edge"));
     let mut results = Vec::new();
     while results.iter().filter_map(answered).count() < 100 {
         results.push(probing.next().await);
@@ -48,7 +48,7 @@ async fn many(reflector: ReflectorConfig, stamps: Stamps, with_key: bool) -> Vec
 }
 
 #[tokio::test]
-async fn every_exchange_on_one_clock_holds_the_truth_in_both_modes_and_with_both_kinds_of_stamps() {
+async fn exchanges_on_one_clock_contain_zero_offset() {
     for (stamps, with_key, stateful) in [
         (Stamps::Kernel, false, true),
         (Stamps::Kernel, true, true),
@@ -75,8 +75,8 @@ async fn every_exchange_on_one_clock_holds_the_truth_in_both_modes_and_with_both
 }
 
 #[tokio::test]
-async fn the_kernel_stamps_both_directions_here_and_the_reply_is_refined_by_the_next() {
-    let running = Running::start(reflector_config(), system_clock("cloud"));
+async fn kernel_stamps_are_used_and_refine_replies() {
+    let running = RunningReflector::start(reflector_config(), system_clock("cloud"));
     let prober = Prober::open(prober_config(running.address), system_clock("edge")).expect("a socket");
     assert_eq!(prober.stamps_in_words(), "kernel, send and receive");
     drop(prober);
@@ -85,7 +85,7 @@ async fn the_kernel_stamps_both_directions_here_and_the_reply_is_refined_by_the_
         let reflector = Reflector::bind(config, system_clock("cloud")).expect("a free port");
         assert_eq!(reflector.stamps_in_words(), words);
     }
-    let mut probing = Probing::start(prober_config(running.address), 200.0, system_clock("edge"));
+    let mut probing = RunningProber::start(prober_config(running.address), 200.0, system_clock("edge"));
     let mut known = Vec::new();
     for _ in 0..20 {
         let (better, before) = probing.until(refined).await;
@@ -107,7 +107,7 @@ async fn the_kernel_stamps_both_directions_here_and_the_reply_is_refined_by_the_
 }
 
 #[tokio::test]
-async fn a_reflector_without_sessions_or_with_the_programs_stamps_refines_nothing() {
+async fn reflector_without_sessions_or_kernel_stamps_refines_nothing() {
     for config in [
         ReflectorConfig { stateful: false, ..reflector_config() },
         ReflectorConfig { stamps: Stamps::Program, ..reflector_config() },
@@ -118,7 +118,7 @@ async fn a_reflector_without_sessions_or_with_the_programs_stamps_refines_nothin
 }
 
 #[tokio::test]
-async fn a_false_clock_shows_in_kernel_stamps_and_the_bounds_hold_it() {
+async fn bounds_contain_offset_of_shifted_clock() {
     let truth = system_clock("edge");
     let ahead = Span::from_millis(1370);
     let description = ClockFaults { offset: ahead, drift_ppm: 0.0, steps: Vec::new(), since: truth.wall() };
@@ -127,8 +127,8 @@ async fn a_false_clock_shows_in_kernel_stamps_and_the_bounds_hold_it() {
         ClockIdentity::new("test", "rehearsal"),
         description,
     ));
-    let running = Running::start(reflector_config(), cloud);
-    let mut probing = Probing::start(prober_config(running.address), 200.0, truth);
+    let running = RunningReflector::start(reflector_config(), cloud);
+    let mut probing = RunningProber::start(prober_config(running.address), 200.0, truth);
     for _ in 0..50 {
         let (observation, _) = probing.until(answered).await;
         let Interval { lo, hi } = observation.exchange.bounds();
@@ -138,7 +138,8 @@ async fn a_false_clock_shows_in_kernel_stamps_and_the_bounds_hold_it() {
     running.stop().await;
 }
 
-/// A wall clock that is set again and again, a thousand times: by much and by as little as a kernel's stamp gains.
+/// Returns a wall clock that is set a thousand times, by large steps and by steps as small as the gain of a kernel's
+/// stamp.
 fn set_all_the_time(name: &str, every: Span, by: [Span; 2]) -> SharedClock {
     let truth = system_clock(name);
     let at = |number: i64| Span::from_nanos(every.nanos() * number);
@@ -149,14 +150,14 @@ fn set_all_the_time(name: &str, every: Span, by: [Span; 2]) -> SharedClock {
 }
 
 #[tokio::test]
-async fn wall_clocks_that_are_set_all_the_time_reach_no_exchange() {
+async fn setting_wall_clocks_changes_no_exchange() {
     let (much, little) = (Span::from_millis(20), Span::from_micros(15));
     for direction in [1, -1] {
         let by = [much, little].map(|by| Span::from_nanos(direction * by.nanos()));
         let cloud = set_all_the_time("cloud", Span::from_millis(7), by);
         let edge = set_all_the_time("edge", Span::from_millis(5), by);
-        let running = Running::start(reflector_config(), cloud.clone());
-        let mut probing = Probing::start(prober_config(running.address), 500.0, edge.clone());
+        let running = RunningReflector::start(reflector_config(), cloud.clone());
+        let mut probing = RunningProber::start(prober_config(running.address), 500.0, edge.clone());
         let (mut answers, mut corrections) = (0, 0);
         while answers < 300 {
             match probing.next().await {
@@ -180,14 +181,15 @@ async fn wall_clocks_that_are_set_all_the_time_reach_no_exchange() {
 }
 
 #[tokio::test]
-async fn over_ipv6_with_padding_and_any_address_to_listen_on() {
+async fn padded_probes_over_ipv6_and_ipv4_are_answered() {
     let listen = "[::]:0".parse().expect("an address");
-    let running = Running::start(ReflectorConfig { listen, ..reflector_config() }, system_clock("cloud"));
+    let running =
+        RunningReflector::start(ReflectorConfig { listen, ..reflector_config() }, system_clock("cloud"));
     for host in ["::1", "127.0.0.1"] {
         let target = std::net::SocketAddr::new(host.parse().expect("an address"), running.address.port());
         let mut config = prober_config(target);
         config.padding_bytes = 1000;
-        let mut probing = Probing::start(config, 100.0, system_clock("edge"));
+        let mut probing = RunningProber::start(config, 100.0, system_clock("edge"));
         let (observation, _) = probing.until(answered).await;
         assert!(holds_zero(&observation), "{host}: {observation:?}");
         probing.stop().await;
@@ -196,15 +198,15 @@ async fn over_ipv6_with_padding_and_any_address_to_listen_on() {
 }
 
 #[tokio::test]
-async fn who_has_another_key_or_none_gets_no_answer() {
+async fn prober_without_the_key_gets_no_reply() {
     let config = ReflectorConfig { key: Some(key(7)), ..reflector_config() };
-    let running = Running::start(config, system_clock("cloud"));
+    let running = RunningReflector::start(config, system_clock("cloud"));
     for wrong in [Some(key(8)), None] {
         let mut config = prober_config(running.address);
-        // Without the room for raw stamps an open request is shorter than an authenticated one can be.
+        // Without the TLV for raw stamps, an open request is shorter than an authenticated one.
         (config.key, config.clocks) = (wrong, RelatedClocks::RawToWall);
         config.timeout = Duration::from_millis(50);
-        let mut probing = Probing::start(config, 100.0, system_clock("edge"));
+        let mut probing = RunningProber::start(config, 100.0, system_clock("edge"));
         let (_, before) = probing.until(|result| (*result == ProbeResult::Lost).then_some(())).await;
         assert!(before.iter().all(|result| *result == ProbeResult::Sent), "{before:?}");
         probing.stop().await;
@@ -216,12 +218,12 @@ async fn who_has_another_key_or_none_gets_no_answer() {
 }
 
 #[tokio::test]
-async fn a_source_that_asks_too_often_is_answered_at_the_limit() {
+async fn source_above_its_rate_is_answered_at_limit() {
     let config = ReflectorConfig { max_per_source_hz: 5, ..reflector_config() };
-    let running = Running::start(config, system_clock("cloud"));
+    let running = RunningReflector::start(config, system_clock("cloud"));
     let socket = UdpSocket::bind(loopback()).await.expect("a socket");
     let request = [0; 44];
-    // Far more than five seconds' worth, in far less time, or the limit would allow more anyway.
+    // Far more than the requests of five seconds, in far less time; otherwise the limit would allow more.
     let clock = system_clock("edge");
     let begun = clock.mono();
     for _ in 0..200 {
@@ -244,12 +246,13 @@ async fn a_source_that_asks_too_often_is_answered_at_the_limit() {
 }
 
 #[tokio::test]
-async fn the_rate_can_be_changed_and_zero_pauses() {
-    let running = Running::start(reflector_config(), system_clock("cloud"));
-    let mut probing = Probing::start(prober_config(running.address), 0.0, system_clock("edge"));
+async fn rate_can_be_changed_and_zero_pauses() {
+    let running = RunningReflector::start(reflector_config(), system_clock("cloud"));
+    let mut probing = RunningProber::start(prober_config(running.address), 0.0, system_clock("edge"));
     let quiet = tokio::time::timeout(Duration::from_millis(200), probing.results.recv()).await;
     assert!(quiet.is_err(), "nothing is sent while paused: {quiet:?}");
-    // From once in a quarter of an hour to a hundred a second: only "at once" ends this test in time.
+    // From one probe in a quarter of an hour to one hundred per second: the test only ends in time if the rate applies
+    // at once.
     probing.rate_hz.send(0.001).expect("it listens");
     probing.until(answered).await;
     probing.rate_hz.send(100.0).expect("it listens");
@@ -257,28 +260,28 @@ async fn the_rate_can_be_changed_and_zero_pauses() {
         probing.until(answered).await;
     }
     probing.rate_hz.send(0.0).expect("it listens");
-    // What was under way may still be told; then nothing more.
+    // Results of probes in flight may still arrive, but nothing afterwards.
     while tokio::time::timeout(Duration::from_millis(300), probing.results.recv()).await.is_ok() {}
     probing.stop().await;
     running.stop().await;
 }
 
 #[tokio::test]
-async fn without_a_reflector_probes_are_lost_and_probing_goes_on() {
+async fn prober_without_reflector_loses_probes_and_continues() {
     let silent = UdpSocket::bind(loopback()).await.expect("a socket");
     let mut config = prober_config(silent.local_addr().expect("bound"));
     config.timeout = Duration::from_millis(20);
-    let mut probing = Probing::start(config.clone(), 100.0, system_clock("edge"));
+    let mut probing = RunningProber::start(config.clone(), 100.0, system_clock("edge"));
     for _ in 0..3 {
         probing.until(|result| (*result == ProbeResult::Lost).then_some(())).await;
     }
-    // Now nobody has the port, and the system says so.
+    // No program has the port now, and the system reports it.
     drop(silent);
     for _ in 0..3 {
         probing.until(|result| (*result == ProbeResult::Lost).then_some(())).await;
     }
-    // And here comes a reflector.
-    let running = Running::start(
+    // A reflector starts on the port.
+    let running = RunningReflector::start(
         ReflectorConfig { listen: config.target, ..reflector_config() },
         system_clock("cloud"),
     );
@@ -287,15 +290,15 @@ async fn without_a_reflector_probes_are_lost_and_probing_goes_on() {
     running.stop().await;
 }
 
-/// The system's clock as a program sees it that is shown a false time, of which the kernel knows nothing: as under
+/// The system's clock as seen by a program to which a false time is shown, of which the kernel knows nothing, as under
 /// libfaketime.
 #[derive(Debug)]
-struct Shown {
+struct ShownClock {
     system: SystemClock,
     ahead: Span,
 }
 
-impl Clock for Shown {
+impl Clock for ShownClock {
     fn wall(&self) -> WallTime {
         self.system.wall() + self.ahead
     }
@@ -314,12 +317,12 @@ impl Clock for Shown {
 }
 
 fn shown(ahead: Span) -> SharedClock {
-    std::sync::Arc::new(Shown { system: SystemClock::new(ClockIdentity::new("test", "shown")), ahead })
+    std::sync::Arc::new(ShownClock { system: SystemClock::new(ClockIdentity::new("test", "shown")), ahead })
 }
 
 #[tokio::test]
-async fn a_time_that_is_shown_to_the_program_alone_is_not_mixed_with_the_kernels() {
-    // By so little that the kernel's stamps of departures look as if they could be true, and by much.
+async fn bounds_hold_with_shifted_program_clock() {
+    // A small difference, with which the kernel's departure stamps look plausible, and a large one.
     let (little, much) = (Span::from_millis(900), Span::from_seconds(3600));
     for (edge, cloud) in [
         (-little, Span::ZERO),
@@ -329,10 +332,10 @@ async fn a_time_that_is_shown_to_the_program_alone_is_not_mixed_with_the_kernels
         (-little, much),
     ] {
         for clocks in [RelatedClocks::Raw, RelatedClocks::RawToWall] {
-            let running = Running::start(reflector_config(), shown(cloud));
+            let running = RunningReflector::start(reflector_config(), shown(cloud));
             let mut config = prober_config(running.address);
             (config.instance, config.clocks) = (Some(INSTANCE), clocks);
-            let mut probing = Probing::start(config, 200.0, shown(edge));
+            let mut probing = RunningProber::start(config, 200.0, shown(edge));
             let holds = |observation: &ExchangeObservation| {
                 let bounds = observation.exchange.bounds();
                 let offset = match clocks {
@@ -355,7 +358,7 @@ async fn a_time_that_is_shown_to_the_program_alone_is_not_mixed_with_the_kernels
 }
 
 #[tokio::test]
-async fn where_stamps_are_made_is_known_before_the_first_probe() {
+async fn stamp_source_is_known_before_first_probe() {
     let target = loopback();
     for (ahead, words) in [(Span::ZERO, "kernel, send and receive"), (Span::from_millis(50), "program")] {
         let mut prober = Prober::open(prober_config(target), shown(ahead)).expect("a socket");
@@ -365,10 +368,10 @@ async fn where_stamps_are_made_is_known_before_the_first_probe() {
 }
 
 #[tokio::test]
-async fn another_process_than_was_expected_is_refused() {
-    let running = Running::start(reflector_config(), system_clock("cloud"));
+async fn reply_of_unexpected_process_is_refused() {
+    let running = RunningReflector::start(reflector_config(), system_clock("cloud"));
     let config = peernet_probes::ProberConfig { instance: Some(7), ..prober_config(running.address) };
-    let mut probing = Probing::start(config, 100.0, system_clock("edge"));
+    let mut probing = RunningProber::start(config, 100.0, system_clock("edge"));
     let refusal =
         |result: &ProbeResult| if let ProbeResult::Refused(why) = result { Some(*why) } else { None };
     let (why, before) = probing.until(refusal).await;
@@ -379,11 +382,11 @@ async fn another_process_than_was_expected_is_refused() {
 }
 
 #[tokio::test]
-async fn only_the_target_is_believed() {
+async fn reply_from_another_address_is_refused() {
     let target = UdpSocket::bind(loopback()).await.expect("a socket");
     let other = UdpSocket::bind(loopback()).await.expect("a socket");
     let mut probing =
-        Probing::start(prober_config(target.local_addr().expect("bound")), 1.0, system_clock("edge"));
+        RunningProber::start(prober_config(target.local_addr().expect("bound")), 1.0, system_clock("edge"));
     let mut packet = [0; 2048];
     let (bytes, prober) = target.recv_from(&mut packet).await.expect("a probe");
     other.send_to(&packet[..bytes], prober).await.expect("sent");
@@ -398,11 +401,11 @@ async fn only_the_target_is_believed() {
 }
 
 #[tokio::test]
-async fn a_prober_ends_when_nobody_listens() {
+async fn prober_ends_when_receiver_is_dropped() {
     let silent = UdpSocket::bind(loopback()).await.expect("a socket");
     let config = prober_config(silent.local_addr().expect("bound"));
     let prober = Prober::open(config, system_clock("edge")).expect("a socket");
-    // The rate stays at zero: there is nothing to tell by which it could notice.
+    // The rate stays at zero, so that there is no result through which the prober could notice.
     let (_rate, rate_hz) = tokio::sync::watch::channel(0.0);
     let (tell, results) = tokio::sync::mpsc::channel(1);
     let task = tokio::spawn(prober.run(rate_hz, tell, CancellationToken::new()));
@@ -411,7 +414,7 @@ async fn a_prober_ends_when_nobody_listens() {
 }
 
 #[tokio::test]
-async fn errors_of_binding_say_what_to_do() {
+async fn bind_errors_contain_advice() {
     let taken = Reflector::bind(reflector_config(), system_clock("cloud")).expect("a free port");
     let again = ReflectorConfig { listen: taken.address(), ..reflector_config() };
     let error = Reflector::bind(again, system_clock("cloud")).expect_err("taken");

@@ -1,4 +1,4 @@
-//! Probes over real sockets, and the protocol's logic without them.
+//! Tests of probes over real sockets, and of the protocol's state machines without them.
 
 mod fixtures;
 mod flood;

@@ -1,4 +1,4 @@
-//! Any bytes at both roles, and what the fuzz target has found worth keeping.
+//! Tests of both roles with arbitrary bytes, and with the corpus of the fuzz target.
 
 use std::path::Path;
 
@@ -9,13 +9,13 @@ proptest! {
     #![proptest_config(ProptestConfig::with_cases(2000))]
 
     #[test]
-    fn any_bytes_are_survived(data: Vec<u8>) {
+    fn any_bytes_are_read_without_panic(data: Vec<u8>) {
         any_packet(&data);
     }
 
-    /// Long enough for a packet, with TLVs of plausible types and lengths.
+    /// Bytes of the length of a packet, with TLVs of plausible types and lengths.
     #[test]
-    fn almost_packets_are_survived(
+    fn damaged_packets_are_read_without_panic(
         how: u8,
         base in proptest::collection::vec(any::<u8>(), 112),
         tlvs in proptest::collection::vec((any::<u8>(), prop_oneof![Just(1u8), Just(7), Just(8), Just(252), any::<u8>()], 0u16..40, 0usize..40), 0..8),
@@ -26,7 +26,7 @@ proptest! {
         for (flags, kind, length, bytes) in tlvs {
             data.extend([flags, kind]);
             data.extend(length.to_be_bytes());
-            // Most have the length that they say.
+            // Most TLVs have the length that they claim.
             let bytes = if bytes < 30 { usize::from(length) } else { bytes };
             data.extend(vec![flags; bytes]);
         }
@@ -36,7 +36,7 @@ proptest! {
 }
 
 #[test]
-fn the_fuzz_targets_corpus_is_survived() {
+fn fuzz_corpus_passes() {
     let corpus = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../fuzz/corpus/packet");
     let entries = std::fs::read_dir(&corpus).expect("fuzz/corpus/packet is part of the checkout");
     let mut seen = 0;

@@ -1,4 +1,4 @@
-//! What a reflector makes of packets.
+//! Tests of the reflector's state machine.
 
 use std::net::SocketAddr;
 
@@ -6,7 +6,7 @@ use peernet_clock::{Clock, ClockIdentity, ManualClock, Span, WallTime};
 use peernet_probes::Refusal;
 use peernet_probes::stamp::auth::Key;
 use peernet_probes::stamp::packet::{self, Mode, Reply, Request};
-use peernet_probes::stamp::reflector::{Answer, Arrival, Reflecting};
+use peernet_probes::stamp::reflector::{Answer, Arrival, ReflectorState};
 use peernet_probes::stamp::timestamp::{ErrorEstimate, Format};
 use peernet_probes::stamp::tlv::{self, FollowUp, Origin, RawStamps};
 
@@ -26,7 +26,7 @@ fn arrival(clock: &ManualClock) -> Arrival {
     Arrival { source: source(), received: clock.wall(), received_raw: clock.raw(), now: clock.mono() }
 }
 
-/// A request with the given TLVs (type, value).
+/// Returns a request with these TLVs (type, value).
 fn request(key: Option<&Key>, sequence: u32, ssid: u16, tlvs: &[(u8, &[u8])]) -> Vec<u8> {
     let mode = Mode::of(key);
     let mut packet = vec![0; mode.base_bytes()];
@@ -43,7 +43,7 @@ fn request(key: Option<&Key>, sequence: u32, ssid: u16, tlvs: &[(u8, &[u8])]) ->
     packet
 }
 
-fn answer(reflector: &mut Reflecting, clock: &ManualClock, packet: &mut [u8]) -> Result<Answer, Refusal> {
+fn answer(reflector: &mut ReflectorState, clock: &ManualClock, packet: &mut [u8]) -> Result<Answer, Refusal> {
     let answer = reflector.prepare(packet, &arrival(clock))?;
     let stamp = reflector.complete(&answer, packet, clock);
     reflector.sent(&answer, stamp);
@@ -56,10 +56,10 @@ fn tlvs_of(packet: &[u8], base: usize) -> Vec<(u8, u8, Vec<u8>)> {
 }
 
 #[test]
-fn the_answer_holds_both_stamps_and_the_question() {
+fn reply_contains_both_stamps_and_the_request() {
     for format in [Format::Ntp, Format::Ptp] {
         let clock = clock();
-        let mut reflector = Reflecting::new(None, INSTANCE, 100, false);
+        let mut reflector = ReflectorState::new(None, INSTANCE, 100, false);
         let asked = Request {
             sequence: 77,
             timestamp: format.encode(NOW - Span::from_seconds(3)),
@@ -80,10 +80,10 @@ fn the_answer_holds_both_stamps_and_the_question() {
 }
 
 #[test]
-fn a_reflector_with_sessions_numbers_its_replies_for_each() {
+fn replies_are_numbered_per_session() {
     let clock = clock();
-    let mut reflector = Reflecting::new(None, INSTANCE, 100, true);
-    let number = |reflector: &mut Reflecting, sequence, ssid| {
+    let mut reflector = ReflectorState::new(None, INSTANCE, 100, true);
+    let number = |reflector: &mut ReflectorState, sequence, ssid| {
         let mut packet = request(None, sequence, ssid, &[]);
         answer(reflector, &clock, &mut packet).expect("answered").sequence()
     };
@@ -97,9 +97,9 @@ fn a_reflector_with_sessions_numbers_its_replies_for_each() {
 }
 
 #[test]
-fn the_follow_up_tells_when_the_previous_reply_left() {
+fn follow_up_contains_departure_of_previous_reply() {
     let clock = clock();
-    let mut reflector = Reflecting::new(None, INSTANCE, 100, true);
+    let mut reflector = ReflectorState::new(None, INSTANCE, 100, true);
     let room: (u8, &[u8]) = (tlv::FOLLOW_UP, &[0; FollowUp::BYTES]);
     let follow_up = |packet: &[u8]| match &tlvs_of(packet, 44)[..] {
         [(tlv::FOLLOW_UP, 0, value)] => FollowUp::from_value(value),
@@ -108,7 +108,7 @@ fn the_follow_up_tells_when_the_previous_reply_left() {
     let mut first = request(None, 5, 1, &[room]);
     let answered = answer(&mut reflector, &clock, &mut first).expect("answered");
     assert_eq!(follow_up(&first), None, "there was none before");
-    // Neither before the program's stamp nor absurdly late, nor of another reply.
+    // Ignored: a stamp before the program's, one that is absurdly late, and one of another reply.
     let (session, left) = (answered.session(), NOW + Span::from_micros(17));
     let mut departed = |sequence, after| {
         reflector.departed(&session, sequence, NOW + after, ManualClock::FIRST_RAW + after);
@@ -123,7 +123,7 @@ fn the_follow_up_tells_when_the_previous_reply_left() {
     answer(&mut reflector, &clock, &mut second).expect("answered");
     assert_eq!(follow_up(&second), Some(FollowUp { sequence: 0, timestamp: Format::Ntp.encode(left) }));
 
-    let mut stateless = Reflecting::new(None, INSTANCE, 100, false);
+    let mut stateless = ReflectorState::new(None, INSTANCE, 100, false);
     for _ in 0..2 {
         let mut packet = request(None, 7, 1, &[(tlv::FOLLOW_UP, &[9; FollowUp::BYTES])]);
         answer(&mut stateless, &clock, &mut packet).expect("answered");
@@ -136,9 +136,9 @@ fn the_follow_up_tells_when_the_previous_reply_left() {
 }
 
 #[test]
-fn tlvs_are_flagged_and_go_back_in_their_order() {
+fn reply_returns_tlvs_flagged_in_order() {
     let clock = clock();
-    let mut reflector = Reflecting::new(None, INSTANCE, 100, true);
+    let mut reflector = ReflectorState::new(None, INSTANCE, 100, true);
     let mut packet = request(
         None,
         1,
@@ -154,7 +154,7 @@ fn tlvs_are_flagged_and_go_back_in_their_order() {
             (3, b""),
         ],
     );
-    // The last one claims more than there is.
+    // The last TLV claims more bytes than there are.
     let length = packet.len();
     packet[length - 1] = 200;
     clock.step_wall(Span::from_micros(1));
@@ -177,11 +177,11 @@ fn tlvs_are_flagged_and_go_back_in_their_order() {
 }
 
 #[test]
-fn tlvs_that_are_not_authenticated_only_go_back() {
+fn unauthenticated_tlvs_are_returned_without_effect() {
     let (clock, key) = (clock(), key(7));
     let room: &[u8] = &[0; FollowUp::BYTES];
     let code: &[u8] = &[0; 16];
-    let mut reflector = Reflecting::new(Some(key.clone()), INSTANCE, 100, true);
+    let mut reflector = ReflectorState::new(Some(key.clone()), INSTANCE, 100, true);
     let mut flags = |tlvs: &[(u8, &[u8])], touch: bool| {
         let mut packet = request(Some(&key), 1, 1, tlvs);
         if touch {
@@ -204,16 +204,16 @@ fn tlvs_that_are_not_authenticated_only_go_back() {
         [0; 3]
     );
 
-    let mut keyless = Reflecting::new(None, INSTANCE, 100, true);
+    let mut keyless = ReflectorState::new(None, INSTANCE, 100, true);
     let mut packet = request(None, 1, 1, &[(tlv::FOLLOW_UP, room), (tlv::HMAC, code)]);
     answer(&mut keyless, &clock, &mut packet).expect("answered");
     assert!(tlvs_of(&packet, 44).iter().all(|(_, flags, _)| *flags == bad), "nobody here can verify it");
 }
 
 #[test]
-fn a_request_that_is_not_authentic_gets_nothing_and_costs_its_source_nothing() {
+fn unauthenticated_request_is_refused_without_using_rate() {
     let (clock, key) = (clock(), key(7));
-    let mut reflector = Reflecting::new(Some(key.clone()), INSTANCE, 3, true);
+    let mut reflector = ReflectorState::new(Some(key.clone()), INSTANCE, 3, true);
     let good = request(Some(&key), 1, 1, &[]);
     for at in [0, 20, 60, 111] {
         let mut packet = good.clone();
@@ -230,9 +230,9 @@ fn a_request_that_is_not_authentic_gets_nothing_and_costs_its_source_nothing() {
 }
 
 #[test]
-fn with_a_key_of_sessions_a_request_decides_by_its_own_form() {
+fn session_key_applies_to_authenticated_requests_only() {
     let (clock, ours, theirs) = (clock(), &key(7), &key(8));
-    let keyed = || Reflecting::new(None, INSTANCE, 100, true).with_session_key(Some(key(7)));
+    let keyed = || ReflectorState::new(None, INSTANCE, 100, true).with_session_key(Some(key(7)));
     let mut reflector = keyed();
     let (room, code): (&[u8], &[u8]) = (&[0; FollowUp::BYTES], &[0; 16]);
     let sealed_by = |key: &Key| request(Some(key), 1, 1, &[(tlv::FOLLOW_UP, room), (tlv::HMAC, code)]);
@@ -242,8 +242,8 @@ fn with_a_key_of_sessions_a_request_decides_by_its_own_form() {
     answer(&mut reflector, &clock, &mut packet).expect("a peer with a session");
     assert!(packet::is_sealed(ours, &packet) && tlv::are_intact(Some(ours), 0, &packet[112..]));
     assert_eq!(packet.len(), asked.len());
-    // Neither it nor another process of this kind answers the answer, and a changed one is none for long.
-    let mut other = Reflecting::new(None, INSTANCE, 100, true).with_session_key(Some(theirs.clone()));
+    // Neither this reflector nor that of another process answers the answer.
+    let mut other = ReflectorState::new(None, INSTANCE, 100, true).with_session_key(Some(theirs.clone()));
     for reflector in [&mut reflector, &mut other] {
         let back = answer(reflector, &clock, &mut packet.clone()).map(|_| ());
         assert!(matches!(back, Err(Refusal::Reply | Refusal::Unauthenticated)), "{back:?}");
@@ -256,11 +256,11 @@ fn with_a_key_of_sessions_a_request_decides_by_its_own_form() {
     touched[20] ^= 1;
     assert_eq!(answer(&mut reflector, &clock, &mut touched).expect_err("touched"), Refusal::Unauthenticated);
 
-    // Those who have no key, of whatever length: as without one.
+    // Requests without a key, of any length, are answered as without a session key.
     let padding: &[u8] = &[0; 300];
     for tlvs in [&[][..], &[(tlv::FOLLOW_UP, room)], &[(tlv::FOLLOW_UP, room), (tlv::EXTRA_PADDING, padding)]]
     {
-        let mut reflectors = [keyed(), Reflecting::new(None, INSTANCE, 100, true)];
+        let mut reflectors = [keyed(), ReflectorState::new(None, INSTANCE, 100, true)];
         let [with, without] = reflectors.each_mut().map(|reflector| {
             let mut packet = request(None, 1, 1, tlvs);
             answer(reflector, &clock, &mut packet).expect("answered");
@@ -268,9 +268,9 @@ fn with_a_key_of_sessions_a_request_decides_by_its_own_form() {
         });
         assert_eq!(with, without);
     }
-    // The key that all must have comes first.
+    // A mandatory key takes precedence.
     let mut strict =
-        Reflecting::new(Some(theirs.clone()), INSTANCE, 100, true).with_session_key(Some(ours.clone()));
+        ReflectorState::new(Some(theirs.clone()), INSTANCE, 100, true).with_session_key(Some(ours.clone()));
     let mut packet = sealed_by(ours);
     assert_eq!(answer(&mut strict, &clock, &mut packet).expect_err("another"), Refusal::Unauthenticated);
     let refused = answer(&mut strict, &clock, &mut request(None, 1, 1, &[])).expect_err("open");
@@ -278,13 +278,13 @@ fn with_a_key_of_sessions_a_request_decides_by_its_own_form() {
 }
 
 #[test]
-fn two_reflectors_do_not_play_ping_pong() {
+fn reflectors_do_not_answer_each_other() {
     let clock = clock();
     for format in [Format::Ntp, Format::Ptp] {
         for key in [None, Some(key(7))] {
             let mode = Mode::of(key.as_ref());
-            let mut one = Reflecting::new(key.clone(), INSTANCE, 100, true);
-            let mut other = Reflecting::new(key.clone(), INSTANCE, 100, false);
+            let mut one = ReflectorState::new(key.clone(), INSTANCE, 100, true);
+            let mut other = ReflectorState::new(key.clone(), INSTANCE, 100, false);
             let mut packet = request(key.as_ref(), 1, 1, &[]);
             let mut asked = Request::parse(mode, &packet).expect("long enough");
             asked.estimate = ErrorEstimate::new(format, Span::ZERO);
@@ -293,22 +293,22 @@ fn two_reflectors_do_not_play_ping_pong() {
                 packet::seal(key, &mut packet);
             }
             answer(&mut one, &clock, &mut packet).expect("a request");
-            // The other host's clock is years away, and its packet was long on the way.
+            // The other host's clock is years away, and its packet took long to arrive.
             clock.advance(Span::from_seconds(7));
             clock.step_wall(Span::from_seconds(86_400 * 3000));
             assert_eq!(answer(&mut other, &clock, &mut packet).expect_err("a reply"), Refusal::Reply);
         }
     }
-    let mut reflector = Reflecting::new(None, INSTANCE, 100, true);
+    let mut reflector = ReflectorState::new(None, INSTANCE, 100, true);
     let from_nowhere = Arrival { source: "10.0.0.1:0".parse().expect("an address"), ..arrival(&clock) };
     let refused = reflector.prepare(&mut request(None, 1, 1, &[]), &from_nowhere);
     assert_eq!(refused.expect_err("port 0"), Refusal::NoPort);
 }
 
 #[test]
-fn twamp_light_senders_are_answered_whatever_their_padding() {
+fn twamp_light_senders_with_any_padding_are_answered() {
     let clock = clock();
-    let mut reflector = Reflecting::new(None, INSTANCE, 1000, false);
+    let mut reflector = ReflectorState::new(None, INSTANCE, 1000, false);
     for (padding, length) in [(0u8, 44), (0, 341), (0xFF, 1400), (0x55, 45)] {
         let mut packet = vec![padding; length];
         packet[..4].copy_from_slice(&9u32.to_be_bytes());

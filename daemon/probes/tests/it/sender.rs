@@ -1,4 +1,4 @@
-//! What a sender asks and what it makes of replies.
+//! Tests of the sender's state machine.
 
 use std::net::SocketAddr;
 use std::sync::Arc;
@@ -7,18 +7,18 @@ use peernet_clock::{
     Clock, ClockIdentity, ExchangeObservation, ManualClock, MonoTime, RawTime, RelatedClocks, Span, WallTime,
 };
 use peernet_probes::stamp::packet::{self, Mode, Reply};
-use peernet_probes::stamp::reflector::{Arrival, Reflecting};
-use peernet_probes::stamp::sender::{Departure, Heard, LATE, Return, Sending, SendingConfig};
+use peernet_probes::stamp::reflector::{Arrival, ReflectorState};
+use peernet_probes::stamp::sender::{Departure, LATE, ReplyArrival, ReplyResult, SenderConfig, SenderState};
 use peernet_probes::stamp::tlv::{self, Origin, RawStamps};
 use peernet_probes::stamp::uncertainty;
 
 use crate::support::{INSTANCE, key};
 
 const TIMEOUT: Span = Span::from_seconds(1);
-const WAY: Span = Span::from_micros(700);
+const ONE_WAY_DELAY: Span = Span::from_micros(700);
 
-fn config() -> SendingConfig {
-    SendingConfig {
+fn config() -> SenderConfig {
+    SenderConfig {
         key: None,
         instance: None,
         bound: false,
@@ -30,12 +30,12 @@ fn config() -> SendingConfig {
     }
 }
 
-/// A sender and a reflector with nothing but two hosts' clocks between them. The reflector's wall clock is ahead by a second, and its
-/// free-running clock shows what the sender's does.
+/// A sender and a reflector that are connected directly, with the clocks of two hosts. The reflector's wall clock is
+/// ahead by a second, and its free-running clock shows the same time as the sender's.
 struct Pair {
     clock: Arc<ManualClock>,
-    sender: Sending,
-    reflector: Reflecting,
+    sender: SenderState,
+    reflector: ReflectorState,
     ahead: Span,
 }
 
@@ -45,21 +45,22 @@ impl Pair {
         let start = WallTime::from_unix_nanos(1_800_000_000_123_456_789);
         Self {
             clock: Arc::new(ManualClock::new(start, ClockIdentity::new("b", "c"))),
-            sender: Sending::new(SendingConfig { key: key.clone(), ssid: 99, first, ..config() }),
-            reflector: Reflecting::new(key, INSTANCE, 1_000_000, true),
+            sender: SenderState::new(SenderConfig { key: key.clone(), ssid: 99, first, ..config() }),
+            reflector: ReflectorState::new(key, INSTANCE, 1_000_000, true),
             ahead: Span::from_seconds(1),
         }
     }
 
-    /// One whose exchanges are of the free-running clocks.
+    /// Returns a pair whose exchanges are of the free-running clocks.
     fn raw(with_key: bool) -> Self {
         let mut pair = Self::new(0, with_key);
         let key = with_key.then(|| key(7));
-        pair.sender = Sending::new(SendingConfig { key, ssid: 99, clocks: RelatedClocks::Raw, ..config() });
+        pair.sender =
+            SenderState::new(SenderConfig { key, ssid: 99, clocks: RelatedClocks::Raw, ..config() });
         pair
     }
 
-    /// The reflector's clocks now.
+    /// Returns the reflector's clocks at the present time.
     fn there(&self) -> ManualClock {
         let elapsed = self.clock.raw() - ManualClock::FIRST_RAW;
         let there = ManualClock::new(self.clock.wall() + self.ahead - elapsed, ClockIdentity::new("b", "d"));
@@ -67,9 +68,9 @@ impl Pair {
         there
     }
 
-    fn returned(&self, kernel: Option<WallTime>) -> Return {
+    fn returned(&self, kernel: Option<WallTime>) -> ReplyArrival {
         let (ahead, epoch) = (self.clock.wall_ahead(), self.clock.epoch());
-        Return { kernel, read: self.clock.stamp(), ahead, epoch }
+        ReplyArrival { kernel, read: self.clock.stamp(), ahead, epoch }
     }
 
     fn send(&mut self) -> (Departure, Vec<u8>) {
@@ -80,7 +81,7 @@ impl Pair {
     }
 
     fn reflect(&mut self, mut packet: Vec<u8>) -> Vec<u8> {
-        self.clock.advance(WAY);
+        self.clock.advance(ONE_WAY_DELAY);
         let there = self.there();
         let source: SocketAddr = "10.0.0.1:40000".parse().expect("an address");
         let (received, received_raw) = (there.wall(), there.raw());
@@ -91,22 +92,22 @@ impl Pair {
         self.reflector.sent(&answer, stamp);
         let left = stamp + Span::from_micros(5);
         self.reflector.departed(&answer.session(), answer.sequence(), left.wall, left.raw);
-        self.clock.advance(Span::from_micros(55) + WAY);
+        self.clock.advance(Span::from_micros(55) + ONE_WAY_DELAY);
         packet
     }
 
-    fn hear(&mut self, packet: &[u8]) -> Result<Heard, &'static str> {
+    fn receive_reply(&mut self, packet: &[u8]) -> Result<ReplyResult, &'static str> {
         let returned = self.returned(None);
         self.sender.receive(packet, &returned)
     }
 
-    fn exchange(&mut self) -> Heard {
+    fn exchange(&mut self) -> ReplyResult {
         let (_, packet) = self.send();
         let reply = self.reflect(packet);
-        self.hear(&reply).expect("an answer")
+        self.receive_reply(&reply).expect("an answer")
     }
 
-    /// The next answer, whose arrival the kernel stamped when the program's clock showed `kernel`.
+    /// Returns the next answer. The kernel stamped its arrival when the program's clock showed `kernel`.
     fn stamped(&mut self, kernel: WallTime) -> ExchangeObservation {
         let (departure, packet) = self.send();
         self.sender.departed(departure.sequence(), self.clock.wall(), self.clock.wall_ahead());
@@ -116,12 +117,12 @@ impl Pair {
     }
 }
 
-fn answered(heard: &Heard) -> ExchangeObservation {
-    heard.answered.expect("no step")
+fn answered(reply_result: &ReplyResult) -> ExchangeObservation {
+    reply_result.answered.expect("no step")
 }
 
 impl Pair {
-    /// The reply with another origin.
+    /// Returns the reply with another origin.
     fn from_elsewhere(reply: &[u8], change: impl Fn(&mut Origin)) -> Vec<u8> {
         let mut reply = reply.to_vec();
         let place = tlv::places(&reply[44..]).find(|place| place.kind == tlv::ORIGIN).expect("we ask for it");
@@ -133,7 +134,7 @@ impl Pair {
 }
 
 #[test]
-fn an_answer_gives_the_four_stamps_and_the_next_one_corrects_the_third() {
+fn next_reply_refines_departure_of_previous_one() {
     for with_key in [false, true] {
         let mut pair = Pair::new(0, with_key);
         let begun = pair.clock.stamp();
@@ -141,7 +142,7 @@ fn an_answer_gives_the_four_stamps_and_the_next_one_corrects_the_third() {
         let ExchangeObservation { exchange, cloud_elapsed, edge_epoch, cloud_epoch } = answered(&first);
         assert_eq!(first.refined, None);
         assert_eq!(exchange.sent, begun.raw);
-        assert_eq!(exchange.received, RawTime::of_wall(begun.wall + WAY + pair.ahead));
+        assert_eq!(exchange.received, RawTime::of_wall(begun.wall + ONE_WAY_DELAY + pair.ahead));
         assert_eq!(exchange.replied, exchange.received + Span::from_micros(50));
         assert_eq!(exchange.returned, pair.clock.raw());
         assert_eq!(exchange.uncertainty, uncertainty::OWN);
@@ -151,12 +152,16 @@ fn an_answer_gives_the_four_stamps_and_the_next_one_corrects_the_third() {
         let refined = second.refined.expect("the follow-up");
         assert_eq!(refined.exchange.replied, exchange.replied + Span::from_micros(5));
         assert_eq!((refined.exchange.sent, refined.exchange.received), (exchange.sent, exchange.received));
-        assert_eq!(refined.exchange.round_trip(), WAY + WAY, "nothing is left but the way");
+        assert_eq!(
+            refined.exchange.round_trip(),
+            ONE_WAY_DELAY + ONE_WAY_DELAY,
+            "nothing is left but the way"
+        );
     }
 }
 
 #[test]
-fn the_kernels_stamp_of_a_departure_is_taken_if_it_can_be_true() {
+fn plausible_kernel_departure_stamp_is_used() {
     for (late, taken) in
         [(Span::from_micros(9), true), (-Span::from_nanos(1), false), (Span::from_seconds(2), false)]
     {
@@ -165,36 +170,36 @@ fn the_kernels_stamp_of_a_departure_is_taken_if_it_can_be_true() {
         let (departure, packet) = pair.send();
         pair.sender.departed(departure.sequence(), begun.wall + late, pair.clock.wall_ahead());
         let reply = pair.reflect(packet);
-        let answered = answered(&pair.hear(&reply).expect("an answer"));
+        let answered = answered(&pair.receive_reply(&reply).expect("an answer"));
         assert_eq!(answered.exchange.sent, if taken { begun.raw + late } else { begun.raw });
     }
 }
 
 #[test]
-fn numbers_run_over() {
+fn sequence_numbers_wrap_around() {
     let mut pair = Pair::new(u32::MAX - 2, false);
     let sent: Vec<_> = (0..6).map(|_| pair.send()).collect();
     assert_eq!(sent.last().map(|(departure, _)| departure.sequence()), Some(2));
     for (_, packet) in sent.into_iter().rev() {
         let reply = pair.reflect(packet);
-        pair.hear(&reply).expect("an answer, in whatever order");
+        pair.receive_reply(&reply).expect("an answer, in whatever order");
     }
     assert_eq!(pair.sender.expire(pair.clock.mono() + TIMEOUT), 0);
 }
 
 #[test]
-fn late_ones_are_lost_and_second_ones_count_once() {
+fn late_replies_are_lost_and_duplicates_count_once() {
     let mut pair = Pair::new(0, false);
     let (_, slow) = pair.send();
     let deadline = pair.sender.deadline().expect("it waits");
     assert_eq!(deadline, pair.clock.mono() + TIMEOUT);
-    let heard = pair.exchange();
-    assert!(answered(&heard).exchange.sent < pair.clock.raw());
+    let reply_result = pair.exchange();
+    assert!(answered(&reply_result).exchange.sent < pair.clock.raw());
     pair.clock.advance(TIMEOUT - Span::from_millis(900));
     let (_, packet) = pair.send();
     let reply = pair.reflect(packet);
-    pair.hear(&reply).expect("an answer");
-    assert_eq!(pair.hear(&reply), Err("a second answer to the same probe"));
+    pair.receive_reply(&reply).expect("an answer");
+    assert_eq!(pair.receive_reply(&reply), Err("a second answer to the same probe"));
 
     pair.clock.advance(TIMEOUT - Span::from_millis(100));
     assert_eq!(pair.sender.expire(pair.clock.mono()), 1, "one of the two old ones was answered");
@@ -205,13 +210,13 @@ fn late_ones_are_lost_and_second_ones_count_once() {
     let mut fields = Reply::parse(Mode::Open, &forged).expect("a reply");
     fields.asked.timestamp += 1;
     fields.write(Mode::Open, &mut forged);
-    assert_eq!(pair.hear(&forged), Err("to another stamp than was sent"));
-    assert_eq!(pair.hear(&reply), Err(LATE));
-    assert_eq!(pair.hear(&reply), Err("to no probe of ours, or to one of long ago"), "late once");
+    assert_eq!(pair.receive_reply(&forged), Err("to another stamp than was sent"));
+    assert_eq!(pair.receive_reply(&reply), Err(LATE));
+    assert_eq!(pair.receive_reply(&reply), Err("to no probe of ours, or to one of long ago"), "late once");
 }
 
 #[test]
-fn who_did_not_get_the_question_cannot_answer_it() {
+fn reply_with_wrong_request_fields_is_refused() {
     let mut pair = Pair::new(0, false);
     let (_, packet) = pair.send();
     let reply = pair.reflect(packet);
@@ -220,7 +225,7 @@ fn who_did_not_get_the_question_cannot_answer_it() {
         let mut fields = Reply::parse(Mode::Open, &forged).expect("a reply");
         change(&mut fields);
         fields.write(Mode::Open, &mut forged);
-        pair.hear(&forged)
+        pair.receive_reply(&forged)
     };
     assert_eq!(forge(|reply| reply.asked.ssid = 98), Err("of another session"));
     assert_eq!(forge(|reply| reply.asked.sequence += 1), Err("to no probe of ours, or to one of long ago"));
@@ -230,7 +235,7 @@ fn who_did_not_get_the_question_cannot_answer_it() {
 }
 
 #[test]
-fn a_reply_that_was_touched_is_refused_or_its_tlvs_are_not_believed() {
+fn altered_reply_is_refused_and_altered_tlvs_ignored() {
     let mut pair = Pair::new(0, true);
     pair.exchange();
     let (_, packet) = pair.send();
@@ -238,22 +243,22 @@ fn a_reply_that_was_touched_is_refused_or_its_tlvs_are_not_believed() {
     for at in [0, 30, 50, 111] {
         let mut touched = reply.clone();
         touched[at] ^= 4;
-        assert_eq!(pair.hear(&touched), Err("not authenticated by the key"));
+        assert_eq!(pair.receive_reply(&touched), Err("not authenticated by the key"));
     }
     let mut touched = reply;
     *touched.last_mut().expect("not empty") ^= 1;
-    let heard = pair.hear(&touched).expect("its base packet is authentic");
-    assert_eq!((heard.refined, answered(&heard).cloud_epoch), (None, None));
-    assert_eq!(answered(&heard).exchange.uncertainty, uncertainty::FOREIGN);
+    let reply_result = pair.receive_reply(&touched).expect("its base packet is authentic");
+    assert_eq!((reply_result.refined, answered(&reply_result).cloud_epoch), (None, None));
+    assert_eq!(answered(&reply_result).exchange.uncertainty, uncertainty::FOREIGN);
 }
 
 #[test]
-fn what_was_told_to_another_probe_of_the_same_number_is_not_believed() {
+fn tlvs_of_another_probe_are_refused() {
     let bound = |ssid| {
         let mut pair = Pair::raw(true);
         let clocks = RelatedClocks::Raw;
         let (key, instance) = (Some(key(7)), Some(INSTANCE));
-        pair.sender = Sending::new(SendingConfig { key, instance, bound: true, ssid, clocks, ..config() });
+        pair.sender = SenderState::new(SenderConfig { key, instance, bound: true, ssid, clocks, ..config() });
         pair
     };
     let mut earlier = bound(1);
@@ -263,20 +268,20 @@ fn what_was_told_to_another_probe_of_the_same_number_is_not_believed() {
     pair.clock.advance(Span::from_seconds(9));
     let (_, packet) = pair.send();
     let reply = pair.reflect(packet);
-    // Both of its halves are authentic, each by itself.
+    // Both halves are authentic, each by itself.
     let spliced = [&reply[..112], &told[112..]].concat();
-    assert_eq!(pair.hear(&spliced), Err("with what was told to another probe"));
-    // The octets of the right one, where nothing is authenticated any more.
+    assert_eq!(pair.receive_reply(&spliced), Err("with what was told to another probe"));
+    // The octets are right, but in a place that is not authenticated.
     let octets = tlv::places(&reply[112..]).find(|place| place.kind == tlv::EXTRA_PADDING).expect("bound");
     let mut appended = spliced;
     tlv::push(&mut appended, tlv::EXTRA_PADDING, &reply[112..][octets.value]);
-    assert_eq!(pair.hear(&appended), Err("with what was told to another probe"));
-    let exchange = answered(&pair.hear(&reply).expect("the real one")).exchange;
-    assert_eq!(exchange.received - exchange.sent, WAY);
+    assert_eq!(pair.receive_reply(&appended), Err("with what was told to another probe"));
+    let exchange = answered(&pair.receive_reply(&reply).expect("the real one")).exchange;
+    assert_eq!(exchange.received - exchange.sent, ONE_WAY_DELAY);
 }
 
 #[test]
-fn a_reflector_that_knows_no_tlvs_is_believed_without() {
+fn reply_of_reflector_without_tlvs_is_accepted() {
     let mut pair = Pair::new(0, false);
     for cut in [false, true] {
         let (_, packet) = pair.send();
@@ -284,28 +289,28 @@ fn a_reflector_that_knows_no_tlvs_is_believed_without() {
         if cut {
             reply.truncate(44);
         } else {
-            // It gives everything back as it came.
+            // It returns everything unchanged.
             reply[44..].copy_from_slice(&packet[44..]);
         }
-        let answered = answered(&pair.hear(&reply).expect("an answer"));
+        let answered = answered(&pair.receive_reply(&reply).expect("an answer"));
         assert_eq!((answered.cloud_epoch, answered.exchange.uncertainty), (None, uncertainty::FOREIGN));
     }
 }
 
 #[test]
-fn a_step_at_the_reflector_keeps_a_follow_up_from_refining() {
+fn clock_step_at_reflector_prevents_refinement() {
     let mut pair = Pair::new(0, false);
     pair.exchange();
     let (_, packet) = pair.send();
     let reply = pair.reflect(packet);
-    // As if the reflector had noticed a step between the two.
+    // As if the reflector had noticed a step between the two replies.
     let reply = Pair::from_elsewhere(&reply, |origin| origin.epoch = 1);
-    let heard = pair.hear(&reply).expect("an answer");
-    assert_eq!((heard.refined, answered(&heard).cloud_epoch), (None, Some(1)));
+    let reply_result = pair.receive_reply(&reply).expect("an answer");
+    assert_eq!((reply_result.refined, answered(&reply_result).cloud_epoch), (None, Some(1)));
 }
 
 #[test]
-fn what_is_remembered_is_bounded() {
+fn remembered_probes_are_bounded() {
     let mut pair = Pair::new(0, false);
     let mut given_up = 0;
     for _ in 0..5000 {
@@ -321,31 +326,31 @@ fn what_is_remembered_is_bounded() {
 fn requests_are_authentic_and_padded_as_configured() {
     let clock = ManualClock::new(WallTime::from_unix_nanos(1), ClockIdentity::new("b", "c"));
     let mut sender =
-        Sending::new(SendingConfig { key: Some(key(7)), first: 5, padding_bytes: 100, ..config() });
+        SenderState::new(SenderConfig { key: Some(key(7)), first: 5, padding_bytes: 100, ..config() });
     let (departure, packet) = sender.request(&clock);
     assert_eq!(departure.sequence(), 5);
     assert!(packet::is_sealed(&key(7), packet));
     assert!(tlv::are_intact(Some(&key(7)), 5, &packet[112..]));
     assert_eq!(packet.len(), 112 + 20 + 20 + 20 + 104);
-    let mut sender = Sending::new(config());
+    let mut sender = SenderState::new(config());
     let (_, packet) = sender.request(&clock);
     assert_eq!(packet.len(), 44 + 20 + 20);
-    let mut sender = Sending::new(SendingConfig { clocks: RelatedClocks::Raw, ..config() });
+    let mut sender = SenderState::new(SenderConfig { clocks: RelatedClocks::Raw, ..config() });
     let (_, packet) = sender.request(&clock);
     assert_eq!(packet.len(), 44 + 20 + 20 + 40);
 }
 
 #[test]
-fn all_that_were_under_way_during_a_sleep_tell_nothing_but_that() {
+fn exchanges_during_a_sleep_are_discarded() {
     let mut pair = Pair::new(0, false);
     let under_way: Vec<_> = (0..3).map(|_| pair.send().1).collect();
     let replies: Vec<_> = under_way.into_iter().map(|packet| pair.reflect(packet)).collect();
     pair.clock.sleep(Span::from_micros(30));
-    // The first one brings the news, the others are from before it all the same.
+    // The first reply shows the interruption; the others were in flight during it, too.
     for reply in replies {
-        let heard = pair.hear(&reply).expect("an answer");
-        assert_eq!(heard, Heard { refined: None, answered: None });
-        assert_eq!(pair.hear(&reply), Err("a second answer to the same probe"));
+        let reply_result = pair.receive_reply(&reply).expect("an answer");
+        assert_eq!(reply_result, ReplyResult { refined: None, answered: None });
+        assert_eq!(pair.receive_reply(&reply), Err("a second answer to the same probe"));
     }
     let after = pair.exchange();
     assert_eq!(after.refined, None, "of an exchange across the sleep");
@@ -354,72 +359,72 @@ fn all_that_were_under_way_during_a_sleep_tell_nothing_but_that() {
 }
 
 #[test]
-fn another_process_is_not_believed_where_one_is_expected() {
+fn reply_of_another_process_is_refused() {
     for (expected, believed) in [(None, true), (Some(INSTANCE), true), (Some(INSTANCE + 1), false)] {
         let mut pair = Pair::new(0, false);
-        pair.sender = Sending::new(SendingConfig { instance: expected, ..config() });
+        pair.sender = SenderState::new(SenderConfig { instance: expected, ..config() });
         let (_, packet) = pair.send();
         let reply = pair.reflect(packet);
-        let told = pair.hear(&reply);
+        let told = pair.receive_reply(&reply);
         assert_eq!(told.is_ok(), believed, "{expected:?}: {told:?}");
         if !believed {
             assert_eq!(told, Err("another process answers the probes than serves the data"));
             let real = Pair::from_elsewhere(&reply, |origin| origin.instance = INSTANCE + 1);
-            assert!(pair.hear(&real).is_ok(), "the right one may still answer");
+            assert!(pair.receive_reply(&real).is_ok(), "the right one may still answer");
         }
     }
 }
 
 #[test]
-fn a_reply_that_does_not_say_whose_it_is_will_not_do_where_one_is_expected() {
+fn reply_without_expected_origin_is_refused() {
     let mut pair = Pair::new(0, false);
-    pair.sender = Sending::new(SendingConfig { instance: Some(INSTANCE), ..config() });
+    pair.sender = SenderState::new(SenderConfig { instance: Some(INSTANCE), ..config() });
     let (_, packet) = pair.send();
     let reply = pair.reflect(packet.clone());
     let foreign = [&reply[..44], &packet[44..]].concat();
     for reply in [&reply[..44], &foreign] {
-        let told = pair.hear(reply);
+        let told = pair.receive_reply(reply);
         assert_eq!(told, Err("something else answers the probes than the agent that serves the data"));
     }
-    assert!(pair.hear(&reply).is_ok());
+    assert!(pair.receive_reply(&reply).is_ok());
 }
 
 #[test]
-fn authentic_reply_with_damaged_tlvs_is_refused_by_what_was_found() {
+fn reply_with_damaged_tlvs_is_refused_with_reason() {
     let mut pair = Pair::raw(true);
     let (key, instance, clocks) = (Some(key(7)), Some(INSTANCE), RelatedClocks::Raw);
-    pair.sender = Sending::new(SendingConfig { key, instance, bound: true, clocks, ..config() });
+    pair.sender = SenderState::new(SenderConfig { key, instance, bound: true, clocks, ..config() });
     let (_, packet) = pair.send();
     let mut altered_request = packet.clone();
     altered_request[112 + tlv::HEADER_BYTES] ^= 1;
     let reply = pair.reflect(altered_request);
-    let said = pair.hear(&reply).expect_err("the probe was altered");
+    let said = pair.receive_reply(&reply).expect_err("the probe was altered");
     assert!(said.contains("HMAC of the probe's TLVs does not fit"), "{said}");
     let reply = pair.reflect(packet);
     let code = tlv::places(&reply[112..]).find(|place| place.kind == tlv::HMAC).expect("authenticated");
     for at in 112..112 + code.at {
         let mut altered = reply.clone();
         altered[at] ^= 1;
-        let said = pair.hear(&altered).expect_err("the reply was altered");
+        let said = pair.receive_reply(&altered).expect_err("the reply was altered");
         assert!(!said.contains("something else answers"), "octet {at}: {said}");
     }
     let mut altered = reply.clone();
     *altered.last_mut().expect("not empty") ^= 1;
-    assert!(pair.hear(&altered).expect_err("altered").contains("TLVs whose HMAC does not fit"));
-    let said = pair.hear(&reply[..112]).expect_err("cut off");
+    assert!(pair.receive_reply(&altered).expect_err("altered").contains("TLVs whose HMAC does not fit"));
+    let said = pair.receive_reply(&reply[..112]).expect_err("cut off");
     assert!(said.contains("does not say which process wrote it"), "{said}");
-    assert!(pair.hear(&reply).is_ok());
+    assert!(pair.receive_reply(&reply).is_ok());
 }
 
 #[test]
-fn a_kernel_whose_stamps_cannot_be_of_our_clock_is_ignored_for_good() {
+fn kernel_stamps_of_another_clock_are_distrusted() {
     let (much, little) = (Span::from_millis(1), Span::from_nanos(900));
-    let there_and_back = WAY + WAY + Span::from_micros(55);
+    let there_and_back = ONE_WAY_DELAY + ONE_WAY_DELAY + Span::from_micros(55);
     for (early, sound) in [(-much, false), (-little, true), (little, true), (there_and_back + much, false)] {
         let mut pair = Pair::new(0, false);
         let back = pair.clock.stamp() + there_and_back;
         let got = pair.stamped(back.wall - early).exchange.returned;
-        // Whatever the kernel says, it had arrived when the program looked.
+        // Whatever the kernel's stamp is, the packet had arrived when the program read its clock.
         let earlier = early.max(Span::ZERO);
         assert_eq!(got, if sound { back.raw - earlier } else { back.raw }, "{early}");
         assert_eq!(pair.sender.distrusts_kernel(), !sound, "{early}");
@@ -431,23 +436,23 @@ fn a_kernel_whose_stamps_cannot_be_of_our_clock_is_ignored_for_good() {
 }
 
 #[test]
-fn a_kernel_that_saw_it_leave_before_we_stamped_it_is_ignored_for_good() {
+fn kernel_departure_before_ours_is_distrusted() {
     let mut pair = Pair::new(0, false);
     let (departure, packet) = pair.send();
     let early = pair.clock.wall() - Span::from_micros(300);
     pair.sender.departed(departure.sequence(), early, pair.clock.wall_ahead());
     let reply = pair.reflect(packet);
-    pair.hear(&reply).expect("an answer");
+    pair.receive_reply(&reply).expect("an answer");
     assert!(pair.sender.distrusts_kernel());
 }
 
 #[test]
-fn wall_clock_set_meanwhile_moves_no_stamp_and_is_no_reason_to_distrust_kernel() {
+fn setting_wall_clock_causes_no_distrust_of_kernel() {
     for by in [Span::from_seconds(3), -Span::from_seconds(3)] {
         let mut pair = Pair::raw(false);
         let begun = pair.clock.raw();
         let (departure, packet) = pair.send();
-        // It really left a little later; then the clock is set, and only then is the kernel's stamp read.
+        // It really leaves slightly later; then the clock is set, and only then is the kernel's stamp read.
         let left = pair.clock.wall() + Span::from_micros(9);
         let reply = pair.reflect(packet);
         let kernel = pair.clock.wall();
@@ -456,8 +461,8 @@ fn wall_clock_set_meanwhile_moves_no_stamp_and_is_no_reason_to_distrust_kernel()
         pair.sender.departed(departure.sequence(), left, pair.clock.wall_ahead());
         pair.clock.advance(Span::from_micros(20));
         let returned = pair.returned(Some(kernel));
-        let heard = pair.sender.receive(&reply, &returned).expect("an answer");
-        let exchange = answered(&heard).exchange;
+        let reply_result = pair.sender.receive(&reply, &returned).expect("an answer");
+        let exchange = answered(&reply_result).exchange;
         assert!(begun <= exchange.sent && exchange.sent <= begun + Span::from_micros(9), "{exchange:?}");
         assert!(arrived <= exchange.returned && exchange.returned <= pair.clock.raw(), "{exchange:?}");
         assert!(exchange.bounds().contains(Span::ZERO), "{exchange:?}");
@@ -472,10 +477,10 @@ fn raw_exchange_is_of_both_free_running_clocks() {
         let begun = pair.clock.raw();
         let first = answered(&pair.exchange());
         assert_eq!((first.exchange.sent, first.exchange.returned), (begun, pair.clock.raw()));
-        assert_eq!(first.exchange.received, begun + WAY, "the same by both");
-        assert_eq!(first.exchange.replied, begun + WAY + Span::from_micros(50));
+        assert_eq!(first.exchange.received, begun + ONE_WAY_DELAY, "the same by both");
+        assert_eq!(first.exchange.replied, begun + ONE_WAY_DELAY + Span::from_micros(50));
         assert_eq!(first.cloud_epoch, Some(0));
-        // Steps of wall clocks reach nothing.
+        // Steps of wall clocks have no effect.
         pair.clock.step_wall(Span::from_seconds(60));
         pair.ahead = -Span::from_seconds(3600);
         let second = pair.exchange();
@@ -495,14 +500,17 @@ fn reply_without_raw_stamps_is_refused_where_they_are_asked_for() {
     let (_, packet) = pair.send();
     let reply = pair.reflect(packet.clone());
     let place = tlv::places(&reply[44..]).find(|place| place.kind == tlv::RAW_STAMPS).expect("we ask for it");
-    // As a release answers that does not know the type, and one that leaves it empty.
+    // Answers of a release that does not know the type, and of one that leaves it empty.
     let mut unknown = reply.clone();
     unknown[44 + place.at] = tlv::UNRECOGNISED;
     let mut empty = reply.clone();
     empty[44..][place.value].copy_from_slice(&RawStamps::default().to_value());
     for touched in [unknown, empty, reply[..44].to_vec()] {
-        assert_eq!(pair.hear(&touched), Err("without the stamps of the reflector's free-running clock"));
+        assert_eq!(
+            pair.receive_reply(&touched),
+            Err("without the stamps of the reflector's free-running clock")
+        );
     }
     assert_eq!(reply.len(), packet.len());
-    assert!(pair.hear(&reply).is_ok());
+    assert!(pair.receive_reply(&reply).is_ok());
 }

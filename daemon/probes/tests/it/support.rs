@@ -13,18 +13,18 @@ use tokio::sync::{mpsc, watch};
 use tokio::task::JoinHandle;
 use tokio_util::sync::CancellationToken;
 
-/// The number of the reflectors here.
+/// Instance number of the reflectors in these tests.
 pub(crate) const INSTANCE: u64 = 0x0123_4567_89AB_CDEF;
 
-/// Longest wait for anything that has to come.
+/// Longest wait for anything that must arrive.
 pub(crate) const PATIENCE: Duration = Duration::from_secs(30);
 
 pub(crate) fn system_clock(name: &str) -> SharedClock {
     Arc::new(SystemClock::new(ClockIdentity::new("test", name)))
 }
 
-/// How far a wall clock that is `ahead` of this host's is ahead of its free-running clock, within what a time daemon slews it by
-/// during a test.
+/// Returns the difference wall clock minus free-running clock of a wall clock that is `ahead` of this host's, with a
+/// tolerance for the slewing of a time daemon during a test.
 pub(crate) fn wall_ahead_of_this_host(ahead: Span) -> Interval {
     let slewed = Span::from_micros(200);
     let Interval { lo, hi } = system_clock("truth").wall_ahead();
@@ -63,8 +63,8 @@ pub(crate) fn prober_config(target: SocketAddr) -> ProberConfig {
     }
 }
 
-/// A reflector that runs.
-pub(crate) struct Running {
+/// A running reflector.
+pub(crate) struct RunningReflector {
     pub(crate) address: SocketAddr,
     pub(crate) figures: ReflectorFigures,
     pub(crate) peers: watch::Sender<Vec<IpAddr>>,
@@ -72,7 +72,7 @@ pub(crate) struct Running {
     task: JoinHandle<Result<(), ReceiveError>>,
 }
 
-impl Running {
+impl RunningReflector {
     pub(crate) fn start(config: ReflectorConfig, clock: SharedClock) -> Self {
         let reflector = Reflector::bind(config, clock).expect("loopback has free ports");
         let (address, figures) = (reflector.address(), reflector.figures());
@@ -88,15 +88,15 @@ impl Running {
     }
 }
 
-/// A prober that runs.
-pub(crate) struct Probing {
+/// A running prober.
+pub(crate) struct RunningProber {
     pub(crate) rate_hz: watch::Sender<f64>,
     pub(crate) results: mpsc::Receiver<ProbeResult>,
     stop: CancellationToken,
     task: JoinHandle<()>,
 }
 
-impl Probing {
+impl RunningProber {
     pub(crate) fn start(config: ProberConfig, rate_hz: f64, clock: SharedClock) -> Self {
         let prober = Prober::open(config, clock).expect("a socket");
         let (rate_hz, rate) = watch::channel(rate_hz);
@@ -111,7 +111,7 @@ impl Probing {
         next.expect("a result comes in time").expect("the prober runs")
     }
 
-    /// The next that is what it should be, and whatever came before it.
+    /// Returns the next wanted result, and all results before it.
     pub(crate) async fn until<T>(
         &mut self,
         wanted: impl Fn(&ProbeResult) -> Option<T>,
@@ -126,7 +126,7 @@ impl Probing {
         }
     }
 
-    /// Stops, and gives what was still told.
+    /// Stops the prober. Returns the remaining results.
     pub(crate) async fn stop(mut self) -> Vec<ProbeResult> {
         self.stop.cancel();
         self.task.await.expect("no panic");

@@ -4,7 +4,8 @@ use std::fmt::Write;
 
 /// Type name, MD5 sum and text of a ROS 1 message type.
 ///
-/// Peers compare the sum; `rosbag record` stores the text, so that others can read the bag without the package.
+/// Peers compare the sums. `rosbag record` stores the text, so that others can read the bag without the package. The
+/// sums are constants, which a test computes in the way of genmsg.
 #[derive(Debug)]
 pub struct MessageDefinition {
     /// Package and name, such as `sensor_msgs/Image`.
@@ -13,12 +14,12 @@ pub struct MessageDefinition {
     pub md5: &'static str,
     /// Constants and fields, one a line, without comments.
     pub text: &'static str,
-    /// Types that the text names, and those that they name, in the order in which they appear first.
+    /// Types that the text refers to, directly or indirectly, in the order of their first appearance.
     pub dependencies: &'static [&'static MessageDefinition],
 }
 
 impl MessageDefinition {
-    /// Returns the text followed by those of the dependencies, as connection headers and bags have it.
+    /// Returns the text followed by those of the dependencies, in the form of connection headers and bags.
     pub fn full_text(&self) -> String {
         let mut full = self.text.to_owned();
         for dependency in self.dependencies {

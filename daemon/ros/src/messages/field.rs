@@ -4,21 +4,21 @@ use bytes::Bytes;
 
 use super::{DecodeError, EncodeError, Reader, Writer};
 
-/// A value with a place in messages: a number, text, sequence or structure.
+/// A value that can be a field of a message: a number, text, sequence or structure.
 pub trait Field: Sized {
-    /// Least number of bytes that a value takes in any wire form; never 0.
+    /// Smallest number of bytes of a value in any wire form; never 0.
     const MIN_BYTES: usize;
 
     /// Writes the value.
     ///
     /// # Errors
-    /// The wire form cannot hold it.
+    /// If the wire form cannot represent it.
     fn write(&self, writer: &mut Writer) -> Result<(), EncodeError>;
 
     /// Reads a value.
     ///
     /// # Errors
-    /// The bytes are not one.
+    /// If the bytes are not a value of this type.
     fn read(reader: &mut Reader) -> Result<Self, DecodeError>;
 }
 
@@ -112,7 +112,7 @@ impl<T: Field + Copy + Default, const N: usize> Field for [T; N] {
     }
 }
 
-/// Implements [`Field`] for a struct by its fields in the order of the wire.
+/// Implements [`Field`] for a struct by its fields in the order of the wire form.
 macro_rules! struct_field {
     ($name:ident { $($field:ident: $kind:ty),* $(,)? }) => {
         impl $crate::messages::Field for $name {

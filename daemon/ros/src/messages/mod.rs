@@ -1,8 +1,8 @@
 //! Message types that ROS 1 and ROS 2 share, and their two wire forms.
 //!
-//! A [`Message`] is a plain struct. [`Message::encode`] and [`Message::decode`] convert it to and from the bytes of either
-//! version. Bytes of pictures and point clouds are neither copied nor looked at one by one: decoding refers to the
-//! received bytes, and encoding refers to the message's.
+//! A [`Message`] is a plain struct. [`Message::encode`] and [`Message::decode`] convert it to and from the bytes of
+//! either version. The bytes of pictures and point clouds are not copied: a decoded message refers to the received
+//! bytes, and an encoded message refers to those of the struct.
 
 mod definition;
 mod field;
@@ -28,10 +28,10 @@ pub use writer::{EncodeError, EncodedMessage, Writer};
 
 use bytes::Bytes;
 
-/// The serialisation of a version of ROS.
+/// Serialization of a version of ROS.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum WireForm {
-    /// Serialisation of ROS 1: little-endian, without alignment, texts without a final NUL, headers with `seq`.
+    /// Serialization of ROS 1: little-endian, without alignment, texts without a final NUL, headers with `seq`.
     Ros1,
     /// Plain CDR of version 1 (XCDR1) with its encapsulation header, as ROS 2 uses it. Written little-endian, read in both
     /// byte orders.
@@ -46,20 +46,20 @@ pub trait Message: Field {
     /// Name of the type in DDS, such as `sensor_msgs::msg::dds_::Image_`.
     const DDS_TYPE: &'static str;
 
-    /// Returns the bytes of the message.
+    /// Encodes the message.
     ///
     /// # Errors
-    /// A value that the wire form cannot hold: [`EncodeError`].
+    /// If the wire form cannot represent a value: [`EncodeError`].
     fn encode(&self, form: WireForm) -> Result<EncodedMessage, EncodeError> {
         let mut writer = Writer::new(form);
         self.write(&mut writer)?;
         Ok(writer.finish())
     }
 
-    /// Reads a message that fills `bytes`.
+    /// Decodes a message that fills `bytes`.
     ///
     /// # Errors
-    /// Bytes that are not exactly one message of the type: [`DecodeError`].
+    /// If the bytes are not exactly one message of the type: [`DecodeError`].
     fn decode(form: WireForm, bytes: Bytes) -> Result<Self, DecodeError> {
         let mut reader = Reader::new(form, bytes)?;
         let message = Self::read(&mut reader)?;

@@ -12,7 +12,7 @@ pub struct MultiArrayDimension {
     pub label: String,
     /// Number of elements.
     pub size: u32,
-    /// Elements of this and all inner dimensions together.
+    /// Number of elements of this and all inner dimensions together.
     pub stride: u32,
 }
 
@@ -32,7 +32,7 @@ impl MultiArrayDimension {
 pub struct MultiArrayLayout {
     /// Dimensions, outermost first.
     pub dim: Vec<MultiArrayDimension>,
-    /// Elements of padding before the array.
+    /// Number of padding elements before the array.
     pub data_offset: u32,
 }
 

@@ -1,20 +1,20 @@
-//! Types of PEERNet's own package `peernet_msgs`, which carry sessions over topics.
+//! Types of PEERNet's package `peernet_msgs`, which carry sessions over topics.
 
 use bytes::Bytes;
 
 use super::field::struct_field;
 use super::{Header, Message, MessageDefinition};
 
-/// `peernet_msgs/SessionHello`: an edge asks the cloud of a topic `/NAME/sessions` to connect to the topics of a pipeline.
+/// `peernet_msgs/SessionHello`: request of an edge for a connection, on the topic `/NAME/sessions` of a cloud.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct SessionHello {
-    /// `frame_id` is the connection's random identifier, 32 hexadecimal digits.
+    /// Header whose `frame_id` is the connection's random identifier, 32 hexadecimal digits.
     pub header: Header,
     /// Name of the edge's node.
     pub node: String,
     /// Identifier of the edge's host.
     pub host: String,
-    /// Global name of the pipeline: its topics stand below it.
+    /// Global name of the pipeline, which is the prefix of its topics.
     pub pipeline: String,
 }
 
@@ -30,26 +30,29 @@ impl Message for SessionHello {
     const DDS_TYPE: &'static str = "peernet_msgs::msg::dds_::SessionHello_";
 }
 
-/// `peernet_msgs/MessageInfo`: what travels beside the payload of a message, on the payload's topic with `_info` appended.
+/// `peernet_msgs/MessageInfo`: a companion, which carries a message without its payload on the payload's topic with
+/// `_info` appended.
 ///
-/// A payload message of the same `header.stamp` and `header.frame_id` belongs to it where [`has_payload`](Self::has_payload)
-/// says so. In `std_msgs/UInt8MultiArray`, which has no header, the label of the first dimension has both.
+/// If [`has_payload`](Self::has_payload) is set, the payload message with the same `header.stamp` and `header.frame_id`
+/// belongs to it. In `std_msgs/UInt8MultiArray`, which has no header, the label of the first dimension contains both.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct MessageInfo {
-    /// `frame_id` is the connection's identifier; `stamp` is the departure by the sender's wall clock, and increases.
+    /// Header whose `frame_id` is the connection's identifier. Its `stamp` is the departure by the sender's wall clock
+    /// and increases.
     pub header: Header,
-    /// One of the constants.
+    /// Kind of the message: one of the constants.
     pub kind: u8,
-    /// Number of the message on this topic and connection, from 0.
+    /// Number of the companion on this topic and connection, from 0.
     pub sequence: u64,
-    /// Number of the request, 2⁶⁴ − 1 where the message belongs to none.
+    /// Number of the request; [`NO_REQUEST`](Self::NO_REQUEST) if the message belongs to none.
     pub request: u64,
-    /// Whether frame 2 is the payload message's data instead of a part of [`frames`](Self::frames).
+    /// `true` if frame 2 is the data of the payload message and not a part of [`frames`](Self::frames).
     pub has_payload: bool,
-    /// Bytes of each frame of the message: header, tree, and the parts of the sample. In a [`HELLO`](Self::HELLO) and a
-    /// [`WELCOME`](Self::WELCOME) of ROS 2 one number: bytes that the sender's sockets hold, which no payload message may exceed.
+    /// Length of each frame of the message in bytes: header, tree, and the parts of the sample. In a
+    /// [`HELLO`](Self::HELLO) and a [`WELCOME`](Self::WELCOME) of ROS 2 it has one number: the size of the sender's
+    /// socket buffers, which no payload message may exceed.
     pub frame_lengths: Vec<u32>,
-    /// The frames one after another.
+    /// Concatenated frames.
     pub frames: Bytes,
     /// Reason for the end of the connection.
     pub reason: String,
@@ -69,19 +72,20 @@ struct_field!(MessageInfo {
 impl MessageInfo {
     /// Kind of a message with frames.
     pub const DATA: u8 = 0;
-    /// Kind that an edge repeats until it gets [`WELCOME`](Self::WELCOME).
+    /// Kind of an edge's hello, which it repeats until it gets [`WELCOME`](Self::WELCOME).
     pub const HELLO: u8 = 1;
-    /// Kind of the cloud's answer.
+    /// Kind of the cloud's answer to a hello.
     pub const WELCOME: u8 = 2;
-    /// Kind that says that the sender is still there.
+    /// Kind of a heartbeat, which shows that the sender is still there.
     pub const HEARTBEAT: u8 = 3;
-    /// Kind that says that the message of a request arrived only in part.
+    /// Kind of a notice that the message of a request arrived only in part.
     pub const LOST: u8 = 4;
-    /// Kind that ends the connection.
+    /// Kind of a goodbye, which ends the connection.
     pub const GOODBYE: u8 = 5;
-    /// Kind that says that the sender receives the payload topic (ROS 2 only).
+    /// Kind of a confirmation that the sender receives the payload topic (ROS 2 only).
     pub const SUBSCRIBED: u8 = 6;
-    /// Kind with the first bytes of the frames of a message with the same stamp, which follows (ROS 2 only).
+    /// Kind of a companion with the first bytes of the frames of the message with the same stamp that follows (ROS 2
+    /// only).
     pub const PART: u8 = 7;
     /// Value of [`request`](Self::request) without a request.
     pub const NO_REQUEST: u64 = u64::MAX;

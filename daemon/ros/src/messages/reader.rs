@@ -5,10 +5,10 @@ use thiserror::Error;
 
 use super::WireForm;
 
-/// Padding that may follow a message in CDR, where payloads are multiples of four bytes.
+/// Largest padding after a message in CDR, where payloads are multiples of four bytes.
 const MAX_CDR_PADDING: usize = 3;
 
-/// Bytes that are not a message of the type.
+/// Error: the bytes are not a message of the type.
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
 pub enum DecodeError {
     /// The bytes end inside the message.
@@ -18,38 +18,38 @@ pub enum DecodeError {
     TooShort {
         /// Position in the message.
         offset: usize,
-        /// Bytes that the message says should follow.
+        /// Number of bytes that the message claims to have.
         needed: usize,
-        /// Bytes that follow.
+        /// Number of bytes that there are.
         available: usize,
     },
-    /// More bytes than the message has.
+    /// There are more bytes than the message has.
     #[error("{count} bytes follow the end of the message; is it of another type?")]
     TrailingBytes {
-        /// Their number.
+        /// Number of bytes after the message.
         count: usize,
     },
-    /// A text that is not UTF-8.
+    /// A text is not UTF-8.
     #[error("the text at byte {offset} is not UTF-8")]
     NotUtf8 {
         /// Position in the message.
         offset: usize,
     },
-    /// A text of CDR without the NUL that ends it.
+    /// A text of CDR does not end with NUL.
     #[error("the text at byte {offset} has no NUL at its end")]
     UnterminatedText {
         /// Position in the message.
         offset: usize,
     },
-    /// A boolean that is neither 0 nor 1.
+    /// A boolean is neither 0 nor 1.
     #[error("byte {offset} is {value}, but a boolean is 0 or 1")]
     NotBoolean {
         /// Position in the message.
         offset: usize,
-        /// Its value.
+        /// Value of the byte.
         value: u8,
     },
-    /// An encapsulation other than plain CDR.
+    /// The encapsulation is not plain CDR.
     #[error(
         "encapsulation {first:#04x} {second:#04x} is not read; publish with plain CDR of version 1 (00 00 or 00 01)"
     )]
@@ -63,22 +63,22 @@ pub enum DecodeError {
 
 /// Reads the fields of one message.
 ///
-/// Nothing is allocated because a length claims it: every length is compared with the bytes that are there.
+/// No memory is allocated for a claimed length: every length is compared with the number of bytes that are there.
 #[derive(Debug)]
 pub struct Reader {
     form: WireForm,
     is_big_endian: bool,
     bytes: Bytes,
     offset: usize,
-    /// Position from which alignment counts.
+    /// Position from which alignment is counted.
     origin: usize,
 }
 
 impl Reader {
-    /// Creates a reader; one of CDR has read the encapsulation header.
+    /// Creates a reader. For CDR it reads the encapsulation header.
     ///
     /// # Errors
-    /// The header is missing or of another encapsulation.
+    /// If the header is missing or of another encapsulation.
     pub fn new(form: WireForm, bytes: Bytes) -> Result<Self, DecodeError> {
         let mut reader = Self { form, is_big_endian: false, bytes, offset: 0, origin: 0 };
         if form == WireForm::Cdr {
@@ -116,10 +116,10 @@ impl Reader {
         Ok(offset)
     }
 
-    /// Reads bytes as they are, without alignment.
+    /// Reads bytes without alignment.
     ///
     /// # Errors
-    /// The bytes end before it.
+    /// If the bytes end before.
     pub fn take_octets<const N: usize>(&mut self) -> Result<[u8; N], DecodeError> {
         let start = self.advance(N)?;
         let mut array = [0; N];
@@ -130,7 +130,7 @@ impl Reader {
     /// Reads a number of `N` bytes and returns them in little-endian order.
     ///
     /// # Errors
-    /// The bytes end before it.
+    /// If the bytes end before.
     pub fn take_number<const N: usize>(&mut self) -> Result<[u8; N], DecodeError> {
         if self.form == WireForm::Cdr {
             let position = self.offset - self.origin;
@@ -143,13 +143,13 @@ impl Reader {
         Ok(number)
     }
 
-    /// Reads the number of elements of a sequence, each of which takes at least `min_element_bytes`.
+    /// Reads the number of elements of a sequence whose elements have at least `min_element_bytes` bytes.
     ///
     /// # Errors
-    /// The bytes that follow cannot hold this number of elements.
+    /// If the remaining bytes cannot hold this number of elements.
     pub fn take_length(&mut self, min_element_bytes: usize) -> Result<usize, DecodeError> {
         let claimed = u32::from_le_bytes(self.take_number()?);
-        // Saturating: an impossible claim stays impossible.
+        // Saturating, so that an impossible claim remains impossible.
         let length = usize::try_from(claimed).unwrap_or(usize::MAX);
         let needed = length.saturating_mul(min_element_bytes);
         let (offset, available) = (self.offset, self.remaining());
@@ -159,10 +159,10 @@ impl Reader {
         Ok(length)
     }
 
-    /// Reads a sequence of bytes, which refers to the message's bytes.
+    /// Reads a sequence of bytes. The result refers to the message's bytes.
     ///
     /// # Errors
-    /// The bytes end before it.
+    /// If the bytes end before.
     pub fn take_bytes(&mut self) -> Result<Bytes, DecodeError> {
         let length = self.take_length(1)?;
         let start = self.advance(length)?;
@@ -172,11 +172,11 @@ impl Reader {
     /// Reads a text.
     ///
     /// # Errors
-    /// It is cut off, not UTF-8, or has no end in CDR.
+    /// If it is incomplete, not UTF-8, or has no NUL in CDR.
     pub fn take_text(&mut self) -> Result<String, DecodeError> {
         let offset = self.offset;
         let mut bytes = self.take_bytes()?;
-        // Some writers of CDR give an empty text the length 0 instead of a lone NUL.
+        // Some writers of CDR give an empty text the length 0 instead of a single NUL.
         if self.form == WireForm::Cdr && !bytes.is_empty() && bytes.split_off(bytes.len() - 1)[0] != 0 {
             return Err(DecodeError::UnterminatedText { offset });
         }
@@ -189,7 +189,7 @@ impl Reader {
     /// Ends reading.
     ///
     /// # Errors
-    /// Bytes are left that are not padding.
+    /// If bytes remain that are not padding.
     pub fn finish(self) -> Result<(), DecodeError> {
         let allowed = if self.form == WireForm::Cdr { MAX_CDR_PADDING } else { 0 };
         match self.remaining() {

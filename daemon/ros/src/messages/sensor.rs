@@ -10,15 +10,15 @@ use super::{Header, Message, MessageDefinition, Quaternion, Vector3};
 pub struct Image {
     /// Capture time and coordinate frame.
     pub header: Header,
-    /// Rows.
+    /// Number of rows.
     pub height: u32,
-    /// Columns.
+    /// Number of columns.
     pub width: u32,
-    /// Channels, their order and size, such as `rgb8`.
+    /// Channels with their order and size, such as `rgb8`.
     pub encoding: String,
-    /// 1 where elements of several bytes are big-endian.
+    /// 1 if elements of several bytes are big-endian.
     pub is_bigendian: u8,
-    /// Bytes of one row.
+    /// Length of a row. Bytes.
     pub step: u32,
     /// The rows, `step × height` bytes.
     pub data: Bytes,
@@ -52,7 +52,7 @@ pub struct CompressedImage {
     pub header: Header,
     /// Format, such as `jpeg` or `png`.
     pub format: String,
-    /// The file.
+    /// Contents of the file.
     pub data: Bytes,
 }
 
@@ -115,7 +115,7 @@ impl Message for Imu {
 pub struct PointField {
     /// Name, such as `x`.
     pub name: String,
-    /// Bytes from the start of the point.
+    /// Offset in the point. Bytes.
     pub offset: u32,
     /// Type of the value: 1 to 8 for int8, uint8, int16, uint16, int32, uint32, float32, float64.
     pub datatype: u8,
@@ -140,21 +140,21 @@ impl PointField {
 pub struct PointCloud2 {
     /// Capture time and coordinate frame.
     pub header: Header,
-    /// Rows; 1 for an unordered cloud.
+    /// Number of rows; 1 for an unordered cloud.
     pub height: u32,
-    /// Points of a row.
+    /// Number of points in a row.
     pub width: u32,
-    /// The values that each point has.
+    /// Values of each point.
     pub fields: Vec<PointField>,
-    /// Whether values are big-endian.
+    /// `true` if values are big-endian.
     pub is_bigendian: bool,
-    /// Bytes of one point.
+    /// Length of a point. Bytes.
     pub point_step: u32,
-    /// Bytes of one row.
+    /// Length of a row. Bytes.
     pub row_step: u32,
     /// The rows, `row_step × height` bytes.
     pub data: Bytes,
-    /// Whether all points are valid.
+    /// `true` if all points are valid.
     pub is_dense: bool,
 }
 

@@ -5,10 +5,10 @@ use super::{DecodeError, EncodeError, Field, Message, MessageDefinition, Reader,
 
 /// An instant: `time` in ROS 1, `builtin_interfaces/Time` in ROS 2.
 ///
-/// The clock is the publisher's; ROS says nothing of which one that is.
+/// The clock is the publisher's. ROS does not say which clock that is.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct Time {
-    /// Seconds since the clock's epoch. ROS 1 has 0 to 2³² − 1, ROS 2 has −2³¹ to 2³¹ − 1.
+    /// Seconds since the clock's epoch. The range is 0 to 2³² − 1 in ROS 1 and −2³¹ to 2³¹ − 1 in ROS 2.
     pub sec: i64,
     /// Nanoseconds to add.
     pub nanosec: u32,
@@ -21,7 +21,7 @@ impl Time {
         Self { sec: nanos.div_euclid(1_000_000_000), nanosec }
     }
 
-    /// Returns the nanoseconds since the epoch; those that 64 bits cannot hold are the nearest that they can.
+    /// Returns the nanoseconds since the epoch, saturating at the range of 64 bits.
     pub fn as_nanos(self) -> i64 {
         self.sec.saturating_mul(1_000_000_000).saturating_add(i64::from(self.nanosec))
     }
@@ -48,10 +48,10 @@ impl Field for Time {
     }
 }
 
-/// `std_msgs/Header`: when and where the data of a message is from.
+/// `std_msgs/Header`: capture time and coordinate frame of the data of a message.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Header {
-    /// Number of the message. ROS 1 only: 0 after reading a message of ROS 2.
+    /// Number of the message in ROS 1; 0 in a decoded message of ROS 2.
     pub seq: u32,
     /// Capture time.
     pub stamp: Time,

@@ -7,29 +7,29 @@ use thiserror::Error;
 
 use super::WireForm;
 
-/// Length in bytes from which a sequence of bytes becomes a separate segment instead of being copied. Below it, the copy is
-/// cheaper than one more entry of a vectored write.
+/// Smallest sequence of bytes that becomes a separate segment and is not copied. Copying a shorter one is cheaper than
+/// one more entry of a vectored write. Bytes.
 const MIN_SEGMENT_BYTES: usize = 4096;
 
 /// Encapsulation header of little-endian plain CDR, version 1, without options.
 const CDR_LITTLE_ENDIAN: [u8; 4] = [0, 1, 0, 0];
 
-/// A value that a wire form cannot hold.
+/// Error: a wire form cannot represent a value.
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
 pub enum EncodeError {
-    /// More elements or bytes than a 32-bit length can say.
+    /// A sequence or text has more elements than a 32-bit length allows.
     #[error("a sequence of {length} elements is too long for a ROS message, whose lengths have 32 bits")]
     TooLong {
-        /// Elements, or bytes of a text.
+        /// Number of elements, or of bytes of a text.
         length: usize,
     },
-    /// A text with a NUL, which ends a text in CDR.
+    /// A text contains a NUL, which ends a text in CDR.
     #[error("the text {text:?} contains a NUL character, which ends a text in ROS 2; remove it")]
     NulInText {
         /// The text.
         text: String,
     },
-    /// Seconds outside what the wire form's time can say.
+    /// The seconds are outside the range of the wire form's time.
     #[error("the time {seconds} s cannot be sent: ROS 1 takes 0 to 2^32 − 1, ROS 2 takes −2^31 to 2^31 − 1")]
     TimeOutOfRange {
         /// Seconds since the Unix epoch.
@@ -37,7 +37,7 @@ pub enum EncodeError {
     },
 }
 
-/// The bytes of one message, in segments that follow each other.
+/// Bytes of one encoded message, in consecutive segments.
 #[derive(Clone, Debug)]
 pub struct EncodedMessage {
     segments: Arc<[Bytes]>,
@@ -60,7 +60,7 @@ impl EncodedMessage {
         &self.segments
     }
 
-    /// Returns the bytes in one piece; copies them if there are several segments.
+    /// Returns the bytes in one piece. Copies them if there are several segments.
     pub fn into_bytes(self) -> Bytes {
         match &*self.segments {
             [] => Bytes::new(),
@@ -88,12 +88,12 @@ pub struct Writer {
     form: WireForm,
     current: BytesMut,
     segments: Vec<Bytes>,
-    /// Bytes written, without the encapsulation header: what alignment counts from.
+    /// Number of bytes written without the encapsulation header, from which alignment is counted.
     position: usize,
 }
 
 impl Writer {
-    /// Creates a writer; one of CDR has written the encapsulation header.
+    /// Creates a writer. For CDR it writes the encapsulation header.
     pub fn new(form: WireForm) -> Self {
         let mut current = BytesMut::new();
         if form == WireForm::Cdr {
@@ -107,7 +107,7 @@ impl Writer {
         self.form
     }
 
-    /// Writes a number of `N` little-endian bytes, aligned where the form asks for it.
+    /// Writes a number of `N` little-endian bytes, aligned if the form requires it.
     pub fn put_number<const N: usize>(&mut self, little_endian: [u8; N]) {
         if self.form == WireForm::Cdr {
             let padding = self.position.wrapping_neg() & (N - 1);
@@ -121,7 +121,7 @@ impl Writer {
     /// Writes the number of elements of a sequence.
     ///
     /// # Errors
-    /// The number has more than 32 bits.
+    /// If the number has more than 32 bits.
     pub fn put_length(&mut self, length: usize) -> Result<(), EncodeError> {
         let short = u32::try_from(length).map_err(|_| EncodeError::TooLong { length })?;
         self.put_number(short.to_le_bytes());
@@ -131,7 +131,7 @@ impl Writer {
     /// Writes a text.
     ///
     /// # Errors
-    /// It is too long, or has a NUL where that ends a text.
+    /// If it is too long, or contains a NUL in CDR.
     pub fn put_text(&mut self, text: &str) -> Result<(), EncodeError> {
         match self.form {
             WireForm::Ros1 => self.put_length(text.len())?,
@@ -147,10 +147,10 @@ impl Writer {
         Ok(())
     }
 
-    /// Writes a sequence of bytes with its length. A long one is referred to, not copied.
+    /// Writes a sequence of bytes with its length. A long one is referred to and not copied.
     ///
     /// # Errors
-    /// The sequence has too many bytes.
+    /// If the sequence has too many bytes.
     pub fn put_bytes(&mut self, bytes: &Bytes) -> Result<(), EncodeError> {
         self.put_length(bytes.len())?;
         if bytes.len() < MIN_SEGMENT_BYTES {
@@ -174,7 +174,7 @@ impl Writer {
         }
     }
 
-    /// Returns what was written.
+    /// Returns the encoded message.
     pub fn finish(mut self) -> EncodedMessage {
         self.end_segment();
         let length = self.segments.iter().map(Bytes::len).sum();

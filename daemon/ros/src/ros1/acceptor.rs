@@ -18,10 +18,10 @@ use super::publisher::PublishedTopic;
 use super::socket::{configure, read_frame};
 use super::tcpros::{ConnectionHeader, FrameBuffer, HandshakeError, HeaderError, MAX_HEADER_BYTES};
 
-/// Pause after accepting failed: without a free descriptor it would fail again at once.
+/// Pause after accepting has failed. Without a free descriptor it would fail again at once.
 const ACCEPT_PAUSE: Duration = Duration::from_millis(100);
 
-/// Why a connection did not become one of a subscriber.
+/// Reason why a connection did not become a subscriber's.
 #[derive(Debug, Error)]
 enum AcceptError {
     #[error(transparent)]
@@ -81,7 +81,7 @@ impl Acceptor {
         }
     }
 
-    /// Logs that a connection was closed, once a minute for each address.
+    /// Logs at most once a minute for each address that a connection was closed.
     fn warn_refused(&self, peer: SocketAddr, reason: &str) {
         let now = self.node.clock.mono();
         let mut throttle = self.log_throttle.lock().unwrap_or_else(PoisonError::into_inner);
@@ -92,7 +92,8 @@ impl Acceptor {
         }
     }
 
-    /// Reads the subscriber's header and returns the topic, the subscriber's name and the answer. A refusal has been sent.
+    /// Reads the subscriber's header. Returns the topic, the subscriber's name and the answer. In case of an error the
+    /// refusal has been sent.
     async fn shake_hands(
         &self,
         stream: &mut TcpStream,

@@ -7,7 +7,7 @@ use tokio::net::{TcpListener, UdpSocket, lookup_host};
 use super::environment::{RpcUri, listen_address, uri_host};
 use super::error::NodeError;
 
-/// Address that a node gives to the master and to other nodes: a host with a port for each protocol.
+/// Address that a node gives to the master and to other nodes: a host, and a port for each protocol.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) struct NodeAddress {
     host: String,
@@ -25,10 +25,10 @@ pub(super) struct NodeListeners {
 }
 
 impl NodeAddress {
-    /// Opens the ports of a node on a host, which is a name or an address of this host.
+    /// Opens the ports of a node on a host, which is a name or an address of this machine.
     ///
     /// # Errors
-    /// No port can be opened.
+    /// If no port can be opened.
     pub(super) async fn listen(host: String) -> Result<(Self, NodeListeners), NodeError> {
         let listeners = NodeListeners { rpc: listen(&host).await?, tcpros: listen(&host).await? };
         let address = Self::new(host, port(&listeners.rpc)?, port(&listeners.tcpros)?);
@@ -67,9 +67,11 @@ fn port(listener: &TcpListener) -> Result<u16, NodeError> {
     Ok(own.port())
 }
 
-/// Returns the host that a node gives to others where no variable names it. It is the address from which the master is reached:
-/// a program that reaches the master usually reaches this address. With a master on this host it is the host's name, if that
-/// leads to an address that others can use.
+/// Returns the host that a node gives to others if no environment variable sets it.
+///
+/// It is the address from which the master is reached, because a program that reaches the master usually reaches this
+/// address. If the master is on this host, it is the host's name, provided that the name leads to an address that
+/// others can use.
 pub(super) async fn advertised_host(master: &RpcUri) -> String {
     let local = address_towards(master).await.unwrap_or_else(|_| Ipv4Addr::LOCALHOST.into());
     if !local.is_loopback() {
@@ -87,7 +89,7 @@ pub(super) async fn advertised_host(master: &RpcUri) -> String {
 async fn address_towards(master: &RpcUri) -> std::io::Result<IpAddr> {
     let mut last_error = std::io::ErrorKind::NotFound.into();
     let mut addresses: Vec<SocketAddr> = lookup_host((master.host(), master.port())).await?.collect();
-    // Most programs of ROS 1 speak IPv4 only, and `localhost` is both.
+    // Most programs of ROS 1 only support IPv4, and `localhost` has addresses of both kinds.
     addresses.sort_by_key(SocketAddr::is_ipv6);
     for address in addresses {
         let any: SocketAddr =

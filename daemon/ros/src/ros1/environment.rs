@@ -6,10 +6,10 @@ use std::net::{IpAddr, Ipv4Addr, Ipv6Addr};
 use hyper::Uri;
 use thiserror::Error;
 
-/// Port of the master where its URI has none.
+/// Default port of the master.
 const MASTER_PORT: u16 = 11311;
 
-/// A variable whose value cannot be used.
+/// Error: an environment variable has a value that cannot be used.
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
 pub enum EnvironmentError {
     /// The value is not UTF-8.
@@ -18,7 +18,7 @@ pub enum EnvironmentError {
         /// Name of the variable.
         variable: &'static str,
     },
-    /// The master's URI is not one.
+    /// The URI of the master is invalid.
     #[error("{uri:?} is not the URI of a ROS master; write it like http://robot:11311 (ROS_MASTER_URI)")]
     MasterUri {
         /// The text.
@@ -36,10 +36,10 @@ pub struct RpcUri {
 }
 
 impl RpcUri {
-    /// Reads `http://HOST:PORT/`; the port is 11311 where it is left out.
+    /// Parses `http://HOST:PORT/`; the default port is 11311.
     ///
     /// # Errors
-    /// The text is not such a URI.
+    /// If the text is not such a URI.
     pub fn parse(text: &str) -> Result<Self, EnvironmentError> {
         let error = || EnvironmentError::MasterUri { uri: text.to_owned() };
         let uri: Uri = text.trim().parse().map_err(|_| error())?;
@@ -58,7 +58,7 @@ impl RpcUri {
         &self.text
     }
 
-    /// Returns the host's name or address, without brackets.
+    /// Returns the host name or address, without brackets.
     pub fn host(&self) -> &str {
         &self.host
     }
@@ -80,30 +80,30 @@ impl std::fmt::Display for RpcUri {
     }
 }
 
-/// The settings that ROS 1 programs take from environment variables.
+/// Settings that ROS 1 programs take from environment variables.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Environment {
-    /// `ROS_MASTER_URI`; `http://localhost:11311` where it is not set.
+    /// `ROS_MASTER_URI`; by default `http://localhost:11311`.
     pub master: RpcUri,
-    /// `ROS_HOSTNAME`, or else `ROS_IP`: the host that other nodes connect to. Empty values count as not set.
+    /// `ROS_HOSTNAME`, or else `ROS_IP`: the host that other nodes connect to. Empty values count as unset.
     pub advertised_host: Option<String>,
-    /// `ROS_NAMESPACE`; `/` where it is not set.
+    /// `ROS_NAMESPACE`; by default `/`.
     pub namespace: String,
 }
 
 impl Environment {
-    /// Reads the variables of this process.
+    /// Reads the environment variables of this process.
     ///
     /// # Errors
-    /// A variable is set to a value that cannot be used.
+    /// If a variable has a value that cannot be used.
     pub fn from_process() -> Result<Self, EnvironmentError> {
         Self::from_variables(|name| std::env::var_os(name))
     }
 
-    /// Reads variables by a function that looks one up.
+    /// Reads environment variables with a function that looks one up.
     ///
     /// # Errors
-    /// A variable is set to a value that cannot be used.
+    /// If a variable has a value that cannot be used.
     pub fn from_variables(look_up: impl Fn(&str) -> Option<OsString>) -> Result<Self, EnvironmentError> {
         let text = |variable: &'static str| match look_up(variable).map(OsString::into_string) {
             Some(Ok(value)) => Ok(Some(value.trim().to_owned()).filter(|value| !value.is_empty())),
@@ -120,8 +120,8 @@ impl Environment {
     }
 }
 
-/// Returns the address to listen on for peers that connect to `advertised`: loopback alone where that is meant, as the
-/// clients of ROS do.
+/// Returns the address to listen on for peers that connect to `advertised`. It is a loopback address if `advertised` is
+/// one, as in the clients of ROS.
 pub(super) fn listen_address(advertised: &str) -> IpAddr {
     match advertised.parse::<IpAddr>() {
         Ok(address) if address.is_loopback() => address,
@@ -148,7 +148,7 @@ mod tests {
     }
 
     #[test]
-    fn missing_variables_have_defaults() {
+    fn missing_variables_get_defaults() {
         for variables in [&[][..], &[("ROS_MASTER_URI", ""), ("ROS_IP", " "), ("ROS_NAMESPACE", "")]] {
             let environment = environment(variables).unwrap();
             assert_eq!(environment.master.as_str(), "http://localhost:11311");
@@ -176,7 +176,7 @@ mod tests {
     }
 
     #[test]
-    fn loopback_is_listened_on_alone() {
+    fn loopback_host_listens_on_loopback_only() {
         assert_eq!(listen_address("localhost").to_string(), "127.0.0.1");
         assert_eq!(listen_address("127.0.0.1").to_string(), "127.0.0.1");
         assert_eq!(listen_address("robot").to_string(), "0.0.0.0");

@@ -1,4 +1,4 @@
-//! Why a node cannot do what was asked of it.
+//! Errors of a node, its publishers and its subscribers.
 
 use std::net::SocketAddr;
 
@@ -13,7 +13,7 @@ pub enum NodeError {
     /// The master does not answer.
     #[error("no ROS master answers at {uri}: {source}; start roscore there, or set ROS_MASTER_URI")]
     NoMaster {
-        /// The master's URI.
+        /// URI of the master.
         uri: String,
         /// Reason.
         source: RpcError,
@@ -21,11 +21,11 @@ pub enum NodeError {
     /// The master answered with an error.
     #[error("the ROS master at {uri} refuses {method}: {reason}")]
     MasterRefused {
-        /// The master's URI.
+        /// URI of the master.
         uri: String,
         /// Method of the master's API.
         method: &'static str,
-        /// Reason that the master gave.
+        /// Reason given by the master.
         reason: String,
     },
     /// The server at the master's URI does not speak the master's API.
@@ -36,16 +36,16 @@ pub enum NodeError {
         /// Method of the master's API.
         method: &'static str,
     },
-    /// A name that ROS does not allow.
+    /// The name is not allowed in ROS.
     #[error(transparent)]
     Name(#[from] NameError),
-    /// The node has a publisher of the topic already.
+    /// The node already has a publisher of the topic.
     #[error("topic {topic} is already published by this node; use the publisher that exists")]
     AlreadyPublished {
         /// Global name of the topic.
         topic: String,
     },
-    /// The node has a subscriber of the topic already.
+    /// The node already has a subscriber of the topic.
     #[error("topic {topic} is already subscribed to by this node; use the subscriber that exists")]
     AlreadySubscribed {
         /// Global name of the topic.
@@ -60,25 +60,25 @@ pub enum NodeError {
     /// A port could not be opened.
     #[error("cannot listen on {address} for other ROS nodes: {source}")]
     Listen {
-        /// Address with port 0: any free port.
+        /// Address with port 0, which means any free port.
         address: SocketAddr,
         /// Error of the operating system.
         source: std::io::Error,
     },
-    /// The node ended.
+    /// The node has ended.
     #[error("the ROS node {node} has ended: {reason}")]
     Closed {
         /// Name of the node.
         node: String,
-        /// Why.
+        /// Reason for its end.
         reason: String,
     },
-    /// A message with a length that the protocol cannot say.
+    /// The message is too long for the protocol.
     #[error("a message of {length} bytes for topic {topic} is too long; ROS 1 allows 2^32 − 1 bytes")]
     MessageTooLong {
         /// Global name of the topic.
         topic: String,
-        /// Bytes of the message.
+        /// Length of the message. Bytes.
         length: usize,
     },
 }

@@ -1,4 +1,4 @@
-//! Received messages that wait for the owner of a subscriber.
+//! Queue of received messages for the owner of a subscriber.
 
 use std::collections::VecDeque;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -11,32 +11,35 @@ use super::limits::QueueLimits;
 use super::memory::MessageMemory;
 use super::subscriber::PublisherInfo;
 
-/// A message of a topic.
+/// A received message of a topic.
 #[derive(Debug)]
 pub struct ReceivedMessage {
-    /// The message as it was sent, to be read with [`Message::decode`](crate::messages::Message::decode).
+    /// Bytes of the message, to be decoded with [`Message::decode`](crate::messages::Message::decode).
     pub bytes: Bytes,
-    /// Its publisher.
+    /// Publisher of the message.
     pub publisher: Arc<PublisherInfo>,
     /// Time at which its last byte was read.
     pub received: Stamp,
-    /// Memory that it takes of the subscriber's [`memory`](crate::ros1::SubscriberOptions::memory).
+    /// Share of the subscriber's [`memory`](crate::ros1::SubscriberOptions::memory) that the message holds.
     pub memory: MessageMemory,
 }
 
 /// Policy for a message that finds the queue full.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum WhenFull {
-    /// Reading pauses, so that the publisher's queue fills next and the publisher decides. Nothing is lost here.
+    /// Reading pauses, so that the publisher's queue fills and the publisher decides which messages to drop. Nothing is
+    /// lost here.
     #[default]
     Wait,
-    /// The message is dropped and counted. The publisher notices nothing, which suits those who only watch.
+    /// The message is dropped and counted. The publisher does not notice it. Suitable for observers, because a
+    /// subscriber that stops reading can stall a robot's node.
     Drop,
-    /// The oldest messages in the queue are dropped and counted until it fits, which suits those who want the newest.
+    /// The oldest messages in the queue are dropped and counted until the new one fits. Suitable for consumers of the
+    /// newest message.
     DropOldest,
 }
 
-/// Messages of all publishers of a topic.
+/// Queue of the messages of all publishers of a topic.
 #[derive(Debug)]
 pub(super) struct IncomingQueue {
     limits: QueueLimits,
@@ -61,11 +64,11 @@ impl IncomingQueue {
         self.queue.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Adds a message, and returns how many messages were dropped for want of room.
+    /// Adds a message. Returns how many messages were dropped for lack of room.
     pub(super) async fn push(&self, mut message: ReceivedMessage) -> u64 {
         let mut dropped = 0;
         loop {
-            // Made before looking, so that nothing that happens in between is missed.
+            // Created before the queue is checked, so that no change in between is missed.
             let room = self.room.notified();
             match self.try_push(message) {
                 None => return dropped,
@@ -73,7 +76,7 @@ impl IncomingQueue {
                 Some(refused) => message = refused,
             }
             if self.when_full == WhenFull::DropOldest {
-                // Its owner may have read the oldest meanwhile; there is room then.
+                // Its owner may have taken the oldest message in the meantime; then there is room.
                 dropped += u64::from(self.try_pop().is_some());
                 continue;
             }
@@ -81,7 +84,7 @@ impl IncomingQueue {
         }
     }
 
-    /// Adds a message, or returns it if the queue is full.
+    /// Adds a message. Returns it if the queue is full.
     fn try_push(&self, message: ReceivedMessage) -> Option<ReceivedMessage> {
         let mut queue = self.queue();
         let length = message.bytes.len();
@@ -95,18 +98,18 @@ impl IncomingQueue {
         None
     }
 
-    /// Removes the oldest message, or waits for one.
+    /// Removes and returns the oldest message, or waits for one.
     pub(super) async fn pop(&self) -> ReceivedMessage {
         loop {
             if let Some(message) = self.try_pop() {
                 return message;
             }
-            // A message that arrived since has left a permit.
+            // A message that arrived in the meantime has left a permit.
             self.arrived.notified().await;
         }
     }
 
-    /// Removes the oldest message.
+    /// Removes and returns the oldest message.
     pub(super) fn try_pop(&self) -> Option<ReceivedMessage> {
         let mut queue = self.queue();
         let message = queue.messages.pop_front()?;

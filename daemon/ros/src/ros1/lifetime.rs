@@ -1,4 +1,4 @@
-//! The end of a node: its reason, and the tasks that end with it.
+//! Lifetime of a node: the reason for its end, and the tasks that end with it.
 
 use std::sync::{Arc, OnceLock};
 
@@ -7,7 +7,7 @@ use tokio_util::task::TaskTracker;
 
 use super::error::NodeError;
 
-/// Time from the opening of a node to its end. A node that was ended has a reason, and stays ended.
+/// Lifetime of a node, from its opening to its end. The end has a reason and is final.
 #[derive(Debug)]
 pub(super) struct NodeLifetime {
     /// Global name of the node.
@@ -37,9 +37,9 @@ impl NodeLifetime {
         &self.tasks
     }
 
-    /// Ends the node; the first reason counts.
+    /// Ends the node. The first reason is kept.
     pub(super) fn end(&self, reason: String) {
-        // An error says that there is a reason already.
+        // Fails if there is already a reason.
         let _ = self.end_reason.set(reason);
         self.stop.cancel();
     }
@@ -53,12 +53,12 @@ impl NodeLifetime {
     /// Checks that the node has not ended.
     ///
     /// # Errors
-    /// It has.
+    /// If the node has ended.
     pub(super) fn check_open(&self) -> Result<(), NodeError> {
         if self.stop.is_cancelled() { Err(self.closed()) } else { Ok(()) }
     }
 
-    /// Returns the error of a call after the end.
+    /// Returns the error for calls after the end.
     pub(super) fn closed(&self) -> NodeError {
         let reason = self.end_reason.get().cloned().unwrap_or_else(|| "it was shut down".to_owned());
         NodeError::Closed { node: self.node.to_string(), reason }
@@ -70,7 +70,7 @@ mod tests {
     use super::*;
 
     #[tokio::test]
-    async fn first_reason_of_the_end_counts_and_tasks_end() {
+    async fn first_end_reason_is_kept_and_tasks_end() {
         let lifetime = NodeLifetime::new("/camera".into());
         let stop = lifetime.stop().child_token();
         lifetime.tasks().spawn(async move { stop.cancelled().await });

@@ -1,13 +1,13 @@
-//! Upper bounds of a node.
+//! Limits of a node.
 
 use std::time::Duration;
 
-/// Bound of a queue of messages. A message is always taken into an empty queue.
+/// Limits of a queue of messages. An empty queue accepts every message.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct QueueLimits {
-    /// Messages that wait at most.
+    /// Largest number of waiting messages.
     pub messages: usize,
-    /// Bytes of the messages that wait at most.
+    /// Largest number of bytes of waiting messages.
     pub bytes: usize,
 }
 
@@ -18,34 +18,34 @@ impl Default for QueueLimits {
 }
 
 impl QueueLimits {
-    /// Returns whether a message fits beside what waits.
+    /// Returns whether a message fits into a queue with this contents.
     pub(super) fn admit(&self, waiting: usize, waiting_bytes: usize, length: usize) -> bool {
         waiting == 0 || (waiting < self.messages && waiting_bytes.saturating_add(length) <= self.bytes)
     }
 }
 
-/// TCPROS connections that others open to a node at a time. More are closed at once.
+/// Largest number of TCPROS connections that others open to a node. Further ones are closed at once.
 pub(super) const MAX_INCOMING_CONNECTIONS: usize = 256;
 
-/// Publishers of one topic that a subscriber connects to. More are left out, with a warning.
+/// Largest number of publishers of one topic that a subscriber connects to. Further ones are ignored with a warning.
 pub(super) const MAX_PUBLISHERS: usize = 256;
 
-/// Longest duration of connecting and exchanging headers.
+/// Time limit for connecting and exchanging headers.
 pub(super) const HANDSHAKE_TIMEOUT: Duration = Duration::from_secs(5);
 
-/// Longest duration in which a publisher that ends writes the messages in its queues.
+/// Time limit for a publisher that ends to write its queues.
 pub(super) const DRAIN_TIMEOUT: Duration = Duration::from_secs(1);
 
-/// Longest duration for which sent bytes may wait for the other end, because it is unreachable or reads nothing, before the
-/// kernel ends a TCP connection. Without it that takes a quarter of an hour.
+/// Time after which the kernel ends a TCP connection whose sent bytes are not acknowledged, because the other end is
+/// unreachable or does not read. The kernel's default is a quarter of an hour.
 pub(super) const USER_TIMEOUT: Duration = Duration::from_secs(30);
 
 /// Silence of a TCP connection after which the kernel sends [`KEEPALIVE_PROBES`] keepalive probes, one every
 /// [`KEEPALIVE_INTERVAL`], and ends the connection if none is answered.
 pub(super) const KEEPALIVE_IDLE: Duration = Duration::from_secs(10);
 
-/// Time between keepalive probes.
+/// Interval between keepalive probes.
 pub(super) const KEEPALIVE_INTERVAL: Duration = Duration::from_secs(5);
 
-/// Keepalive probes without an answer that end a connection.
+/// Number of unanswered keepalive probes that end a connection.
 pub(super) const KEEPALIVE_PROBES: u32 = 4;

@@ -1,11 +1,11 @@
-//! The master's API, as far as a node with topics needs it.
+//! Client of the master's API, as far as a node with topics needs it.
 
 use super::environment::{Environment, RpcUri};
 use super::error::NodeError;
 use super::rpc::{self, RpcError};
 use super::xmlrpc::Value;
 
-/// Code of an answer that is a success.
+/// Code of a successful answer.
 pub(super) const SUCCESS: i64 = 1;
 
 /// A topic and the nodes that publish or subscribe to it, or a service and its nodes.
@@ -17,7 +17,7 @@ pub struct NamedNodes {
     pub nodes: Vec<String>,
 }
 
-/// The master's lists of topics, services and nodes.
+/// The master's lists of topics and services, with their nodes.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct SystemState {
     /// Topics with their publishers.
@@ -44,15 +44,15 @@ fn nodes_of<'a>(entries: &'a [NamedNodes], name: &str) -> &'a [String] {
     entries.iter().find(|entry| entry.name == name).map_or(&[], |entry| &entry.nodes)
 }
 
-/// Asks the master for all topics with the names of their types, without being a node.
+/// Returns all topics that the master knows, with the names of their types. Does not register a node.
 ///
 /// # Errors
-/// The master does not answer.
+/// If the master does not answer.
 pub async fn topic_types(environment: &Environment) -> Result<Vec<(String, String)>, NodeError> {
     MasterClient::new(environment.master.clone(), "/peernet").topic_types().await
 }
 
-/// The master, as one node calls it.
+/// Client of the master for one node.
 #[derive(Clone, Debug)]
 pub(super) struct MasterClient {
     uri: RpcUri,
@@ -68,7 +68,7 @@ impl MasterClient {
         &self.uri
     }
 
-    /// Calls a method; the caller's name goes before the parameters.
+    /// Calls a method. The caller's name precedes the parameters.
     async fn call(&self, method: &'static str, params: &[&str]) -> Result<Value, NodeError> {
         let params = [self.caller.as_str()].iter().chain(params).map(|text| Value::from(*text)).collect();
         let answer = match rpc::call(&self.uri, method, params).await {
@@ -96,7 +96,7 @@ impl MasterClient {
         self.call("getUri", &[]).await.map(drop)
     }
 
-    /// Registers a publisher or subscriber and returns the URIs of the topic's publishers or subscribers.
+    /// Registers a publisher or subscriber. Returns the URIs of the topic's subscribers or publishers.
     pub(super) async fn register(
         &self,
         method: &'static str,
@@ -118,11 +118,12 @@ impl MasterClient {
         self.call(method, &[topic, uri]).await.map(drop)
     }
 
-    /// Returns the URI of a node, or nothing if the master does not know it.
+    /// Returns the URI of a node; `None` if the master does not know it.
     pub(super) async fn look_up_node(&self, node: &str) -> Result<Option<String>, NodeError> {
         match self.call("lookupNode", &[node]).await {
             Ok(Value::Text(uri)) => Ok(Some(uri)),
             Ok(_) => Err(self.not_a_master("lookupNode")),
+            // The master answers with a refusal if it does not know the node.
             Err(NodeError::MasterRefused { .. }) => Ok(None),
             Err(error) => Err(error),
         }
@@ -145,7 +146,7 @@ impl MasterClient {
     }
 }
 
-/// Splits an answer of the master's or a node's API: a code, a text and the result.
+/// Splits an answer of the master's or a node's API into a code, a text and the result.
 pub(super) fn split_answer(answer: Value) -> Option<(i64, String, Value)> {
     let Value::Array(parts) = answer else { return None };
     let [code, text, value] = <[Value; 3]>::try_from(parts).ok()?;

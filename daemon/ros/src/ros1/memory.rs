@@ -1,25 +1,25 @@
-//! Memory that messages take while they are received.
+//! Limits on the memory of messages that are being received.
 
 use std::any::Any;
 use std::fmt;
 use std::sync::Arc;
 
-/// A bound on the memory of messages that several subscribers receive.
+/// A limit on the memory of messages that several subscribers receive.
 pub trait MemoryLimit: fmt::Debug + Send + Sync {
-    /// Reserves a number of bytes until the result is dropped; `None` if they exceed the bound.
+    /// Reserves `bytes` bytes until the result is dropped. `None` if they exceed the limit.
     fn reserve(&self, bytes: usize) -> Option<Box<dyn Any + Send + Sync>>;
 }
 
-/// Bounds of each message of a topic.
+/// Limits of each message of a topic.
 #[derive(Clone, Debug, Default)]
 pub(super) struct MessageLimits {
-    /// Longest message that is read. Bytes.
+    /// Largest message. Bytes.
     pub(super) max_bytes: usize,
-    /// Bound that messages share.
+    /// Limit that messages share.
     pub(super) memory: Option<Arc<dyn MemoryLimit>>,
 }
 
-/// Memory of one message, given back when dropped.
+/// Memory of one message, returned when it is dropped.
 #[derive(Default)]
 pub struct MessageMemory {
     bytes: usize,
@@ -27,7 +27,7 @@ pub struct MessageMemory {
 }
 
 impl MessageMemory {
-    /// Reserves what is missing for a message of a number of bytes. Returns whether there was room.
+    /// Reserves the missing memory for a message of `bytes` bytes. Returns whether there was room.
     pub(super) fn grow(&mut self, bytes: usize, limit: Option<&Arc<dyn MemoryLimit>>) -> bool {
         let (Some(limit), Some(missing @ 1..)) = (limit, bytes.checked_sub(self.bytes)) else { return true };
         let Some(part) = limit.reserve(missing) else { return false };

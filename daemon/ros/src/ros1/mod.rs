@@ -1,12 +1,23 @@
 //! ROS 1: a node with topics over TCP (TCPROS) and its registration with the master (XML-RPC).
 //!
-//! [`Node::new`] checks that the master answers; [`Node::publish`] and [`Node::subscribe`] register topics. After a
-//! restart of the master all topics are registered again within five seconds. Every message for a connected
-//! subscriber is counted as sent, dropped, lost or waiting ([`SendCounts`]).
+//! [`Node::new`] checks that the master answers; [`Node::publish`] and [`Node::subscribe`] register topics. Every
+//! message for a connected subscriber is counted as sent, dropped, lost or waiting ([`SendCounts`]).
 //!
-//! `xmlrpc` and `tcpros` have the protocols' texts and headers, `registration` which calls of the master are due, `slave` what
-//! others may ask a node: all without I/O. `registrar`, `rpc`, `acceptor`, `publisher_link` and `outgoing` own tasks and
-//! sockets.
+//! This is our own client, because no crate had what measuring needs (in November 2026): `roslibrust` 0.26 needs
+//! OpenSSL by default, never sets TCP_NODELAY, and drops messages without notice when its channel lags; `rosrust` 0.9
+//! does not set TCP_NODELAY either. A node needs little: XML-RPC with the master and other nodes, a header of texts on
+//! each connection, and frames with a length.
+//!
+//! The node asks the master every two seconds whether it is still registered, and every second while the master does
+//! not answer. After a restart of the master all topics are registered again within five seconds. Connections do not
+//! depend on the master.
+//!
+//! ROS 1 has no authentication: whoever reaches the ports may call. Headers, frames, calls, connections and publishers
+//! of a topic are bounded, and memory is reserved as bytes arrive.
+//!
+//! `xmlrpc` and `tcpros` have the texts and headers of the protocols, `registration` decides which calls of the master
+//! are due, and `slave` reads calls from other nodes; these do no I/O. `registrar`, `rpc`, `acceptor`, `publisher_link`
+//! and `outgoing` own tasks and sockets.
 
 mod acceptor;
 mod address;
@@ -44,7 +55,7 @@ pub use memory::{MemoryLimit, MessageMemory};
 pub use names::{NameError, NodeName};
 pub use node::Node;
 pub use outgoing::SendCounts;
-pub use publisher::{Delivery, Published, Publisher, PublisherOptions, SubscriberStatus};
+pub use publisher::{Delivery, PublishOutcome, Publisher, PublisherOptions, SubscriberStatus};
 pub use rpc::RpcError;
 pub use subscriber::{
     PublisherInfo, PublisherState, PublisherStatus, PublisherWatch, ReceiveCounts, Subscriber,

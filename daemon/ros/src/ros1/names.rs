@@ -4,28 +4,28 @@ use std::sync::Arc;
 
 use thiserror::Error;
 
-/// Longest name that is taken, in bytes.
+/// Longest accepted name. Bytes.
 const MAX_NAME_BYTES: usize = 1024;
 
-/// A name that ROS 1 does not allow.
+/// Error: the name is not allowed in ROS 1.
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
 pub enum NameError {
-    /// It is empty.
+    /// The name is empty.
     #[error("a ROS name is empty")]
     Empty,
-    /// It is too long.
+    /// The name is too long.
     #[error("a ROS name has {length} bytes; the longest has {MAX_NAME_BYTES}")]
     TooLong {
-        /// Bytes of the name.
+        /// Length of the name. Bytes.
         length: usize,
     },
-    /// It begins with something other than a letter, `/` or `~`.
+    /// The name begins with something other than a letter, `/` or `~`.
     #[error("the ROS name {name:?} must begin with a letter, / or ~")]
     Start {
         /// The name.
         name: String,
     },
-    /// It has a character that no name has.
+    /// The name has a character that is not allowed.
     #[error("the ROS name {name:?} contains {character:?}; letters, digits, _ and / are allowed")]
     Character {
         /// The name.
@@ -33,7 +33,7 @@ pub enum NameError {
         /// The first such character.
         character: char,
     },
-    /// A node's name with a namespace in it.
+    /// The node's name contains a namespace.
     #[error("the node name {name:?} contains a namespace; set the namespace by ROS_NAMESPACE instead")]
     NodeWithNamespace {
         /// The name.
@@ -44,16 +44,16 @@ pub enum NameError {
 /// Name of a node, by which relative and private names are resolved.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct NodeName {
-    /// Begins with `/`, and ends with it only where it is the root.
+    /// Begins with `/`, and only the root ends with it.
     namespace: String,
     full: Arc<str>,
 }
 
 impl NodeName {
-    /// Returns the name of a node in a namespace, which may lack the first `/`.
+    /// Creates the name of a node in a namespace, which may lack the first `/`.
     ///
     /// # Errors
-    /// A name that ROS does not allow, or a node's name with a namespace.
+    /// If a name is not allowed in ROS, or the node's name contains a namespace.
     pub fn new(namespace: &str, name: &str) -> Result<Self, NameError> {
         let root = "/".to_owned();
         let namespace = if namespace.trim_matches('/').is_empty() { root } else { join("/", namespace)? };
@@ -69,15 +69,15 @@ impl NodeName {
         &self.full
     }
 
-    /// Returns the node's global name for parts of the node that keep it.
+    /// Returns the node's global name for parts of the node that store it.
     pub(super) fn shared(&self) -> Arc<str> {
         Arc::clone(&self.full)
     }
 
-    /// Returns the global form of a topic's name: `/a` stays, `a` is in the namespace, `~a` is below the node.
+    /// Returns the global name of a topic: `/a` is global already, `a` is in the namespace, `~a` is below the node.
     ///
     /// # Errors
-    /// A name that ROS does not allow.
+    /// If the name is not allowed in ROS.
     pub fn resolve(&self, name: &str) -> Result<String, NameError> {
         match name.strip_prefix('~') {
             Some(private) => join(&self.full, private.trim_start_matches('/')),
@@ -137,7 +137,7 @@ mod tests {
     }
 
     #[test]
-    fn names_that_ros_lacks_are_refused() {
+    fn invalid_names_are_refused() {
         let node = NodeName::new("/", "n").unwrap();
         assert_eq!(node.resolve(""), Err(NameError::Empty));
         assert_eq!(node.resolve("/"), Err(NameError::Empty));

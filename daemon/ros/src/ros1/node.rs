@@ -21,18 +21,18 @@ use super::slave;
 use super::subscriber::{SubscribedTopic, Subscriber, SubscriberOptions};
 use super::tcpros::{Publication, Subscription, TopicType};
 
-/// A node of ROS 1. Publishers and subscribers end with it. [`Node::shutdown`] removes its registrations; a node that is only
-/// dropped stays in the master's lists.
+/// A node of ROS 1. Its publishers and subscribers end with it. [`Node::shutdown`] removes its registrations; a node
+/// that is only dropped stays in the master's lists.
 #[derive(Debug)]
 pub struct Node {
     shared: Arc<NodeShared>,
 }
 
 impl Node {
-    /// Opens the ports of a node with a name without namespace, such as `camera`, and checks that the master answers.
+    /// Creates a node: opens its ports and checks that the master answers. `name` has no namespace, such as `camera`.
     ///
     /// # Errors
-    /// The name is not allowed, no port can be opened, or the master does not answer.
+    /// If the name is not allowed, no port can be opened, or the master does not answer.
     pub async fn new(environment: &Environment, name: &str, clock: SharedClock) -> Result<Self, NodeError> {
         let name = NodeName::new(&environment.namespace, name)?;
         let master = MasterClient::new(environment.master.clone(), name.full());
@@ -69,7 +69,7 @@ impl Node {
     /// Returns the global name of a topic.
     ///
     /// # Errors
-    /// The name is not allowed.
+    /// If the name is not allowed.
     pub fn resolve(&self, topic: &str) -> Result<String, NodeError> {
         Ok(self.shared.name.resolve(topic)?)
     }
@@ -77,7 +77,7 @@ impl Node {
     /// Publishes a topic.
     ///
     /// # Errors
-    /// The name is not allowed, the type is `*`, the node publishes the topic already, or the registration fails.
+    /// If the name is not allowed, the type is `*`, the node already publishes the topic, or the registration fails.
     pub async fn publish(
         &self,
         topic: &str,
@@ -96,7 +96,7 @@ impl Node {
         let publication = Publication { node, topic, kind, is_latching };
         let stop = shared.lifetime.stop().child_token();
         let published = Arc::new(PublishedTopic::new(publication, options.queue, stop));
-        // Before the master knows: it tells subscribers at once.
+        // Before the registration, because the master informs subscribers at once.
         shared.topics.add_published(Arc::clone(&published))?;
         let (guard, _) = RegistrationGuard::register(&shared.registrar, registration).await?;
         Ok(Publisher { topic: published, guard })
@@ -105,7 +105,7 @@ impl Node {
     /// Subscribes to a topic. Publishers may come and go at any time.
     ///
     /// # Errors
-    /// The name is not allowed, the node subscribes to the topic already, or the registration fails.
+    /// If the name is not allowed, the node already subscribes to the topic, or the registration fails.
     pub async fn subscribe(
         &self,
         topic: &str,
@@ -126,36 +126,36 @@ impl Node {
         Ok(Subscriber { topic: subscribed, guard })
     }
 
-    /// Asks the master for all topics and services with their nodes.
+    /// Returns all topics and services that the master knows, with their nodes.
     ///
     /// # Errors
-    /// The master does not answer.
+    /// If the master does not answer.
     pub async fn system_state(&self) -> Result<SystemState, NodeError> {
         self.shared.registrar.master().system_state().await
     }
 
-    /// Asks the master for all topics with the names of their types.
+    /// Returns all topics that the master knows, with the names of their types.
     ///
     /// # Errors
-    /// The master does not answer.
+    /// If the master does not answer.
     pub async fn topic_types(&self) -> Result<Vec<(String, String)>, NodeError> {
         self.shared.registrar.master().topic_types().await
     }
 
-    /// Returns those of some nodes, without this one, that are running and publish a topic. The master also lists nodes that
-    /// ended without telling it. One of this node's name counts until this node has registered something.
+    /// Returns those of `nodes`, without this one, that are running and publish a topic. The master also lists nodes
+    /// that ended without unregistering. A node with this node's name counts until this node has registered something.
     ///
     /// # Errors
-    /// The master does not answer.
+    /// If the master does not answer.
     pub async fn running_publishers(&self, topic: &str, nodes: &[String]) -> Result<Vec<String>, NodeError> {
         self.running_nodes("getPublications", topic, nodes).await
     }
 
-    /// Returns those of some nodes, without this one, that are running and subscribe to a topic, as
+    /// Returns those of `nodes`, without this one, that are running and subscribe to a topic, as
     /// [`Node::running_publishers`] does.
     ///
     /// # Errors
-    /// The master does not answer.
+    /// If the master does not answer.
     pub async fn running_subscribers(&self, topic: &str, nodes: &[String]) -> Result<Vec<String>, NodeError> {
         self.running_nodes("getSubscriptions", topic, nodes).await
     }
@@ -171,7 +171,7 @@ impl Node {
             let uri =
                 self.shared.registrar.master().look_up_node(node).await?.filter(|uri| uri != self.uri());
             let Some(uri) = uri.and_then(|uri| RpcUri::parse(&uri).ok()) else { continue };
-            // An answer alone is no proof: the port of a node that ended may belong to another one by now.
+            // An answer alone proves nothing: the port of a node that ended may belong to another node now.
             let answer = rpc::call(&uri, method, vec![self.name().into()]).await;
             if answer.is_ok_and(|answer| slave::has_topic(answer, topic)) {
                 running.push(node.clone());
@@ -180,23 +180,22 @@ impl Node {
         Ok(running)
     }
 
-    /// Waits until the node has ended by itself, and returns the reason: another node has taken its name, or somebody
-    /// asked it to shut down (`rosnode kill`).
+    /// Waits until the node has ended by itself. Returns the reason: another node has taken its name, or it was asked
+    /// to shut down (`rosnode kill`).
     pub async fn ended(&self) -> NodeError {
         self.shared.lifetime.stop().cancelled().await;
         self.shared.lifetime.closed()
     }
 
-    /// Ends the node at once, without telling the master.
+    /// Ends the node at once. Its registrations stay with the master.
     pub fn close(&self) {
         self.shared.lifetime.end("it was closed".to_owned());
     }
 
-    /// Ends the node: messages that wait for subscribers are written within a second, and all topics are
-    /// unregistered.
+    /// Ends the node. Waiting messages are written within a second, and all topics are unregistered.
     ///
     /// # Errors
-    /// The topics could not be unregistered; the master lists the node until `rosnode cleanup` removes it.
+    /// If the topics could not be unregistered. The master then lists the node until `rosnode cleanup` removes it.
     pub async fn shutdown(&self) -> Result<(), NodeError> {
         let lifetime = &self.shared.lifetime;
         lifetime.end("it was shut down".to_owned());

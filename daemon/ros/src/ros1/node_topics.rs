@@ -8,7 +8,7 @@ use super::publisher::PublishedTopic;
 use super::registration::Role;
 use super::subscriber::SubscribedTopic;
 
-/// Topics that a node publishes or subscribes to: one publisher and one subscriber of each at most.
+/// Topics that a node publishes or subscribes to: at most one publisher and one subscriber of each.
 #[derive(Debug, Default)]
 pub(super) struct NodeTopics {
     topics: Mutex<TopicsByName>,
@@ -29,7 +29,7 @@ impl NodeTopics {
     /// Adds a topic that the node publishes.
     ///
     /// # Errors
-    /// The node publishes it already.
+    /// If the node already publishes it.
     pub(super) fn add_published(&self, topic: Arc<PublishedTopic>) -> Result<(), NodeError> {
         let name = Arc::clone(&topic.publication.topic);
         let published = &mut self.lock().published;
@@ -43,7 +43,7 @@ impl NodeTopics {
     /// Adds a topic that the node subscribes to.
     ///
     /// # Errors
-    /// The node subscribes to it already.
+    /// If the node already subscribes to it.
     pub(super) fn add_subscribed(&self, topic: Arc<SubscribedTopic>) -> Result<(), NodeError> {
         let name = Arc::clone(&topic.subscription.topic);
         let subscribed = &mut self.lock().subscribed;

@@ -1,4 +1,7 @@
-//! The connection to one subscriber: a bounded queue, written by whoever publishes as far as the kernel takes it.
+//! The connection to one subscriber, with a bounded queue.
+//!
+//! The publishing task writes to the socket itself, as far as the kernel accepts bytes. The connection's task writes
+//! what remains in the queue.
 
 use std::collections::VecDeque;
 use std::io::{self, IoSlice};
@@ -13,23 +16,24 @@ use tokio_util::sync::CancellationToken;
 use super::limits::{DRAIN_TIMEOUT, HANDSHAKE_TIMEOUT, QueueLimits};
 use crate::messages::EncodedMessage;
 
-/// Pieces that one system call writes at most.
+/// Largest number of pieces that one system call writes.
 const MAX_SLICES: usize = 64;
 
-/// Counts of the messages for one subscriber by their fate. At any time `offered = sent + dropped + lost + waiting`.
+/// Numbers of the messages for one subscriber by their outcome. `offered = sent + dropped + lost + waiting` at all
+/// times.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct SendCounts {
     /// Messages that were published while the subscriber was connected.
     pub offered: u64,
-    /// Messages that the kernel took whole.
+    /// Messages that the kernel accepted completely.
     pub sent: u64,
-    /// Bytes that the kernel took, with the length before each message.
+    /// Bytes that the kernel accepted, including the length before each message.
     pub sent_bytes: u64,
     /// Messages that were dropped because the queue was full.
     pub dropped: u64,
-    /// Messages that waited in the queue when the connection ended.
+    /// Messages that were waiting in the queue when the connection ended.
     pub lost: u64,
-    /// Messages that wait in the queue, with the one that is partly written.
+    /// Messages that wait in the queue, including the one that is partly written.
     pub waiting: u64,
 }
 
@@ -61,9 +65,9 @@ pub(super) struct OutgoingConnection {
     stream: TcpStream,
     limits: QueueLimits,
     queue: Mutex<Queue>,
-    /// The task has something to write.
+    /// Signals that the task has something to write.
     unsent: Notify,
-    /// Senders may look for room again.
+    /// Signals that there may be room again.
     room: Notify,
 }
 
@@ -71,7 +75,7 @@ pub(super) struct OutgoingConnection {
 struct Queue {
     messages: VecDeque<QueuedMessage>,
     bytes: usize,
-    /// Whether the header has been written, which precedes all messages.
+    /// `true` if the header has been written, which precedes all messages.
     is_open: bool,
     is_closed: bool,
     counts: SendCounts,
@@ -81,7 +85,7 @@ struct Queue {
 struct QueuedMessage {
     prefix: [u8; 4],
     message: EncodedMessage,
-    /// Bytes written, with the prefix.
+    /// Number of written bytes, including the prefix.
     written: usize,
 }
 
@@ -125,8 +129,8 @@ impl OutgoingConnection {
         SendCounts { waiting: queue.messages.len() as u64, ..queue.counts }
     }
 
-    /// Queues a message, and writes what the kernel takes at once. A full queue drops the message if `may_drop`, and leaves it
-    /// uncounted otherwise.
+    /// Queues a message, and writes what the kernel accepts at once. A full queue drops and counts the message if
+    /// `may_drop` is `true`; otherwise the message is not counted.
     pub(super) fn offer(&self, message: &EncodedMessage, prefix: [u8; 4], may_drop: bool) -> Offer {
         let mut queue = self.queue();
         if queue.is_closed {
@@ -143,7 +147,7 @@ impl OutgoingConnection {
         queue.counts.offered += 1;
         queue.bytes += message.len();
         queue.messages.push_back(message);
-        // An earlier message that waits for the kernel is the task's business.
+        // If an earlier message waits for the kernel, the task writes both.
         if queue.is_open && queue.messages.len() == 1 {
             self.write(&mut queue);
             if !queue.messages.is_empty() {
@@ -153,10 +157,10 @@ impl OutgoingConnection {
         Offer::Taken
     }
 
-    /// Waits until the queue has taken a message. Returns whether the connection is still there.
+    /// Waits until the queue has accepted a message. Returns whether the connection still exists.
     pub(super) async fn wait_for_room(&self, message: &EncodedMessage, prefix: [u8; 4]) -> bool {
         loop {
-            // Made before looking, so that nothing that happens in between is missed.
+            // Created before the queue is checked, so that no change in between is missed.
             let room = self.room.notified();
             match self.offer(message, prefix, false) {
                 Offer::Taken => return true,
@@ -166,7 +170,7 @@ impl OutgoingConnection {
         }
     }
 
-    /// Writes until the queue is empty or the kernel takes no more. An error closes the queue.
+    /// Writes until the queue is empty or the kernel accepts no more. An error closes the queue.
     fn write(&self, queue: &mut Queue) {
         while !queue.messages.is_empty() {
             let mut slices = [IoSlice::new(&[]); MAX_SLICES];
@@ -199,8 +203,8 @@ impl OutgoingConnection {
         !self.queue().messages.is_empty()
     }
 
-    /// Writes the header, and then messages until the subscriber closes the connection or `stop` is cancelled; then what waits
-    /// is written within [`DRAIN_TIMEOUT`].
+    /// Writes the header, and then messages until the subscriber closes the connection or `stop` is cancelled. In the
+    /// latter case the waiting messages are written within [`DRAIN_TIMEOUT`].
     pub(super) async fn run(&self, header: &[u8], stop: &CancellationToken) {
         match timeout(HANDSHAKE_TIMEOUT, self.write_header(header)).await {
             Ok(Ok(())) => self.run_open(stop).await,
@@ -231,7 +235,7 @@ impl OutgoingConnection {
     }
 
     async fn run_open(&self, stop: &CancellationToken) {
-        // Subscribers send nothing; reading shows when they close.
+        // Subscribers send nothing; reading detects that they close the connection.
         let mut ignored = [0; 256];
         while !self.queue().is_closed {
             let has_unsent = self.has_unsent();

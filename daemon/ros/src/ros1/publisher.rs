@@ -1,4 +1,4 @@
-//! Publishing a topic.
+//! Publishers of topics.
 
 use std::net::SocketAddr;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -17,46 +17,46 @@ use crate::messages::EncodedMessage;
 /// Options of a publisher.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct PublisherOptions {
-    /// Whether a new subscriber gets the last message at once.
+    /// `true` if a new subscriber gets the last message at once.
     pub is_latching: bool,
-    /// Bound of each subscriber's queue.
+    /// Limits of each subscriber's queue.
     pub queue: QueueLimits,
 }
 
 /// Result of publishing a message.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Published {
-    /// Subscribers in whose queue the message is, or to whom it is sent.
+pub struct PublishOutcome {
+    /// Number of subscribers to which the message is sent, or in whose queue it waits.
     pub subscribers: usize,
-    /// Subscribers whose queue was full: they do not get it.
+    /// Number of subscribers that do not get the message because their queue was full.
     pub dropped: usize,
 }
 
 /// Result of publishing a message for one subscriber.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Delivery {
-    /// It is sent, or waits in the subscriber's queue.
+    /// The message is sent, or waits in the subscriber's queue.
     Taken,
-    /// The subscriber's queue was full: it does not get the message.
+    /// The subscriber does not get the message because its queue was full.
     Full,
     /// The subscriber is not connected.
     Absent,
 }
 
-/// Connection to a subscriber, with what became of the messages for it.
+/// State of the connection to a subscriber, with counts of its messages.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct SubscriberStatus {
     /// Name of the subscriber's node.
     pub node: Arc<str>,
-    /// Own end of the connection.
+    /// Address of this end of the connection.
     pub local: SocketAddr,
-    /// The subscriber's end of the connection.
+    /// Address of the subscriber's end of the connection.
     pub remote: SocketAddr,
-    /// Messages and bytes.
+    /// Counts of messages and bytes.
     pub counts: SendCounts,
 }
 
-/// Publishes a topic. Dropping it ends the connections to subscribers and tells the master.
+/// Publishes a topic. Dropping it ends the connections to subscribers and unregisters the topic.
 #[derive(Debug)]
 pub struct Publisher {
     pub(super) topic: Arc<PublishedTopic>,
@@ -69,14 +69,15 @@ impl Publisher {
         &self.topic.publication.topic
     }
 
-    /// Publishes a message without waiting. A subscriber whose queue is full does not get it, which is counted and returned.
+    /// Publishes a message. Never waits. A subscriber whose queue is full does not get the message, which is counted
+    /// and returned.
     ///
     /// # Errors
-    /// The node has ended, or the message has more than 2³² − 1 bytes.
-    pub fn publish(&self, message: impl Into<EncodedMessage>) -> Result<Published, NodeError> {
+    /// If the node has ended, or the message has more than 2³² − 1 bytes.
+    pub fn publish(&self, message: impl Into<EncodedMessage>) -> Result<PublishOutcome, NodeError> {
         let (message, prefix) = self.check(message.into())?;
         let connections = self.topic.take_message(&message, prefix);
-        let mut published = Published::default();
+        let mut published = PublishOutcome::default();
         for connection in connections {
             match connection.offer(&message, prefix, true) {
                 Offer::Taken => published.subscribers += 1,
@@ -87,10 +88,10 @@ impl Publisher {
         Ok(published)
     }
 
-    /// As [`publish`](Self::publish), and returns what became of the message for the subscriber of one node.
+    /// Publishes a message as [`publish`](Self::publish) does. Returns the outcome for the subscriber of one node.
     ///
     /// # Errors
-    /// As those of `publish`.
+    /// Those of `publish`.
     pub fn publish_to(&self, node: &str, message: impl Into<EncodedMessage>) -> Result<Delivery, NodeError> {
         let (message, prefix) = self.check(message.into())?;
         let mut delivery = Delivery::Absent;
@@ -107,28 +108,31 @@ impl Publisher {
         Ok(delivery)
     }
 
-    /// Publishes a message and waits until each subscriber's queue has taken it: nothing is dropped while a subscriber is
-    /// connected, and the slowest one sets the pace.
+    /// Publishes a message and waits until each subscriber's queue has accepted it. Nothing is dropped while a
+    /// subscriber is connected, and the slowest one determines the rate.
     ///
     /// # Errors
-    /// The node has ended, or the message has more than 2³² − 1 bytes.
-    pub async fn publish_waiting(&self, message: impl Into<EncodedMessage>) -> Result<Published, NodeError> {
+    /// If the node has ended, or the message has more than 2³² − 1 bytes.
+    pub async fn publish_waiting(
+        &self,
+        message: impl Into<EncodedMessage>,
+    ) -> Result<PublishOutcome, NodeError> {
         let (message, prefix) = self.check(message.into())?;
         let connections = self.topic.take_message(&message, prefix);
-        let mut published = Published::default();
+        let mut published = PublishOutcome::default();
         for connection in connections {
             published.subscribers += usize::from(connection.wait_for_room(&message, prefix).await);
         }
         Ok(published)
     }
 
-    /// Waits until this number of subscribers is connected.
+    /// Waits until `count` subscribers are connected.
     ///
     /// # Errors
-    /// The node has ended.
+    /// If the node has ended.
     pub async fn wait_for_subscribers(&self, count: usize) -> Result<(), NodeError> {
         loop {
-            // Made before looking, so that nothing that happens in between is missed.
+            // Created before the connections are checked, so that no change in between is missed.
             let changed = self.topic.changed.notified();
             self.guard.check_open()?;
             if self.topic.state().connections.len() >= count {
@@ -146,7 +150,7 @@ impl Publisher {
         self.topic.subscribers()
     }
 
-    /// Returns the sums over all subscribers, with those that are gone.
+    /// Returns the sums over all subscribers, including those that are gone.
     pub fn counts(&self) -> SendCounts {
         self.topic.counts()
     }
@@ -172,10 +176,10 @@ impl Drop for Publisher {
 pub(super) struct PublishedTopic {
     pub(super) publication: Publication,
     limits: QueueLimits,
-    /// Ends the connections.
+    /// Token that ends the connections.
     pub(super) stop: CancellationToken,
     state: Mutex<TopicState>,
-    /// A connection was added.
+    /// Signals that a connection was added.
     changed: Notify,
 }
 
@@ -183,7 +187,7 @@ pub(super) struct PublishedTopic {
 struct TopicState {
     connections: Vec<Arc<OutgoingConnection>>,
     latched: Option<(EncodedMessage, [u8; 4])>,
-    /// Counts of connections that are gone.
+    /// Counts of the connections that are gone.
     ended: SendCounts,
 }
 
@@ -196,7 +200,7 @@ impl PublishedTopic {
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Keeps a message if the topic is latching, and returns the connections that it goes to.
+    /// Keeps a message if the topic is latching. Returns the connections that it goes to.
     fn take_message(&self, message: &EncodedMessage, prefix: [u8; 4]) -> Vec<Arc<OutgoingConnection>> {
         let mut state = self.state();
         if self.publication.is_latching {
@@ -223,7 +227,7 @@ impl PublishedTopic {
         sum
     }
 
-    /// Runs the connection to a subscriber, which gets `answer` first.
+    /// Runs the connection to a subscriber, to which `answer` is sent first.
     pub(super) async fn run_connection(
         &self,
         stream: TcpStream,
@@ -242,14 +246,15 @@ impl PublishedTopic {
             if let Some((message, prefix)) = &state.latched {
                 connection.offer(message, *prefix, true);
             }
-            // Before the answer is sent: what is published after the subscriber has read it must not be missed.
+            // Before the answer is sent, so that no message is missed that is published after the subscriber has read
+            // it.
             state.connections.push(Arc::clone(&connection));
         }
         self.changed.notify_waiters();
         connection.run(&answer.encode(), &self.stop).await;
         let mut state = self.state();
         state.connections.retain(|other| !Arc::ptr_eq(other, &connection));
-        // A publish that holds the list may still offer a message; a closed queue refuses it without counting.
+        // A concurrent call of publish may still offer a message; a closed queue refuses it without counting it.
         state.ended.add(&connection.counts());
     }
 }

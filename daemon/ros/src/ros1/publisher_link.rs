@@ -1,4 +1,4 @@
-//! The connection of a subscriber to one publisher, which is opened again when it breaks.
+//! The connection of a subscriber to one publisher, which is reopened when it breaks.
 
 use std::io;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -20,16 +20,16 @@ use super::subscriber::{PublisherInfo, PublisherState, PublisherStatus, ReceiveC
 use super::tcpros::{ConnectionHeader, FrameBuffer, HandshakeError, MAX_HEADER_BYTES};
 use super::xmlrpc::Value;
 
-/// Pause before the second attempt; it doubles with each further one.
+/// Pause before the second attempt. It doubles with each further one.
 const MIN_PAUSE: Duration = Duration::from_millis(100);
 
 /// Longest pause between attempts.
 const MAX_PAUSE: Duration = Duration::from_secs(5);
 
-/// Code of an answer that is a success.
+/// Code of a successful answer.
 const SUCCESS: i64 = 1;
 
-/// Why there is no connection to a publisher.
+/// Reason why there is no connection to a publisher.
 #[derive(Debug, Error)]
 enum LinkError {
     #[error("the master names {uri:?} as a publisher's address, which is not a URI")]
@@ -60,7 +60,7 @@ enum LinkError {
 pub(super) struct PublisherLink {
     uri: Arc<str>,
     state: Mutex<LinkState>,
-    /// Whether the master lists the publisher has changed.
+    /// Signals that the master's listing of the publisher has changed.
     listing: Notify,
 }
 
@@ -69,7 +69,7 @@ struct LinkState {
     is_listed: bool,
     state: PublisherState,
     counts: ReceiveCounts,
-    /// Name of the node, where messages are taken from another one only.
+    /// Name of the node, if it is not the only one whose messages are accepted.
     unexpected: Option<Arc<str>>,
 }
 
@@ -116,7 +116,7 @@ impl PublisherLink {
         topic.changed.notify_waiters();
     }
 
-    /// Connects again and again, until the publisher is no longer listed or the subscriber ends.
+    /// Connects repeatedly, until the publisher is no longer listed or the subscriber ends.
     pub(super) async fn run(&self, topic: &SubscribedTopic) {
         let mut pause = MIN_PAUSE;
         let (mut last_reason, mut was_closed) = (String::new(), false);
@@ -129,13 +129,16 @@ impl PublisherLink {
             if topic.remove_unlisted(self) {
                 return;
             }
+            // A connection worked in between, so the next failure starts with the short pause again.
             if self.state().counts.connections > connections {
                 pause = MIN_PAUSE;
             }
             let reason = error.to_string();
+            // Logged once for each reason, because the attempts repeat.
             if reason != last_reason {
                 let (topic, publisher) = (&*topic.subscription.topic, &*self.uri);
-                // A publisher that ends closes the connection before the master says so, and publishes no more when it is asked.
+                // A publisher that ends closes the connection before the master reports it, and does not publish the
+                // topic any more when it is asked. Neither deserves a warning.
                 let is_closed = matches!(error, LinkError::Closed);
                 if is_closed || was_closed && matches!(error, LinkError::NoConnection { .. }) {
                     tracing::debug!(topic, publisher, "a publisher of a ROS topic closed the connection");

@@ -1,4 +1,4 @@
-//! Keeps the master informed of a node's topics.
+//! Keeps the registrations of a node's topics with the master up to date.
 
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
@@ -21,7 +21,7 @@ fn methods_of(role: Role) -> (&'static str, &'static str) {
     }
 }
 
-/// Registrations of a node with the master. Whoever changes them wakes the task that calls the master.
+/// Registrations of a node with the master. Every change wakes the task that calls the master.
 #[derive(Debug)]
 pub(super) struct Registrar {
     master: MasterClient,
@@ -59,22 +59,23 @@ impl Registrar {
         self.registrations.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Registers a topic, and returns the URIs of its publishers or subscribers.
+    /// Registers a topic. Returns the URIs of its publishers or subscribers.
     ///
     /// # Errors
-    /// The master does not answer, or refuses.
+    /// If the master does not answer or refuses.
     pub(super) async fn register(&self, registration: &Registration) -> Result<Vec<String>, NodeError> {
-        // A master that was restarted knows the node again once this topic is registered: the loss of the others would not show.
+        // A restarted master knows the node again once this topic is registered, and the loss of the other topics could
+        // then not be detected any more.
         self.check().await;
         let uris = self.call_register(registration).await?;
         self.registrations().add(registration.clone());
         Ok(uris)
     }
 
-    /// Removes a topic from the node, and has it unregistered in the background.
+    /// Removes a topic from the node, and lets it be unregistered in the background.
     pub(super) fn remove(&self, registration: Registration) {
         self.topics.remove(registration.role, &registration.topic);
-        // Also where the registration failed: the master may know it all the same.
+        // Even if the registration failed, because the master may know it all the same.
         self.registrations().remove(registration);
         self.wake.notify_one();
     }
@@ -82,7 +83,7 @@ impl Registrar {
     /// Unregisters all topics of a node that has ended.
     ///
     /// # Errors
-    /// The master does not answer in time, or refuses.
+    /// If the master does not answer in time or refuses.
     pub(super) async fn unregister_all(&self) -> Result<(), NodeError> {
         let registrations = self.registrations().take_all();
         let unregister = async {
@@ -98,13 +99,13 @@ impl Registrar {
         timeout(CALL_TIMEOUT, unregister).await.unwrap_or_else(late)
     }
 
-    /// Has the task ask the master which node has the name.
+    /// Makes the task ask the master which node has the name.
     pub(super) fn request_check(&self) {
         self.registrations().request_check();
         self.wake.notify_one();
     }
 
-    /// Calls the master as the registrations ask for, until the node ends.
+    /// Makes the calls of the master that are due, until the node ends.
     pub(super) async fn run(&self) {
         loop {
             let (call, pause) = {
@@ -127,7 +128,7 @@ impl Registrar {
         }
     }
 
-    /// Asks the master whether it still knows the node. All topics are due for registration if it does not.
+    /// Asks the master whether it still knows the node. If not, all topics are due for registration.
     async fn check(&self) {
         if !self.registrations().has_registered() {
             return;
@@ -143,7 +144,7 @@ impl Registrar {
             MasterCall::LookUpNode => match self.master.look_up_node(self.lifetime.node()).await {
                 Ok(None) => return CallOutcome::NodeUnknown,
                 Ok(Some(uri)) if uri != self.uri => {
-                    // A node that has ended did not replace this one: its registration has reached the master late.
+                    // A node that has ended did not replace this one; its registration has reached the master late.
                     let is_running = self.is_running(&uri).await;
                     return if is_running {
                         CallOutcome::NodeReplaced { uri }
@@ -193,7 +194,7 @@ impl Registrar {
         rpc::call(&uri, "getPid", vec![(&**self.lifetime.node()).into()]).await.is_ok()
     }
 
-    /// Notes the outcome of a call, and logs what it says of the master.
+    /// Handles the outcome of a call, and logs changes of the master's state.
     fn handle_outcome(&self, call: &MasterCall, outcome: CallOutcome) {
         let notice = self.registrations().handle_outcome(call, outcome);
         let Some(notice) = notice else { return };

@@ -1,10 +1,10 @@
-//! Which topics the master should know, and what to call next so that it does. No I/O.
+//! Registrations that the master should have, and the next call that achieves it, without I/O.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::time::Duration;
 
-/// Time between two questions whether the master still knows the node.
+/// Interval at which the master is asked whether it still knows the node.
 pub(super) const CHECK_INTERVAL: Duration = Duration::from_secs(2);
 
 /// Pause after the master was not reachable.
@@ -26,7 +26,7 @@ pub(super) struct Registration {
     pub(super) kind: Arc<str>,
 }
 
-/// A call that brings the master's knowledge closer to what it should be.
+/// A call of the master that brings its registrations closer to the wanted ones.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) enum MasterCall {
     Register(Registration),
@@ -39,7 +39,7 @@ pub(super) enum MasterCall {
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) enum CallOutcome {
     Success,
-    /// The master does not know the node: it was restarted, or knows one that has ended.
+    /// The master does not know the node: it was restarted, or it knows a node that has ended.
     NodeUnknown,
     /// Another node has the name now.
     NodeReplaced {
@@ -53,7 +53,7 @@ pub(super) enum CallOutcome {
     },
 }
 
-/// Something to tell the owner.
+/// Event for the owner of the registrations.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) enum Notice {
     MasterLost { reason: String },
@@ -84,7 +84,7 @@ impl Registrations {
         self.entries.insert(registration, RegistrationStatus::Registered);
     }
 
-    /// Marks a registration for removal; the call to unregister it is due next.
+    /// Marks a registration for removal. The call that unregisters it is due next.
     pub(super) fn remove(&mut self, registration: Registration) {
         self.entries.insert(registration, RegistrationStatus::Leaving);
     }
@@ -94,15 +94,15 @@ impl Registrations {
         self.is_check_due = true;
     }
 
-    /// Returns how long to wait when there is nothing to call, or after a call that did not reach the master.
+    /// Returns how long to wait if no call is due, or after a call that did not reach the master.
     pub(super) fn pause(&self) -> Duration {
         if self.is_unreachable { RETRY_INTERVAL } else { CHECK_INTERVAL }
     }
 
-    /// Returns the next call to make now.
+    /// Returns the call that is due now.
     pub(super) fn next_call(&self) -> Option<MasterCall> {
         let with = |wanted| self.entries.iter().find(|(_, status)| **status == wanted);
-        // After an absence it may be another master: what it knows is asked first.
+        // After an absence it may be another master, so it is asked first what it knows.
         if self.is_check_due && !self.entries.is_empty() {
             return Some(MasterCall::LookUpNode);
         }
@@ -144,7 +144,7 @@ impl Registrations {
                 return Some(Notice::Refused { reason });
             }
             (MasterCall::Register(_) | MasterCall::LookUpNode, CallOutcome::Refused { reason }) => {
-                // It is tried again after a pause, and told once.
+                // The call is repeated after a pause, and reported once.
                 self.is_unreachable = true;
                 return (!was_unreachable).then_some(Notice::Refused { reason });
             }
@@ -158,7 +158,7 @@ impl Registrations {
         self.entries.values().any(|status| *status == RegistrationStatus::Registered)
     }
 
-    /// Takes all registrations for missing, and returns whether there was one.
+    /// Marks all registrations as missing. Returns whether any was registered.
     fn mark_all_missing(&mut self) -> bool {
         let had_registered = self.has_registered();
         self.entries.retain(|_, status| *status != RegistrationStatus::Leaving);
@@ -172,7 +172,7 @@ impl Registrations {
             Some(RegistrationStatus::Leaving) => {
                 self.entries.remove(registration);
             }
-            // Added again while the call was under way, which has removed the new one.
+            // The topic was added again during the call, which has removed the new registration.
             Some(status) => *status = RegistrationStatus::Missing,
             None => {}
         }
@@ -197,7 +197,7 @@ mod tests {
     }
 
     #[test]
-    fn restarted_master_is_told_everything_again() {
+    fn restarted_master_gets_all_registrations_again() {
         let mut state = Registrations::default();
         state.add(registration("/a"));
         state.add(registration("/b"));
@@ -225,7 +225,7 @@ mod tests {
     }
 
     #[test]
-    fn master_that_kept_running_is_told_nothing() {
+    fn master_that_kept_running_gets_no_calls() {
         let mut state = Registrations::default();
         state.add(registration("/a"));
         state.handle_outcome(&MasterCall::LookUpNode, unreachable());
@@ -262,7 +262,7 @@ mod tests {
     }
 
     #[test]
-    fn node_with_same_name_is_told() {
+    fn node_with_same_name_is_reported() {
         let mut state = Registrations::default();
         state.add(registration("/a"));
         let outcome = CallOutcome::NodeReplaced { uri: "http://other:1/".into() };

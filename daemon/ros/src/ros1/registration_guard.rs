@@ -1,4 +1,4 @@
-//! A topic that is registered as long as its publisher or subscriber exists.
+//! Guard of a topic that is registered as long as its publisher or subscriber exists.
 
 use std::sync::Arc;
 
@@ -17,12 +17,12 @@ impl RegistrationGuard {
     /// Registers a topic that the node has. Returns the guard with the URIs of the topic's publishers or subscribers.
     ///
     /// # Errors
-    /// The master does not answer, or refuses; the topic is removed from the node then.
+    /// If the master does not answer or refuses. The topic is then removed from the node.
     pub(super) async fn register(
         registrar: &Arc<Registrar>,
         registration: Registration,
     ) -> Result<(Self, Vec<String>), NodeError> {
-        // Made first: the master may know the topic even where the call fails.
+        // Created first, because the master may know the topic even if the call fails.
         let guard = Self { registrar: Arc::clone(registrar), registration };
         let uris = registrar.register(&guard.registration).await?;
         Ok((guard, uris))
@@ -31,7 +31,7 @@ impl RegistrationGuard {
     /// Checks that the node has not ended.
     ///
     /// # Errors
-    /// It has.
+    /// If the node has ended.
     pub(super) fn check_open(&self) -> Result<(), NodeError> {
         self.registrar.lifetime().check_open()
     }

@@ -22,40 +22,40 @@ use super::xmlrpc::{
     Call, ParseError, Response, Value, parse_call, parse_response, write_call, write_response,
 };
 
-/// Longest duration of a call, with connecting.
+/// Time limit for a call, including connecting.
 pub(super) const CALL_TIMEOUT: Duration = Duration::from_secs(3);
 
-/// Longest answer that is read: the system state of a large robot is some hundred kilobytes.
+/// Longest accepted answer. The system state of a large robot is some hundred kilobytes. Bytes.
 const MAX_RESPONSE_BYTES: usize = 16 * 1024 * 1024;
 
-/// Longest call that is read: the list of a topic's publishers is the longest.
+/// Longest accepted call. The longest one has the list of a topic's publishers. Bytes.
 const MAX_CALL_BYTES: usize = 256 * 1024;
 
-/// Connections to the server at a time. More wait to be accepted.
+/// Largest number of connections to the server. Further ones wait to be accepted.
 const MAX_CONNECTIONS: usize = 64;
 
-/// Longest silence of a connection before and between calls, and longest duration in which a call may arrive.
+/// Longest silence of a connection before and between calls, and time limit for the arrival of a call.
 const IDLE_TIMEOUT: Duration = Duration::from_secs(30);
 
-/// A call without a result.
+/// Error: a call has no result.
 #[derive(Debug, Error)]
 pub enum RpcError {
-    /// The connection is refused, or it breaks.
+    /// The connection was refused or broke.
     #[error("{reason}")]
     Connection {
         /// Reason.
         reason: String,
     },
-    /// It takes too long.
+    /// The call took too long.
     #[error("no answer within {} s", CALL_TIMEOUT.as_secs())]
     TimedOut,
-    /// An HTTP status other than 200.
+    /// The HTTP status is not 200.
     #[error("HTTP status {status}")]
     Status {
         /// The status.
         status: StatusCode,
     },
-    /// The answer is no XML-RPC.
+    /// The answer is not XML-RPC.
     #[error("the answer is not XML-RPC: {0}")]
     Parse(#[from] ParseError),
     /// The method failed.
@@ -77,10 +77,10 @@ impl RpcError {
 
 /// Calls a method and returns its result.
 ///
-/// Each call opens a connection: a node makes few calls, and a kept connection would break with the peer.
+/// Each call opens a connection. A node makes few calls, and a kept connection would break when the peer ends.
 ///
 /// # Errors
-/// The peer is not there, takes too long, or answers with a fault.
+/// If the peer is not there, takes too long, or answers with a fault.
 pub(super) async fn call(uri: &RpcUri, method: &str, params: Vec<Value>) -> Result<Value, RpcError> {
     let xml = write_call(&Call { method: method.to_owned(), params });
     let body = timeout(CALL_TIMEOUT, exchange(uri, xml.into())).await.map_err(|_| RpcError::TimedOut)??;
@@ -115,7 +115,7 @@ async fn exchange(uri: &RpcUri, xml: Bytes) -> Result<Bytes, RpcError> {
     tokio::pin!(exchange, connection);
     tokio::select! {
         result = &mut exchange => result,
-        // The peer closes after its answer, which may not have been taken yet.
+        // The peer closes the connection after its answer, which may not have been read yet.
         _ = &mut connection => exchange.await,
     }
 }
@@ -138,7 +138,7 @@ pub(super) async fn serve(
             Ok((stream, _)) => stream,
             Err(error) => {
                 tracing::warn!(%error, "cannot accept a connection to the ROS node's XML-RPC server");
-                // Out of descriptors, for example: it would fail again at once.
+                // The process may be out of descriptors, and accepting would fail again at once.
                 tokio::time::sleep(Duration::from_millis(100)).await;
                 continue;
             }
@@ -146,7 +146,7 @@ pub(super) async fn serve(
         let (answer, stop) = (Arc::clone(&answer), stop.clone());
         tokio::spawn(async move {
             let _place = place;
-            // A failure shows in latency only.
+            // A failure only increases the latency.
             let _ = stream.set_nodelay(true);
             let service = service_fn(|request| respond(request, &*answer));
             let connection = hyper::server::conn::http1::Builder::new()

@@ -1,4 +1,4 @@
-//! The API that a node offers to the master and to other nodes ("slave API"). No I/O.
+//! The API that a node offers to the master and to other nodes ("slave API"). Calls are read without I/O.
 
 use std::sync::Arc;
 
@@ -8,16 +8,17 @@ use super::publisher::PublishedTopic;
 use super::subscriber::{PublisherState, SubscribedTopic};
 use super::xmlrpc::{Call, Response, Value};
 
-/// Code of an answer to a call that makes no sense.
+/// Code of an answer to an invalid call.
 const ERROR: i64 = -1;
 
-/// Code of an answer to a call that could not be carried out.
+/// Code of an answer to a call that failed.
 const FAILURE: i64 = 0;
 
-/// Why the master asks a node to shut down when another one registers with its name, after `[/NODE] Reason: `.
+/// Reason with which the master asks a node to shut down when another one registers with its name, after `[/NODE]
+/// Reason: `.
 const NAME_TAKEN: &str = "new node registered with same name";
 
-/// A call of the API. The first parameter, the caller's name, is left out where nothing is done with it.
+/// A call of the API. The first parameter, the caller's name, is omitted where it is not used.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) enum SlaveCall {
     BusStats,
@@ -32,7 +33,7 @@ pub(super) enum SlaveCall {
     RequestTopic { topic: String, protocols: Vec<String> },
 }
 
-/// Why a call is not one of the API.
+/// Reason why a call is not one of the API.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) enum CallError {
     UnknownMethod,
@@ -76,7 +77,7 @@ impl SlaveCall {
     }
 }
 
-/// Reads the names of protocols, each the first of a list with its parameters.
+/// Reads the names of protocols. Each name is the first element of a list with the protocol's parameters.
 fn protocol_names(value: &Value) -> Option<Vec<String>> {
     let name = |protocol: &Value| protocol.as_array()?.first()?.as_text().map(str::to_owned);
     value.as_array()?.iter().map(name).collect()
@@ -120,9 +121,10 @@ fn carry_out(node: &NodeShared, call: SlaveCall) -> Value {
             };
             success(topics.iter().map(pair).collect::<Vec<Value>>())
         }
+        // Parameters are not cached here.
         SlaveCall::ParamUpdate => success(0),
-        // It may be meant for a node that ended, whose port this node has by now, or the registration of a node that ended may
-        // have reached the master late: the registrar asks who has the name.
+        // The call may be meant for a node that ended and whose port this node has now, or the registration of a node
+        // that ended may have reached the master late. Therefore the registrar asks which node has the name.
         SlaveCall::Shutdown { reason, .. } if reason.ends_with(NAME_TAKEN) => {
             node.registrar.request_check();
             success(0)
@@ -142,7 +144,7 @@ fn carry_out(node: &NodeShared, call: SlaveCall) -> Value {
     }
 }
 
-/// Returns whether an answer to `getPublications` or `getSubscriptions` has a topic.
+/// Returns whether an answer to `getPublications` or `getSubscriptions` contains a topic.
 pub(super) fn has_topic(answer: Value, topic: &str) -> bool {
     let Some((SUCCESS, _, topics)) = split_answer(answer) else { return false };
     let is_topic = |pair: &Value| pair.as_array().and_then(|pair| pair.first()?.as_text()) == Some(topic);
@@ -163,12 +165,13 @@ fn request_topic(node: &NodeShared, topic: &str, protocols: &[String]) -> Value 
     [SUCCESS.into(), text.into(), params.into()].into()
 }
 
-/// Returns a count as XML-RPC can say it.
+/// Returns a count as an XML-RPC value.
 fn int(count: u64) -> Value {
     Value::Int(i64::try_from(count).unwrap_or(i64::MAX))
 }
 
-/// Returns the statistics that `getBusStats` has: of publishers, subscribers, and services, which this node has none of.
+/// Returns the statistics for `getBusStats`: those of publishers, of subscribers, and of services, which this node does
+/// not have.
 fn bus_statistics(node: &NodeShared) -> Value {
     let (published, subscribed) = (node.topics.published(), node.topics.subscribed());
     let publishers = published.iter().map(|topic| {
@@ -192,8 +195,8 @@ fn bus_statistics(node: &NodeShared) -> Value {
     [publishers.collect::<Vec<Value>>().into(), subscribers.collect::<Vec<Value>>().into(), services].into()
 }
 
-/// Returns the connections as `getBusInfo` has them: number, other end, direction, transport, topic, whether connected, and
-/// a description.
+/// Returns the connections for `getBusInfo`: number, other end, direction, transport, topic, whether connected, and a
+/// description.
 fn bus_info(node: &NodeShared) -> Value {
     let mut connections: Vec<Value> = Vec::new();
     let mut add = |other: &str, direction: &str, topic: &str, is_connected: bool, description: String| {
@@ -258,7 +261,7 @@ mod tests {
     }
 
     #[test]
-    fn wrong_calls_are_told_apart() {
+    fn wrong_calls_get_distinct_errors() {
         assert_eq!(call("getPid", vec![]), Err(CallError::Params));
         assert_eq!(
             call("requestTopic", vec!["/c".into(), "/t".into(), ["TCPROS".into()].into()]),

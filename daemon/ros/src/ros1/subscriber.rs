@@ -1,4 +1,4 @@
-//! Subscribing to a topic.
+//! Subscribers of topics.
 
 use std::collections::BTreeMap;
 use std::net::SocketAddr;
@@ -21,17 +21,17 @@ use super::tcpros::{Subscription, TopicType};
 /// Options of a subscriber.
 #[derive(Clone, Debug)]
 pub struct SubscriberOptions {
-    /// Bound of the queue of received messages.
+    /// Limits of the queue of received messages.
     pub queue: QueueLimits,
-    /// Policy for a message that finds it full.
+    /// Policy for a message that finds the queue full.
     pub when_full: WhenFull,
-    /// Longest message that is read, in bytes. A publisher of a longer one is disconnected.
+    /// Largest accepted message in bytes. A publisher of a larger one is disconnected.
     pub max_message_bytes: usize,
-    /// Name of the only node whose messages are taken; other publishers are disconnected before they send any. None by
-    /// default: all are taken.
+    /// Name of the only node whose messages are accepted; other publishers are disconnected before they send any. By
+    /// default messages of all nodes are accepted.
     pub publisher: Option<Arc<str>>,
-    /// Bound that it shares with other subscribers on messages from their first bytes until they are dropped; a publisher whose
-    /// message finds no room is disconnected. None by default.
+    /// Limit that the subscriber shares with others, on messages from their first bytes until they are dropped. A
+    /// publisher whose message finds no room is disconnected. By default there is no such limit.
     pub memory: Option<Arc<dyn MemoryLimit>>,
 }
 
@@ -47,30 +47,30 @@ impl Default for SubscriberOptions {
     }
 }
 
-/// A publisher, as its connection header describes it.
+/// Description of a publisher, from its connection header.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct PublisherInfo {
     /// Name of the publisher's node.
     pub node: Arc<str>,
     /// URI of that node's XML-RPC server.
     pub uri: Arc<str>,
-    /// Type of the messages, with the definition.
+    /// Type of the messages, including its definition.
     pub kind: TopicType,
-    /// Own end of the connection.
+    /// Address of this end of the connection.
     pub local: SocketAddr,
-    /// The publisher's end of the connection.
+    /// Address of the publisher's end of the connection.
     pub remote: SocketAddr,
 }
 
 /// Counts of the messages from one publisher.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct ReceiveCounts {
-    /// Messages that arrived whole, with those that were dropped.
+    /// Messages that arrived completely, including dropped ones.
     pub messages: u64,
     /// Bytes of these messages, without the length before each.
     pub bytes: u64,
     /// Messages that were dropped because the subscriber's queue was full. With several publishers and
-    /// [`WhenFull::DropOldest`] a message counts for the publisher of the one that took its place.
+    /// [`WhenFull::DropOldest`], a message counts for the publisher of the one that replaced it.
     pub dropped: u64,
     /// Connections that were opened.
     pub connections: u64,
@@ -88,11 +88,11 @@ impl ReceiveCounts {
 /// State of the connection to a publisher.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum PublisherState {
-    /// Under way.
+    /// The connection is being opened.
     Connecting,
-    /// Messages arrive.
+    /// The connection is open.
     Connected(Arc<PublisherInfo>),
-    /// The last attempt failed, or the connection broke, for this reason. It is tried again.
+    /// The last attempt failed, or the connection broke, for this reason. The attempt is repeated.
     Failed(String),
 }
 
@@ -103,13 +103,15 @@ pub struct PublisherStatus {
     pub uri: Arc<str>,
     /// State of the connection.
     pub state: PublisherState,
-    /// Counts of its messages.
+    /// Counts of the publisher's messages.
     pub counts: ReceiveCounts,
-    /// Name of its node, where messages are taken from another node only ([`SubscriberOptions::publisher`]).
+    /// Name of the publisher's node, if messages are only accepted from another node
+    /// ([`SubscriberOptions::publisher`]).
     pub unexpected: Option<Arc<str>>,
 }
 
-/// Receives the messages of a topic from all its publishers. Dropping it ends the connections and tells the master.
+/// Receives the messages of a topic from all its publishers. Dropping it ends the connections and unregisters the
+/// topic.
 #[derive(Debug)]
 pub struct Subscriber {
     pub(super) topic: Arc<SubscribedTopic>,
@@ -122,12 +124,13 @@ impl Subscriber {
         &self.topic.subscription.topic
     }
 
-    /// Waits for the next message. What arrived before the node ended is still returned.
+    /// Waits for the next message. Messages that arrived before the node ended are still returned.
     ///
     /// # Errors
-    /// The node has ended.
+    /// If the node has ended.
     pub async fn recv(&mut self) -> Result<ReceivedMessage, NodeError> {
         tokio::select! {
+            // Biased, so that messages that arrived before the end are returned before the error.
             biased;
             message = self.topic.queue.pop() => Ok(message),
             () = self.topic.stop.cancelled() => {
@@ -136,35 +139,34 @@ impl Subscriber {
         }
     }
 
-    /// Takes the next message if one is there.
+    /// Returns the next message if one has arrived.
     pub fn try_recv(&mut self) -> Option<ReceivedMessage> {
         self.topic.queue.try_pop()
     }
 
-    /// Returns the publishers that the master knows, and those that are still connected. A caller that expects one can see
-    /// that there are several, and which.
+    /// Returns the publishers that the master knows, and those that are still connected. A caller that expects a single
+    /// one can detect others.
     pub fn publishers(&self) -> Vec<PublisherStatus> {
         self.topic.publishers()
     }
 
-    /// Returns the sums over all publishers, with those that are gone.
+    /// Returns the sums over all publishers, including those that are gone.
     pub fn counts(&self) -> ReceiveCounts {
         self.topic.counts()
     }
 
-    /// Changes the length in bytes of the longest message that is read, and the bound that messages share, from the bytes on
-    /// that are read next.
+    /// Changes the largest message in bytes and the limit that messages share. They apply from the next bytes on.
     pub fn set_message_limits(&self, max_message_bytes: usize, memory: Option<Arc<dyn MemoryLimit>>) {
         *self.topic.message_limits() = MessageLimits { max_bytes: max_message_bytes, memory };
     }
 
-    /// Waits until this number of publishers is connected.
+    /// Waits until `count` publishers are connected.
     ///
     /// # Errors
-    /// The node has ended.
+    /// If the node has ended.
     pub async fn wait_for_publishers(&self, count: usize) -> Result<(), NodeError> {
         loop {
-            // Made before looking, so that nothing that happens in between is missed.
+            // Created before the publishers are checked, so that no change in between is missed.
             let changed = self.topic.changed.notified();
             self.guard.check_open()?;
             let is_connected =
@@ -216,13 +218,13 @@ impl PublisherWatch {
 #[derive(Debug)]
 pub(super) struct SubscribedTopic {
     pub(super) subscription: Subscription,
-    /// Name of the only node whose messages are taken.
+    /// Name of the only node whose messages are accepted.
     pub(super) publisher: Option<Arc<str>>,
     message_limits: Mutex<MessageLimits>,
     pub(super) queue: IncomingQueue,
     pub(super) clock: SharedClock,
     pub(super) stop: CancellationToken,
-    /// The state of a connection changed.
+    /// Signals that the state of a connection has changed.
     pub(super) changed: Notify,
     tasks: TaskTracker,
     state: Mutex<TopicState>,
@@ -277,8 +279,8 @@ impl SubscribedTopic {
         sum
     }
 
-    /// Takes over the master's list of publishers. Connections to those that are no longer listed go on until they break: a
-    /// restarted master has an empty list at first.
+    /// Applies the master's list of publishers. Connections to publishers that are no longer listed remain until they
+    /// break, because a restarted master has an empty list at first.
     pub(super) fn set_publishers(self: &Arc<Self>, uris: &[String]) {
         let mut state = self.state();
         for (uri, link) in &state.links {
@@ -287,7 +289,8 @@ impl SubscribedTopic {
         self.add(&mut state, uris);
     }
 
-    /// Adds publishers to those that are known: the answer to a registration may be older than a list that came since.
+    /// Adds publishers to the known ones. None is removed, because the answer to a registration may be older than a
+    /// list that has arrived since.
     pub(super) fn add_publishers(self: &Arc<Self>, uris: &[String]) {
         self.add(&mut self.state(), uris);
     }

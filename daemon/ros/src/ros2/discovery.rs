@@ -1,4 +1,4 @@
-//! What discovery has found out about the domain, as a state machine without I/O.
+//! State machine of discovery without I/O: what is known of the domain, and the peers of our endpoints.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -8,7 +8,7 @@ use super::names::ros_type;
 use super::node_list::{ListEntry, ListedNode};
 use super::{EndpointId, EndpointRole, FoundEndpoint, ParticipantId, PeerTable, Refusal};
 
-/// Something that discovery found out.
+/// Event of discovery.
 #[derive(Clone, Debug)]
 pub(super) enum DiscoveryEvent {
     ParticipantFound(ParticipantId),
@@ -20,16 +20,16 @@ pub(super) enum DiscoveryEvent {
     Incompatible { local: EndpointId, remote: EndpointId, refusal: Refusal },
 }
 
-/// The domain as one node sees it.
+/// State of the domain as one node sees it.
 #[derive(Debug)]
 pub(super) struct DiscoveryState {
     own: ParticipantId,
     participants: BTreeSet<ParticipantId>,
-    /// DDS names of the topic and the type of every endpoint in the domain.
+    /// DDS names of the topic and of the type of every endpoint in the domain.
     endpoints: BTreeMap<EndpointId, (String, String)>,
-    /// The nodes of other participants, as they list them.
+    /// Nodes of other participants, as these list them.
     nodes: BTreeMap<ParticipantId, Vec<ListedNode>>,
-    /// What was found and not remembered, because a bound was reached.
+    /// Number of discovered objects that were not remembered because a limit was reached.
     ignored: u64,
     local: BTreeMap<EndpointId, LocalEndpoint>,
     /// Number of events so far.
@@ -37,12 +37,12 @@ pub(super) struct DiscoveryState {
     bounds: DiscoveryBounds,
 }
 
-/// Most of each that is remembered: anybody on the network can announce more.
+/// Largest numbers of remembered objects. Every host on the network can announce more.
 #[derive(Clone, Copy, Debug)]
 struct DiscoveryBounds {
     /// Other participants.
     participants: usize,
-    /// Endpoints of others.
+    /// Endpoints of other participants.
     endpoints: usize,
     /// Nodes and their endpoints in the node list.
     listed: usize,
@@ -61,13 +61,13 @@ impl Default for DiscoveryBounds {
 #[derive(Debug)]
 struct LocalEndpoint {
     role: EndpointRole,
-    /// DDS name.
+    /// DDS name of the type.
     type_name: String,
     peers: watch::Sender<PeerTable>,
 }
 
 impl DiscoveryState {
-    /// Longest name of a topic or type that is remembered. Bytes; DDS has names of 255.
+    /// Longest name of a topic or type that is remembered. DDS has names of at most 255. Bytes.
     const MAX_NAME_BYTES: usize = 1_024;
 
     pub(super) fn new(own: ParticipantId) -> Self {
@@ -83,32 +83,32 @@ impl DiscoveryState {
         }
     }
 
-    /// Returns how much was found and not remembered, because a bound was reached.
+    /// Returns the number of discovered objects that were not remembered because a limit was reached.
     pub(super) fn ignored(&self) -> u64 {
         self.ignored
     }
 
-    /// Returns the absolute name of the node that has an endpoint, if its participant has told.
+    /// Returns the absolute name of the node that has an endpoint, if its participant has listed it.
     pub(super) fn node_of(&self, endpoint: EndpointId) -> Option<&str> {
         let nodes = self.nodes.get(&endpoint.participant())?;
         let listed = nodes.iter().find(|node| node.endpoints.contains(&endpoint));
-        // An endpoint that is newer than the list is of the participant's only node, if it has only one.
+        // An endpoint that is newer than the list belongs to the participant's node if there is only one.
         let only = || nodes.first().filter(|_| nodes.len() == 1);
         listed.or_else(only).map(|node| node.name.as_str())
     }
 
-    /// Returns the absolute names of a participant's nodes, as far as it has told.
+    /// Returns the absolute names of a participant's nodes, if it has listed them.
     pub(super) fn nodes_of(&self, participant: ParticipantId) -> Vec<String> {
         let nodes = self.nodes.get(&participant);
         nodes.into_iter().flatten().map(|node| node.name.clone()).collect()
     }
 
-    /// Returns the number of events so far, which changes after each of them was recorded.
+    /// Returns a receiver of the number of events, which changes after each event was applied.
     pub(super) fn changes(&self) -> watch::Receiver<u64> {
         self.changes.subscribe()
     }
 
-    /// Adds an endpoint of our own; returns the table of its peers, which changes with what discovery finds out.
+    /// Adds one of our endpoints. Returns the table of its peers, which discovery updates.
     pub(super) fn add_local(
         &mut self,
         id: EndpointId,
@@ -129,12 +129,12 @@ impl DiscoveryState {
         self.local.iter().map(|(id, endpoint)| (endpoint.role, *id)).collect()
     }
 
-    /// Returns how many other participants are there.
+    /// Returns the number of other participants.
     pub(super) fn participants(&self) -> usize {
         self.participants.len()
     }
 
-    /// Returns the absolute names of the topics of ROS 2 that others are on.
+    /// Returns the absolute names of the ROS 2 topics of other participants.
     pub(super) fn topics(&self) -> Vec<String> {
         let others = self.endpoints.iter().filter(|(id, _)| id.participant() != self.own);
         let names: BTreeSet<&str> = others
@@ -143,7 +143,7 @@ impl DiscoveryState {
         names.into_iter().map(str::to_owned).collect()
     }
 
-    /// Returns the endpoints that others have of a topic, by its DDS name.
+    /// Returns the endpoints that other participants have of a topic, by its DDS name.
     pub(super) fn endpoints_of(&self, dds_topic: &str) -> Vec<FoundEndpoint> {
         let of_topic = self
             .endpoints
@@ -156,8 +156,8 @@ impl DiscoveryState {
         found.collect()
     }
 
-    /// Whether a publisher gives the topic of one of our subscriptions another type. `rustdds` matches by the name of
-    /// the topic alone.
+    /// Returns whether a publisher gives the topic of one of our subscriptions another type. This must be checked
+    /// because `rustdds` matches by the name of the topic alone.
     pub(super) fn is_other_type(&self, local: EndpointId, remote: EndpointId) -> bool {
         self.other_type(local, remote).is_some()
     }
@@ -168,7 +168,7 @@ impl DiscoveryState {
         (*remote_type != local.type_name).then_some(remote_type.as_str())
     }
 
-    /// Records what discovery found out.
+    /// Applies an event.
     pub(super) fn apply(&mut self, event: DiscoveryEvent) {
         self.record(event);
         self.changes.send_modify(|count| *count = count.wrapping_add(1));
@@ -192,6 +192,7 @@ impl DiscoveryState {
             DiscoveryEvent::EndpointFound { id, topic, type_name } => {
                 let has_room =
                     self.endpoints.len() < self.bounds.endpoints || self.endpoints.contains_key(&id);
+                // Names beyond the limit of DDS are invented, and would only take memory.
                 if has_room && topic.len().max(type_name.len()) <= Self::MAX_NAME_BYTES {
                     self.endpoints.insert(id, (topic, type_name));
                 } else {
@@ -237,19 +238,19 @@ impl DiscoveryState {
         self.ignored += u64::from(!has_room);
     }
 
-    /// Remembers the nodes of a participant, instead of those that it listed before.
+    /// Replaces the listed nodes of a participant.
     fn list(&mut self, ListEntry { participant, nodes }: ListEntry) {
         if participant == self.own {
             return;
         }
-        // A node takes memory also without endpoints.
+        // A node takes memory even without endpoints.
         let size =
             |nodes: &[ListedNode]| nodes.iter().map(|node| 1 + node.endpoints.len()).sum::<usize>().max(1);
         self.nodes.remove(&participant);
         let listed =
             |all: &BTreeMap<_, Vec<ListedNode>>| all.values().map(|nodes| size(nodes)).sum::<usize>();
         if listed(&self.nodes) + size(&nodes) > self.bounds.listed {
-            // Those that nothing else is known of may be invented.
+            // Lists of participants of which nothing else is known may be invented, so they are dropped first.
             self.nodes.retain(|participant, _| self.participants.contains(participant));
         }
         if listed(&self.nodes) + size(&nodes) > self.bounds.listed {

@@ -6,7 +6,7 @@ use super::interfaces::UnknownInterface;
 use super::peers::{EndpointRole, Refusal};
 use super::qos::InvalidQos;
 
-/// Why something about ROS 2 failed.
+/// Error of the ROS 2 client.
 #[derive(Debug, thiserror::Error)]
 pub enum Ros2Error {
     /// The program was built without ROS 2.
@@ -14,41 +14,41 @@ pub enum Ros2Error {
         "this build has no ROS 2; build peernetd with the cargo feature `ros2`, or install the packages, which have it"
     )]
     NotBuilt,
-    /// A name that ROS 2 does not allow.
+    /// The name is not allowed in ROS 2.
     #[error("`{name}` is no {kind} name of ROS 2; an example of one is `{example}`")]
     InvalidName {
         /// The name.
         name: String,
-        /// What it is to name.
+        /// Kind of the named object.
         kind: &'static str,
-        /// A name that is allowed.
+        /// Example of an allowed name.
         example: &'static str,
     },
-    /// An environment variable whose value cannot be obeyed.
+    /// An environment variable has an unsupported value.
     #[error("the environment variable {name} is `{value}`, but must be {expected}")]
     InvalidVariable {
-        /// The variable.
+        /// Name of the variable.
         name: &'static str,
-        /// Its value.
+        /// Value of the variable.
         value: String,
-        /// The values that can be obeyed.
+        /// Supported values.
         expected: &'static str,
     },
-    /// A domain that cannot exist.
+    /// The domain is out of range.
     #[error("the domain {domain_id} is out of range; domains of ROS 2 go from 0 to 232")]
     InvalidDomain {
         /// The domain.
         domain_id: u16,
     },
-    /// A QoS profile that no endpoint can have.
+    /// The QoS profile is invalid.
     #[error("the QoS of topic {topic} is not valid: {source}")]
     InvalidQos {
         /// The topic.
         topic: String,
-        /// What is wrong.
+        /// Reason.
         source: InvalidQos,
     },
-    /// A network interface that does not exist or has no IPv4 address.
+    /// The network interface does not exist or has no IPv4 address.
     #[error(transparent)]
     UnknownInterface(#[from] UnknownInterface),
     /// The network interfaces could not be listed.
@@ -61,43 +61,43 @@ pub enum Ros2Error {
         domain_id: u16,
         /// The network interfaces.
         interfaces: String,
-        /// What went wrong.
+        /// Reason.
         reason: String,
     },
     /// A publisher or subscription could not be opened.
     #[error("cannot open a {role} of topic {topic}: {reason}")]
     Open {
-        /// What was to be opened.
+        /// Kind of the endpoint.
         role: EndpointRole,
         /// The topic.
         topic: String,
-        /// What went wrong.
+        /// Reason.
         reason: String,
     },
-    /// A payload that does not begin with the encapsulation header of CDR in little-endian byte order.
+    /// The payload does not begin with the encapsulation header of little-endian CDR.
     #[error("a payload for topic {topic} does not begin with the header 00 01 00 00 of little-endian CDR")]
     NotCdr {
         /// The topic.
         topic: String,
     },
-    /// A message could not be published in time.
+    /// The message could not be published in time.
     #[error(
         "a message to topic {topic} was not published within {waited:?}: {peers} subscriptions do not keep up; lower the rate, or raise net.core.rmem_max on their hosts"
     )]
     PublishTimeout {
         /// The topic.
         topic: String,
-        /// How long it was waited for room.
+        /// Time that was waited.
         waited: Duration,
-        /// Matched subscriptions.
+        /// Number of matched subscriptions.
         peers: usize,
     },
-    /// A message could not be published.
+    /// The message could not be published.
     #[error("cannot publish to topic {topic}: {reason}")]
     Publish {
         /// The topic.
         topic: String,
-        /// What went wrong.
+        /// Reason.
         reason: String,
     },
     /// Not everything that was published was acknowledged in time.
@@ -107,26 +107,26 @@ pub enum Ros2Error {
     Unacknowledged {
         /// The topic.
         topic: String,
-        /// How long it was waited.
+        /// Time that was waited.
         waited: Duration,
     },
-    /// Receiving failed for good.
+    /// Receiving failed permanently.
     #[error("cannot receive from topic {topic}: {reason}")]
     Receive {
         /// The topic.
         topic: String,
-        /// What went wrong.
+        /// Reason.
         reason: String,
     },
-    /// The domain could not be left in order; peers notice only when the lease of the node has run out.
+    /// Leaving the domain failed; peers only notice it when the lease of the node expires.
     #[error("cannot leave the ROS 2 domain {domain_id} in order: {reason}")]
     Leave {
         /// The domain.
         domain_id: u16,
-        /// What went wrong.
+        /// Reason.
         reason: String,
     },
-    /// Nobody is at the other end of a topic.
+    /// There is no peer on the topic.
     #[error("{0}")]
     NoPeer(Box<NoPeer>),
     /// The node was shut down.
@@ -137,7 +137,7 @@ pub enum Ros2Error {
     },
 }
 
-/// Nobody came to the other end of a topic, and what was tried.
+/// Error: no peer on a topic was found. It says what was tried.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("{}", self.describe())]
 pub struct NoPeer {
@@ -147,17 +147,17 @@ pub struct NoPeer {
     pub topic: String,
     /// Our message type.
     pub type_name: String,
-    /// How long it was waited.
+    /// Time that was waited.
     pub waited: Duration,
     /// The domain.
     pub domain_id: u16,
     /// The network interfaces.
     pub interfaces: String,
-    /// Other participants of the domain that were found.
+    /// Number of other participants that were found in the domain.
     pub participants: usize,
-    /// Peers on the topic that do not fit: the names of their nodes, where these are known, and why.
+    /// Peers on the topic that do not match: the names of their nodes, if known, and the reasons.
     pub refused: Vec<(Option<String>, Refusal)>,
-    /// Topics of ROS 2 that others were seen on.
+    /// ROS 2 topics of other participants.
     pub topics: Vec<String>,
 }
 
@@ -181,18 +181,18 @@ impl NoPeer {
     }
 }
 
-/// Says what to look for when a peer is not found, by what discovery has seen of the domain.
+/// Returns advice for a peer that was not found, from what discovery has seen of the domain.
 pub(super) fn advise(domain_id: u16, interfaces: &str, participants: usize, topics: &[String]) -> String {
-    /// Most topics that are listed.
-    const LISTED: usize = 8;
+    /// Largest number of listed topics.
+    const MAX_LISTED_TOPICS: usize = 8;
     if participants == 0 {
         return format!(
             "is the peer running, is its ROS_DOMAIN_ID {domain_id}, and does multicast to 239.255.0.1 reach it through \
              {interfaces}?"
         );
     }
-    let mut listed = topics.iter().take(LISTED).cloned().collect::<Vec<_>>().join(", ");
-    if topics.len() > LISTED {
+    let mut listed = topics.iter().take(MAX_LISTED_TOPICS).cloned().collect::<Vec<_>>().join(", ");
+    if topics.len() > MAX_LISTED_TOPICS {
         listed.push_str(", …");
     }
     if listed.is_empty() {
@@ -220,7 +220,7 @@ mod tests {
     }
 
     #[test]
-    fn absence_of_a_peer_says_what_was_tried_and_what_to_do() {
+    fn missing_peer_error_contains_attempts_and_advice() {
         let nobody = no_peer().to_string();
         for part in
             ["no publisher of topic /image", "within 5 s", "domain 7", "lo (127.0.0.1)", "ROS_DOMAIN_ID 7"]

@@ -1,4 +1,4 @@
-//! Publishers as discovery finds them.
+//! Endpoints of other participants, as discovery found them.
 
 use std::net::IpAddr;
 
@@ -9,11 +9,11 @@ use super::{EndpointId, EndpointRole};
 pub struct FoundPublisher {
     /// Identity.
     pub id: EndpointId,
-    /// Message type, as `std_msgs/msg/String`.
+    /// Message type, such as `std_msgs/msg/String`.
     pub type_name: String,
-    /// An address of the host that it runs on; `None` where that is this host.
+    /// Address of its host; `None` for this host.
     pub host: Option<IpAddr>,
-    /// Absolute name of the node that it is of, as `/robot1/camera`, where its participant has told.
+    /// Absolute name of its node, such as `/robot1/camera`, if its participant has listed it.
     pub node: Option<String>,
 }
 
@@ -22,16 +22,16 @@ pub struct FoundPublisher {
 pub struct FoundEndpoint {
     /// Identity.
     pub id: EndpointId,
-    /// Whether it publishes or subscribes.
+    /// Role on the topic.
     pub role: EndpointRole,
-    /// Message type, as `std_msgs/msg/String`.
+    /// Message type, such as `std_msgs/msg/String`.
     pub type_name: String,
-    /// Absolute name of the node that it is of, where its participant has told.
+    /// Absolute name of its node, if its participant has listed it.
     pub node: Option<String>,
 }
 
 impl FoundPublisher {
-    /// Returns the name of its node, or its identity where that is not known.
+    /// Returns the name of its node, or its identity if the name is unknown.
     pub fn name(&self) -> String {
         self.node.clone().unwrap_or_else(|| format!("publisher {}", self.id))
     }
@@ -39,8 +39,8 @@ impl FoundPublisher {
 
 /// Returns an address of the host that announces `addresses`, unless it is the host with the addresses `own`.
 ///
-/// A program announces addresses of its own host only. Another host may announce some that this one has as well, such as
-/// that of the bridge of its containers, but never those alone.
+/// A program only announces addresses of the host that it runs on. Another host may announce some addresses that this
+/// host has as well, such as that of a bridge of containers, but never only those.
 #[cfg(any(feature = "ros2", test))]
 pub(super) fn other_host(addresses: &[IpAddr], own: &[IpAddr]) -> Option<IpAddr> {
     let is_of_host =
@@ -53,7 +53,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn host_is_another_one_by_an_address_that_is_not_ours() {
+    fn foreign_address_means_another_host() {
         let addresses = |list: &[&str]| -> Vec<IpAddr> {
             list.iter().map(|address| address.parse().expect("an address")).collect()
         };

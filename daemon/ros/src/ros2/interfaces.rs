@@ -5,26 +5,26 @@ use std::net::Ipv4Addr;
 
 use nix::ifaddrs::{InterfaceAddress, getifaddrs};
 
-/// A network interface that this host lacks.
+/// Error: this host does not have a network interface.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("this host has no network interface {name:?} with an IPv4 address; there is {}", list(.known))]
 pub struct UnknownInterface {
-    /// The interface as it was given.
+    /// Name or address of the interface.
     pub name: String,
-    /// Those that there are, with their addresses.
+    /// Existing interfaces with their addresses.
     pub known: Vec<(String, Ipv4Addr)>,
 }
 
 /// Checks that this host has network interfaces with these names or IPv4 addresses.
 ///
 /// # Errors
-/// The first that it lacks.
+/// The first one that does not exist.
 pub fn check_interfaces(names: &[String]) -> Result<(), UnknownInterface> {
-    // Where the system does not list them, joining a domain tells.
+    // If the system does not list them, joining a domain will report it.
     existing().map_or(Ok(()), |existing| find_among(names, &existing).map(drop))
 }
 
-/// Returns those of the existing interfaces that have one of the names or addresses, in the order of `names`.
+/// Returns the existing interfaces with one of the names or addresses, in the order of `names`.
 pub(super) fn find_among(
     names: &[String],
     existing: &[(String, Ipv4Addr)],
@@ -51,7 +51,7 @@ pub(super) fn existing() -> io::Result<Vec<(String, Ipv4Addr)>> {
     Ok(getifaddrs()?.filter_map(with_address).collect())
 }
 
-/// Writes interfaces as `lo (127.0.0.1), eth0 (10.0.0.1)`.
+/// Returns a text such as `lo (127.0.0.1), eth0 (10.0.0.1)`.
 pub(super) fn list(interfaces: &[(String, Ipv4Addr)]) -> String {
     let words: Vec<String> = interfaces.iter().map(|(name, address)| format!("{name} ({address})")).collect();
     if words.is_empty() { "none".to_owned() } else { words.join(", ") }
@@ -75,7 +75,7 @@ mod tests {
     }
 
     #[test]
-    fn loopback_interface_is_there_and_unknown_one_is_not() {
+    fn loopback_is_found_and_unknown_interface_is_not() {
         assert_eq!(check_interfaces(&["lo".into(), "127.0.0.1".into()]), Ok(()));
         let error = check_interfaces(&["eth99".into()]).expect_err("no such interface").to_string();
         assert!(error.contains("\"eth99\"") && error.contains("lo (127.0.0.1)"), "{error}");

@@ -1,11 +1,12 @@
 //! ROS 2 topics over DDS, without a ROS installation.
 //!
 //! A [`Ros2Node`] takes part in one DDS domain and opens [`Ros2Publisher`]s and [`Ros2Subscription`]s. Messages are
-//! bytes: a CDR encapsulation header of 4 bytes, then the CDR form of the message.
+//! bytes: a CDR encapsulation header of 4 bytes, then the CDR form of the message. A received message is copied once; a
+//! message to be sent is not copied.
 //!
-//! Settings, names and QoS belong to every build, so that a configuration is checked everywhere. What speaks DDS
-//! needs the cargo feature `ros2`; without it [`Ros2Node::new`] returns [`Ros2Error::NotBuilt`], and callers need
-//! no `cfg` of their own.
+//! Settings, names and QoS are part of every build, so that a configuration is checked everywhere. DDS needs the cargo
+//! feature `ros2`, which is off by default because it brings many crates. Without it [`Ros2Node::new`] returns
+//! [`Ros2Error::NotBuilt`], so that callers need no `cfg`.
 
 #[cfg(any(feature = "ros2", test))]
 #[cfg_attr(not(feature = "ros2"), expect(dead_code, reason = "only the DDS node uses all of it"))]
@@ -31,7 +32,7 @@ mod not_built;
 #[cfg(not(feature = "ros2"))]
 pub use not_built::{Ros2Node, Ros2Publisher, Ros2Subscription};
 
-/// Whether this build has ROS 2.
+/// `true` if this build supports ROS 2.
 pub const IS_BUILT: bool = cfg!(feature = "ros2");
 
 pub use error::{NoPeer, Ros2Error};

@@ -1,16 +1,16 @@
-//! Names of ROS 2 and the names that DDS has for them.
+//! Names of ROS 2, and their DDS names.
 //!
 //! Rules: <https://design.ros2.org/articles/topic_and_service_names.html>.
 
 use super::Ros2Error;
 
-/// Returns the absolute name of a topic, as `/camera/image`.
+/// Returns the absolute name of a topic, such as `/camera/image`.
 ///
-/// A relative name stands below the namespace, one that begins with `~/` below the node.
+/// A relative name is below the namespace, and one that begins with `~/` is below the node.
 ///
 /// # Errors
 ///
-/// [`Ros2Error::InvalidName`] where ROS 2 does not allow the name.
+/// [`Ros2Error::InvalidName`] if ROS 2 does not allow the name.
 pub fn absolute_topic(namespace: &str, node: &str, topic: &str) -> Result<String, Ros2Error> {
     let namespace = namespace.trim_end_matches('/');
     let absolute = if topic.starts_with('/') {
@@ -27,13 +27,13 @@ pub fn absolute_topic(namespace: &str, node: &str, topic: &str) -> Result<String
     }
 }
 
-/// Returns the DDS name of a topic whose absolute name is known.
+/// Returns the DDS name of a topic with this absolute name.
 #[cfg(feature = "ros2")]
 pub(super) fn dds_topic(absolute: &str) -> String {
     format!("rt{absolute}")
 }
 
-/// Returns the DDS name of a message type: of `std_msgs/msg/String` it is `std_msgs::msg::dds_::String_`.
+/// Returns the DDS name of a message type, such as `std_msgs::msg::dds_::String_` for `std_msgs/msg/String`.
 ///
 /// # Errors
 ///
@@ -52,7 +52,7 @@ pub fn dds_type(type_name: &str) -> Result<String, Ros2Error> {
     }
 }
 
-/// Returns the ROS 2 name of a DDS type, or the DDS name where it is none of ROS 2.
+/// Returns the ROS 2 name of a DDS type, or the DDS name if the type is not one of ROS 2.
 #[cfg(any(feature = "ros2", test))]
 pub(super) fn ros_type(dds_type: &str) -> String {
     let message = dds_type
@@ -68,7 +68,7 @@ pub(super) fn ros_type(dds_type: &str) -> String {
 ///
 /// # Errors
 ///
-/// [`Ros2Error::InvalidName`] where ROS 2 does not allow one of them.
+/// [`Ros2Error::InvalidName`] if ROS 2 does not allow one of them.
 pub(super) fn check_node(namespace: &str, name: &str) -> Result<(), Ros2Error> {
     if !is_token(name) {
         return Err(Ros2Error::InvalidName { name: name.to_owned(), kind: "node", example: "peernet" });
@@ -81,7 +81,8 @@ pub(super) fn check_node(namespace: &str, name: &str) -> Result<(), Ros2Error> {
     }
 }
 
-/// Whether ROS 2 allows a part of a name: letters, digits and underscores, no digit first, no two underscores together.
+/// Returns whether ROS 2 allows a part of a name: letters, digits and underscores, not beginning with a digit, without
+/// two successive underscores.
 fn is_token(token: &str) -> bool {
     let mut characters = token.chars();
     characters.next().is_some_and(|first| first.is_ascii_alphabetic() || first == '_')
@@ -94,7 +95,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn topic_stands_below_its_namespace() {
+    fn topic_name_is_resolved_in_its_namespace() {
         let absolute = |namespace, topic| absolute_topic(namespace, "peernet", topic).ok();
         assert_eq!(absolute("/", "image").as_deref(), Some("/image"));
         assert_eq!(absolute("/robot1", "camera/image").as_deref(), Some("/robot1/camera/image"));

@@ -1,7 +1,7 @@
 //! The node list of ROS 2 (`ros2 node list`, `ros2 node info`): our entry, and those of others.
 //!
-//! Every participant publishes `rmw_dds_common/msg/ParticipantEntitiesInfo` on the DDS topic `ros_discovery_info`:
-//! its own identifier, then for each node the names and the identifiers of subscriptions and publishers.
+//! Every participant publishes `rmw_dds_common/msg/ParticipantEntitiesInfo` on the DDS topic `ros_discovery_info`: its
+//! own identifier, then for each node the names and the identifiers of subscriptions and publishers.
 
 use bytes::{BufMut, Bytes, BytesMut};
 
@@ -13,24 +13,24 @@ pub(super) const TOPIC: &str = "ros_discovery_info";
 #[cfg(feature = "ros2")]
 pub(super) const TYPE_NAME: &str = "rmw_dds_common::msg::dds_::ParticipantEntitiesInfo_";
 
-/// Most nodes of a participant that are read: a component container has some dozens.
+/// Largest number of nodes of a participant that are read. A component container has some dozens.
 const MAX_NODES: usize = 512;
 
-/// Most publishers and subscriptions of a participant that are read.
+/// Largest number of publishers and subscriptions of a participant that are read.
 const MAX_ENDPOINTS: usize = 8_192;
 
 /// Longest name of a node with its namespace. Bytes.
 const MAX_NAME_BYTES: usize = 512;
 
-/// Bytes of an identifier, from ROS 2 Iron on and before.
+/// Lengths of an identifier: since ROS 2 Iron, and before. Bytes.
 const IDENTIFIER_LENGTHS: [usize; 2] = [16, 24];
 
-/// A node of another participant, as it names itself.
+/// A node of another participant, as listed by it.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct ListedNode {
-    /// Absolute name, as `/robot1/camera`.
+    /// Absolute name, such as `/robot1/camera`.
     pub(crate) name: String,
-    /// Its publishers and subscriptions.
+    /// Publishers and subscriptions of the node.
     pub(crate) endpoints: Vec<EndpointId>,
 }
 
@@ -39,47 +39,47 @@ pub(crate) struct ListedNode {
 pub(crate) struct ListEntry {
     /// The participant.
     pub(crate) participant: ParticipantId,
-    /// Its nodes.
+    /// Nodes of the participant.
     pub(crate) nodes: Vec<ListedNode>,
 }
 
-/// Why a message of the node list is not read.
+/// Reason why a message of the node list is ignored.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub(crate) enum ListError {
-    /// The bytes are no entry.
+    /// The bytes are not an entry.
     #[error(transparent)]
     Decode(#[from] DecodeError),
-    /// More than anything that exists has.
+    /// The entry has more elements than any real one.
     #[error("it lists more than {most} {what}")]
     TooMany {
-        /// The bound.
+        /// Largest allowed number.
         most: usize,
-        /// What is too many.
+        /// Kind of the elements.
         what: &'static str,
     },
-    /// A name that ROS 2 does not allow.
+    /// ROS 2 does not allow the name of a node.
     #[error("it has the name of a node that ROS 2 does not allow")]
     InvalidName,
-    /// A participant names endpoints of another one.
+    /// A participant lists endpoints of another one.
     #[error("it lists endpoints of another participant than its own")]
     ForeignEndpoint,
 }
 
 impl ListEntry {
-    /// Reads an entry of either length of identifiers.
+    /// Decodes an entry with either length of identifiers.
     ///
     /// # Errors
     /// [`ListError`].
     pub(crate) fn decode(payload: &Bytes) -> Result<Self, ListError> {
         let [short, long] = IDENTIFIER_LENGTHS.map(|length| Self::decode_with(payload, length));
-        // A message of one length has bytes left, or too few, when it is read with the other.
+        // A message of one length has bytes left, or too few, if it is read with the other length.
         short.or_else(|error| long.map_err(|_| error))
     }
 
     fn decode_with(payload: &Bytes, identifier_length: usize) -> Result<Self, ListError> {
         let mut reader = Reader::new(WireForm::Cdr, payload.clone())?;
         let participant = identifier(&mut reader, identifier_length)?.participant();
-        // Two empty texts and two empty sequences.
+        // Size of a node: at least two empty texts and two empty sequences.
         let count = reader.take_length(16)?;
         if count > MAX_NODES {
             return Err(ListError::TooMany { most: MAX_NODES, what: "nodes" });
@@ -131,19 +131,19 @@ fn absolute_name(namespace: &str, name: &str) -> Result<String, ListError> {
     if is_valid { Ok(absolute) } else { Err(ListError::InvalidName) }
 }
 
-/// Our node as others see it.
+/// Our entry of the node list.
 #[derive(Debug)]
 pub(super) struct NodeEntry {
     pub(super) participant: EndpointId,
     pub(super) namespace: String,
     pub(super) name: String,
-    /// Bytes of an identifier: 16, and 24 before ROS 2 Iron.
+    /// Length of an identifier: 16, and 24 before ROS 2 Iron. Bytes.
     pub(super) identifier_length: usize,
     pub(super) endpoints: Vec<(EndpointRole, EndpointId)>,
 }
 
 impl NodeEntry {
-    /// Returns the CDR form of the announcement with its encapsulation header.
+    /// Returns the CDR form of the entry with its encapsulation header.
     pub(super) fn to_payload(&self) -> Bytes {
         let mut cdr = BytesMut::from(&[0, 1, 0, 0][..]);
         self.put_identifier(&mut cdr, self.participant);
@@ -167,7 +167,7 @@ impl NodeEntry {
     }
 }
 
-/// Appends a string and the padding that the length of the next value needs.
+/// Appends a string, and the padding that the length of the next value needs.
 fn put_string(cdr: &mut BytesMut, text: &str) {
     cdr.put_u32_le(u32::try_from(text.len() + 1).unwrap_or(u32::MAX));
     cdr.put_slice(text.as_bytes());

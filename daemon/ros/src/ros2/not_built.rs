@@ -1,4 +1,4 @@
-//! The types of the ROS 2 client in a build without ROS 2. They have no values, because no node can be made.
+//! The types of the ROS 2 client in a build without ROS 2. They have no values, because no node can be created.
 
 use std::net::IpAddr;
 use std::time::Duration;
@@ -26,23 +26,23 @@ impl Ros2Node {
     ///
     /// # Errors
     ///
-    /// [`Ros2Error::NotBuilt`], unless the settings are not valid.
+    /// Always: [`Ros2Error::NotBuilt`] if the settings are valid.
     pub async fn new(settings: Ros2Settings) -> Result<Self, Ros2Error> {
         settings.with_environment(|name| std::env::var(name).ok())?;
         Err(Ros2Error::NotBuilt)
     }
 
-    /// The settings, with what the environment variables filled in.
+    /// Returns the settings, completed by the environment variables.
     pub fn settings(&self) -> &Ros2Settings {
         match *self {}
     }
 
-    /// Returns the publishers that others have of a topic.
+    /// Returns the publishers that other participants have of a topic.
     pub fn publishers_of(&self, _topic: &str) -> Vec<super::FoundPublisher> {
         match *self {}
     }
 
-    /// Returns the endpoints that others have of a topic.
+    /// Returns the endpoints that other participants have of a topic.
     pub fn endpoints_of(&self, _topic: &str) -> Vec<FoundEndpoint> {
         match *self {}
     }
@@ -57,42 +57,42 @@ impl Ros2Node {
         match *self {}
     }
 
-    /// Returns an address of the host that a participant runs on.
+    /// Returns an address of the host of a participant.
     pub fn host_of(&self, _participant: ParticipantId) -> Option<IpAddr> {
         match *self {}
     }
 
-    /// Identity of the node in the domain.
+    /// Returns the identity of the node in the domain.
     pub fn id(&self) -> ParticipantId {
         match *self {}
     }
 
-    /// Returns how many bytes a socket of this host takes before it is read.
+    /// Returns the size of a receive buffer of this host's sockets.
     pub fn receive_buffer_bytes(&self) -> usize {
         match *self {}
     }
 
-    /// Returns a number that changes with everything that discovery finds out.
+    /// Returns a receiver of a number that changes with every event of discovery.
     pub fn discovery_changes(&self) -> watch::Receiver<u64> {
         match *self {}
     }
 
-    /// Returns the domain and the network interfaces.
+    /// Returns a description of the domain and the network interfaces.
     pub fn describe_domain(&self) -> String {
         match *self {}
     }
 
-    /// Says what to look for when a topic has no publisher.
+    /// Returns advice for a topic without a publisher.
     pub fn advise(&self) -> String {
         match *self {}
     }
 
-    /// Limits of the kernel below the socket buffers that were asked for.
+    /// Returns limits of the kernel that are below the requested socket buffers.
     pub fn socket_buffer_warnings(&self) -> &[SocketBufferWarning] {
         match *self {}
     }
 
-    /// Returns how many other participants of the domain are there.
+    /// Returns the number of other participants of the domain.
     pub fn participants(&self) -> usize {
         match *self {}
     }
@@ -145,11 +145,7 @@ impl Ros2Publisher {
         match *self {}
     }
 
-    /// Publishes a message without waiting.
-    ///
-    /// # Errors
-    ///
-    /// Never called.
+    /// Publishes a message. Never waits.
     pub fn try_publish(&self, _payload: Bytes, _source_time: WallTime) -> Result<Option<i64>, Ros2Error> {
         match *self {}
     }
@@ -170,7 +166,7 @@ impl Ros2Publisher {
 }
 
 impl Ros2Subscription {
-    /// What was received and lost so far.
+    /// Returns the counts of received and lost messages.
     pub fn counts(&self) -> ReceiveCounts {
         match *self {}
     }
@@ -188,22 +184,22 @@ impl Ros2Subscription {
 macro_rules! endpoint {
     ($($endpoint:ident),*) => {$(
         impl $endpoint {
-            /// Identity of the endpoint.
+            /// Returns the identity of the endpoint.
             pub fn id(&self) -> EndpointId {
                 match *self {}
             }
 
-            /// Absolute name of the topic.
+            /// Returns the absolute name of the topic.
             pub fn topic(&self) -> &str {
                 match *self {}
             }
 
-            /// Peers on the topic that are there, and changes of them.
+            /// Returns a receiver of the peers on the topic and their changes.
             pub fn peers(&self) -> watch::Receiver<PeerTable> {
                 match *self {}
             }
 
-            /// Waits until a peer on the topic is there.
+            /// Waits for a peer on the topic.
             ///
             /// # Errors
             ///
@@ -222,7 +218,7 @@ mod tests {
     use super::*;
 
     #[tokio::test]
-    async fn node_of_a_build_without_ros_2_says_so() {
+    async fn node_without_ros2_support_returns_error() {
         let error = Ros2Node::new(Ros2Settings::default()).await.err().expect("no ROS 2");
         assert!(error.to_string().contains("cargo feature `ros2`"), "{error}");
         let settings = Ros2Settings { domain_id: Some(300), ..Ros2Settings::default() };

@@ -1,55 +1,55 @@
-//! The other ends of a topic.
+//! Peers of an endpoint: the endpoints at the other end of its topic.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
 use std::str::FromStr;
 
-/// Identity of a publisher or subscription in DDS (its GUID): 12 bytes of its participant, 4 of its own.
+/// Identity of a publisher or subscription in DDS (its GUID): 12 bytes of the participant and 4 of the endpoint.
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct EndpointId(pub [u8; 16]);
 
-/// Identity of a participant: the bytes that the identities of its endpoints begin with.
+/// Identity of a participant: the first 12 bytes of the identities of its endpoints.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct ParticipantId(pub [u8; 12]);
 
-/// What an endpoint does on its topic.
+/// Role of an endpoint on its topic.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum EndpointRole {
-    /// It publishes.
+    /// The endpoint publishes.
     Publisher,
-    /// It subscribes.
+    /// The endpoint subscribes.
     Subscription,
 }
 
-/// Why an endpoint exchanges no messages with one at the other end of its topic.
+/// Reason why an endpoint exchanges no messages with an endpoint at the other end of its topic.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Refusal {
     /// The peer gives the topic another message type.
     OtherType {
-        /// The peer's type, as `std_msgs/msg/String`.
+        /// Type of the peer, such as `std_msgs/msg/String`.
         type_name: String,
     },
     /// The subscription requests more than the publisher offers.
     IncompatibleQos {
-        /// The policy, as `Reliability`.
+        /// Name of the policy, such as `reliability`.
         policy: String,
-        /// What the publisher offers.
+        /// Value that the publisher offers.
         offered: String,
-        /// What the subscription requests.
+        /// Value that the subscription requests.
         requested: String,
     },
 }
 
-/// The endpoints at the other end of a topic that are there now.
+/// Present endpoints at the other end of a topic.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct PeerTable {
-    /// Those that messages are exchanged with.
+    /// Endpoints with which messages are exchanged.
     pub matched: BTreeSet<EndpointId>,
-    /// Those that no messages are exchanged with.
+    /// Endpoints with which no messages are exchanged, with the reasons.
     pub refused: BTreeMap<EndpointId, Refusal>,
-    /// Peers that were matched since the endpoint exists.
+    /// Number of peers that were matched since the endpoint was created.
     pub matched_total: u64,
-    /// Matched peers that have gone.
+    /// Number of matched peers that have gone.
     pub unmatched_total: u64,
 }
 
@@ -60,7 +60,7 @@ impl EndpointId {
         ParticipantId(own)
     }
 
-    /// Returns the role, which the last byte says (RTPS 2.5, section 9.3.1.2); `None` where it is neither.
+    /// Returns the role, which is in the last byte (RTPS 2.5, section 9.3.1.2); `None` if it is neither.
     pub fn role(self) -> Option<EndpointRole> {
         match self.0[15] & 0x0f {
             0x02 | 0x03 => Some(EndpointRole::Publisher),
@@ -70,7 +70,7 @@ impl EndpointId {
     }
 }
 
-/// A text that is not the identity of a participant.
+/// Error: the text is not the identity of a participant.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("the identity of a participant has 24 hexadecimal digits")]
 pub struct InvalidParticipantId;
@@ -98,7 +98,7 @@ impl fmt::Display for ParticipantId {
 
 #[cfg(any(feature = "ros2", test))]
 impl PeerTable {
-    /// Adds a matched peer; returns whether it was none before.
+    /// Adds a matched peer. Returns whether it was not matched before.
     pub(super) fn add(&mut self, id: EndpointId) -> bool {
         let was_refused = self.refused.remove(&id).is_some();
         let is_new = self.matched.insert(id);

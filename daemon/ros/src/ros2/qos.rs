@@ -4,27 +4,27 @@ use std::fmt;
 
 use serde::{Deserialize, Serialize};
 
-/// Quality of service of one publisher or subscription; the defaults are the default profile of ROS 2.
+/// Quality of service of one publisher or subscription. The defaults are the default profile of ROS 2.
 ///
 /// A subscription only gets messages of a publisher that offers at least what it requests: reliable or better,
 /// transient-local or better, a deadline that is not longer.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct QosProfile {
-    /// Whether lost messages are sent again. Default: `reliable`.
+    /// Reliability of messages. Default: `reliable`.
     pub reliability: Reliability,
-    /// Messages that a publisher keeps for subscriptions that come late, and a subscription for being read; at least 1.
-    /// Default: 10.
+    /// Number of messages that a publisher keeps for late subscriptions, and a subscription until they are read; at
+    /// least 1. Default: 10.
     pub depth: u32,
-    /// Whether a subscription that comes late gets the kept messages. Default: `volatile`.
+    /// Durability of messages. Default: `volatile`.
     pub durability: Durability,
     /// Longest time between two messages that is promised or requested; none by default. Milliseconds.
     pub deadline_ms: Option<f64>,
-    /// How long publishing waits for room when subscriptions do not keep up. Default: 5,000. Milliseconds.
+    /// Time limit for publishing if subscriptions do not keep up. Default: 5,000. Milliseconds.
     pub max_blocking_ms: u32,
 }
 
-/// Whether lost messages are sent again.
+/// Policy for lost messages.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Reliability {
@@ -35,11 +35,11 @@ pub enum Reliability {
     BestEffort,
 }
 
-/// Whether a subscription that comes late gets messages from before.
+/// Policy for messages from before a subscription.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Durability {
-    /// Only messages that are published after both ends know each other arrive.
+    /// Only messages that are published after both ends have found each other arrive.
     #[default]
     Volatile,
     /// The last [`depth`](QosProfile::depth) messages arrive as well.
@@ -58,19 +58,19 @@ impl Default for QosProfile {
     }
 }
 
-/// A QoS profile that no endpoint can have.
+/// Error: a QoS profile is invalid.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum InvalidQos {
     /// The number of kept messages is out of range.
     #[error("depth is {0}, but must be from 1 to {max}", max = QosProfile::MAX_DEPTH)]
     Depth(u32),
-    /// The deadline is no duration.
+    /// The deadline is not a valid duration.
     #[error("deadline_ms is {0}, but must be a positive number of milliseconds of at most a day")]
     Deadline(f64),
 }
 
 impl QosProfile {
-    /// Most messages that an endpoint keeps.
+    /// Largest number of messages that an endpoint keeps.
     pub const MAX_DEPTH: u32 = 8_192;
 
     /// Longest deadline: a day. Milliseconds.
@@ -80,7 +80,7 @@ impl QosProfile {
     ///
     /// # Errors
     ///
-    /// The first value that is out of range.
+    /// For the first value that is out of range.
     pub fn check(&self) -> Result<(), InvalidQos> {
         if !(1..=Self::MAX_DEPTH).contains(&self.depth) {
             return Err(InvalidQos::Depth(self.depth));

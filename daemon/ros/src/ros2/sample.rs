@@ -1,4 +1,4 @@
-//! Messages as they are received, and what is counted about them.
+//! Received messages of ROS 2, and the counts of a subscription.
 
 use bytes::Bytes;
 use peernet_clock::WallTime;
@@ -8,32 +8,32 @@ use super::peers::EndpointId;
 /// A received message.
 #[derive(Clone, Debug)]
 pub struct ReceivedSample {
-    /// The encapsulation header and the message in CDR; up to three bytes of padding may follow, because DDS sends
+    /// The encapsulation header and the message in CDR. Up to three bytes of padding may follow, because DDS sends
     /// multiples of four bytes.
     pub payload: Bytes,
-    /// When the publisher published the message, by the clock of the publisher's host; `None` where it sent no time.
+    /// Time of publishing by the clock of the publisher's host; `None` if it sent no time.
     pub source_time: Option<WallTime>,
-    /// When this host had received the whole message, by the operating system's clock.
+    /// Time at which this host had received the whole message, by the operating system's clock.
     pub received_time: WallTime,
     /// The publisher.
     pub writer: EndpointId,
-    /// The publisher's sequence number of the message; the first has 1.
+    /// Sequence number of the message at its publisher; the first message has 1.
     pub sequence: i64,
-    /// Messages of the same publisher that are missing directly before this one.
+    /// Number of messages of the same publisher that are missing directly before this one.
     pub missing_before: u64,
 }
 
-/// What a subscription has counted since it exists.
+/// Counts of a subscription since it was created.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct ReceiveCounts {
-    /// Messages that were handed over.
+    /// Messages that were returned.
     pub received: u64,
     /// Messages of known publishers that never arrived, or that newer ones replaced before they were read.
     pub lost: u64,
-    /// Messages that came after one with a higher sequence number; they do not count as lost.
+    /// Messages that arrived after one with a higher sequence number. They do not count as lost.
     pub late: u64,
-    /// Messages of publishers whose message type is another one; they are not handed over.
+    /// Messages of publishers with another message type, which are dropped.
     pub other_type: u64,
-    /// Messages whose encoding is not plain CDR; they are not handed over.
+    /// Messages with an encoding other than plain CDR, which are dropped.
     pub undecodable: u64,
 }

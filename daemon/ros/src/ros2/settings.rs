@@ -7,23 +7,23 @@ use serde::{Deserialize, Serialize};
 use super::Ros2Error;
 use super::names::check_node;
 
-/// Settings of a ROS 2 node. What is left open comes from the environment variables of ROS 2.
+/// Settings of a ROS 2 node. The environment variables of ROS 2 provide defaults.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Ros2Settings {
-    /// DDS domain, from 0 to 232; left open, `ROS_DOMAIN_ID`, and 0 without it.
+    /// DDS domain, from 0 to 232. The default is `ROS_DOMAIN_ID`, or else 0.
     pub domain_id: Option<u16>,
-    /// Names (`eth0`) or IPv4 addresses of the network interfaces to use. Left empty, all; the loopback interface only
-    /// where `ROS_LOCALHOST_ONLY` is 1 or `ROS_AUTOMATIC_DISCOVERY_RANGE` is `LOCALHOST`.
+    /// Names (`eth0`) or IPv4 addresses of the network interfaces to use. If empty, all interfaces are used, or only
+    /// the loopback interface if `ROS_LOCALHOST_ONLY` is 1 or `ROS_AUTOMATIC_DISCOVERY_RANGE` is `LOCALHOST`.
     pub interfaces: Vec<String>,
     /// Name of the node in the node list of ROS 2.
     pub node_name: String,
-    /// Namespace of the node; relative topic names stand below it.
+    /// Namespace of the node, which is the prefix of relative topic names.
     pub namespace: String,
-    /// Size of the receive and send buffers that the kernel is asked for. Bytes.
+    /// Requested size of the kernel's receive and send buffers. Bytes.
     pub socket_buffer_bytes: usize,
-    /// Distribution of ROS 2 that the peers use, as `humble`; left open, `ROS_DISTRO`. Only the node list depends on
-    /// it: the form of its identifiers changed with Iron.
+    /// Distribution of ROS 2 that the peers use, such as `humble`. The default is `ROS_DISTRO`. Only the node list
+    /// depends on it, because the form of its identifiers changed with Iron.
     pub distribution: Option<String>,
 }
 
@@ -41,18 +41,18 @@ impl Default for Ros2Settings {
 }
 
 impl Ros2Settings {
-    /// Highest domain: the UDP ports of higher ones would exceed 65,535.
+    /// Highest domain. The UDP ports of higher ones would exceed 65,535.
     pub const MAX_DOMAIN_ID: u16 = 232;
 
     /// Distributions before Iron, whose identifiers in the node list have 24 bytes instead of 16.
     #[cfg(any(feature = "ros2", test))]
     const WITH_LONG_IDENTIFIERS: [&str; 3] = ["foxy", "galactic", "humble"];
 
-    /// Returns the settings with what is left open taken from environment variables, and checks them.
+    /// Checks the settings and completes them from environment variables.
     ///
     /// # Errors
     ///
-    /// A name or domain that is not allowed, or a variable whose value cannot be obeyed.
+    /// If a name or domain is not allowed, or a variable has an unsupported value.
     pub fn with_environment(mut self, variable: impl Fn(&str) -> Option<String>) -> Result<Self, Ros2Error> {
         let set = |name: &str| variable(name).filter(|value| !value.is_empty());
         check_node(&self.namespace, &self.node_name)?;
@@ -78,7 +78,7 @@ impl Ros2Settings {
         Ok(self)
     }
 
-    /// Number of bytes of an identifier in the node list.
+    /// Returns the length of an identifier in the node list. Bytes.
     #[cfg(any(feature = "ros2", test))]
     pub(super) fn identifier_length(&self) -> usize {
         match self.distribution.as_deref() {
@@ -89,14 +89,14 @@ impl Ros2Settings {
 }
 
 fn is_localhost_only(set: &impl Fn(&str) -> Option<String>) -> Result<bool, Ros2Error> {
-    // As in ROS 2, the older variable wins where both are set.
+    // As in ROS 2, the older variable takes precedence.
     if set("ROS_LOCALHOST_ONLY").is_some_and(|value| value == "1") {
         return Ok(true);
     }
     match set("ROS_AUTOMATIC_DISCOVERY_RANGE").as_deref() {
         None | Some("SUBNET" | "SYSTEM_DEFAULT") => Ok(false),
         Some("LOCALHOST") => Ok(true),
-        // OFF lets nobody be found except static peers, which rustdds does not have.
+        // With OFF only static peers are found, which rustdds does not support.
         Some(value) => Err(Ros2Error::InvalidVariable {
             name: "ROS_AUTOMATIC_DISCOVERY_RANGE",
             value: value.to_owned(),
@@ -105,25 +105,25 @@ fn is_localhost_only(set: &impl Fn(&str) -> Option<String>) -> Result<bool, Ros2
     }
 }
 
-/// A limit of the kernel below the size of the socket buffers that was asked for.
+/// A limit of the kernel that is below the requested size of socket buffers.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct SocketBufferWarning {
-    /// The limiting setting of the kernel.
+    /// Setting of the kernel that limits the size.
     pub sysctl: &'static str,
-    /// What the kernel grants. Bytes.
+    /// Granted size. Bytes.
     pub granted: usize,
-    /// What was asked for. Bytes.
+    /// Requested size. Bytes.
     pub needed: usize,
 }
 
 impl SocketBufferWarning {
-    /// Whether it is the buffer for receiving that is limited.
+    /// Returns whether the receive buffer is limited.
     #[cfg(feature = "ros2")]
     pub(super) fn is_of_receiving(&self) -> bool {
         self.sysctl == Self::RECEIVING
     }
 
-    /// The setting of the kernel for buffers of receiving sockets.
+    /// Setting of the kernel for receive buffers.
     #[cfg(feature = "ros2")]
     pub(super) const RECEIVING: &'static str = "net.core.rmem_max";
 }
@@ -150,7 +150,7 @@ mod tests {
     }
 
     #[test]
-    fn environment_fills_in_what_is_left_open() {
+    fn environment_supplies_missing_settings() {
         let settings = resolved(Ros2Settings::default(), &[]).expect("valid");
         assert_eq!((settings.domain_id, settings.interfaces.len()), (Some(0), 0));
         let all = [("ROS_DOMAIN_ID", "7"), ("ROS_LOCALHOST_ONLY", "1"), ("ROS_DISTRO", "humble")];
@@ -164,7 +164,7 @@ mod tests {
     }
 
     #[test]
-    fn value_that_cannot_be_obeyed_is_an_error() {
+    fn unsupported_value_is_an_error() {
         for variable in
             [("ROS_DOMAIN_ID", "x"), ("ROS_DOMAIN_ID", "233"), ("ROS_AUTOMATIC_DISCOVERY_RANGE", "OFF")]
         {

@@ -1,4 +1,4 @@
-//! Why messages of a topic cannot be exchanged.
+//! Errors of readers and writers of topics.
 
 use std::time::Duration;
 
@@ -9,41 +9,41 @@ use crate::messages::EncodeError;
 use crate::ros1::{EnvironmentError, NameError, NodeError};
 use crate::ros2::Ros2Error;
 
-/// An error of a topic that is read, written or looked at.
+/// Error of a topic that is read, written or checked.
 #[derive(Debug, Error)]
 pub enum TopicError {
-    /// The version of ROS is not known.
+    /// The version of ROS is unknown.
     #[error(transparent)]
     Version(#[from] VersionError),
     /// An environment variable of ROS 1 cannot be used.
     #[error(transparent)]
     Environment(#[from] EnvironmentError),
-    /// A name that ROS 1 does not allow.
+    /// The name is not allowed in ROS 1.
     #[error(transparent)]
     Name(#[from] NameError),
-    /// An error of the node of ROS 1.
+    /// The ROS 1 node failed.
     #[error(transparent)]
     Ros1(#[from] NodeError),
-    /// An error of the node of ROS 2.
+    /// The ROS 2 node failed.
     #[error(transparent)]
     Ros2(#[from] Ros2Error),
-    /// ROS 2 finds nobody without the type.
+    /// The message type is missing, which ROS 2 needs.
     #[error("the message type of topic {topic} must be given in ROS 2; `ros2 topic type {topic}` prints it")]
     TypeRequired {
         /// The topic.
         topic: String,
     },
-    /// No message came in time.
+    /// No message arrived in time.
     #[error("no message of topic {topic} within {} s: {reason}", .waited.as_secs_f64())]
     NoMessage {
         /// The topic.
         topic: String,
-        /// How long it was waited.
+        /// Time that was waited.
         waited: Duration,
-        /// What is known of the publishers, and what to do.
+        /// State of the publishers, and advice.
         reason: String,
     },
-    /// A message that the wire form cannot hold.
+    /// The message cannot be encoded.
     #[error("cannot publish to topic {topic}: {source}")]
     Encode {
         /// The topic.
@@ -51,13 +51,13 @@ pub enum TopicError {
         /// Reason.
         source: EncodeError,
     },
-    /// There is no thread for the nodes.
+    /// The thread of the nodes cannot be started.
     #[error("cannot start the thread of the ROS nodes: {0}")]
     Thread(String),
 }
 
 impl TopicError {
-    /// Whether the reader or writer is of no use any more and must be opened again.
+    /// Returns whether the reader or writer must be opened again.
     pub fn is_end(&self) -> bool {
         matches!(
             self,

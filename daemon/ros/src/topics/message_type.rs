@@ -5,14 +5,15 @@ use std::fmt;
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
-/// Name of a message type: `sensor_msgs/Image`. The form of ROS 2, `sensor_msgs/msg/Image`, is read as well.
+/// Name of a message type, such as `sensor_msgs/Image`. The form of ROS 2, `sensor_msgs/msg/Image`, is accepted as
+/// well.
 #[derive(Clone, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(into = "String", try_from = "String")]
 pub struct MessageType {
     name: String,
 }
 
-/// A text that cannot name a message type.
+/// Error: the text cannot be the name of a message type.
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
 #[error("`{0}` cannot be the name of a ROS message type; write PACKAGE/TYPE, such as sensor_msgs/Image")]
 pub struct InvalidMessageType(String);

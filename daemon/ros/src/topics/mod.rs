@@ -1,7 +1,8 @@
-//! Topics of either version of ROS, for callers that block, such as sensors and actuators.
+//! Blocking readers and writers of topics of either version of ROS, for callers such as sensors and actuators.
 //!
-//! [`TopicReader`] and [`TopicWriter`] exchange the messages of one topic. All of a process share one node for each
-//! master or domain, and a thread on which the nodes' sockets are served.
+//! [`TopicReader`] and [`TopicWriter`] exchange the messages of one topic. Those of a process share one node for each
+//! master or domain, and a thread that serves the sockets of the nodes, so that the threads of samples do no work for
+//! ROS.
 
 mod error;
 mod message_type;
@@ -17,4 +18,4 @@ pub use nodes::shared_ros2_node;
 pub use reader::{ReaderOptions, TopicMessage, TopicReader};
 pub use survey::{TopicUse, check_name, check_topic, survey_topic};
 pub use version::{RosVersion, VersionError};
-pub use writer::{TopicWriter, Written};
+pub use writer::{TopicWriter, WriteOutcome};

@@ -12,25 +12,26 @@ use super::TopicError;
 use crate::ros1::{Environment, Node, NodeError};
 use crate::ros2::{Ros2Node, Ros2Settings};
 
-/// Serves the sockets of all nodes: one thread, which lives as long as the process.
+/// Runtime that serves the sockets of all nodes. It has one thread, which exists as long as the process.
 static RUNTIME: LazyLock<io::Result<Runtime>> =
     LazyLock::new(|| Builder::new_multi_thread().worker_threads(1).thread_name("ros").enable_all().build());
 
-/// The nodes of ROS 1 that are in use.
+/// ROS 1 nodes that are in use.
 static ROS1_NODES: Mutex<Vec<Weak<SharedNode>>> = Mutex::const_new(Vec::new());
 
-/// The node of ROS 2, while it is in use. Its domain is that of the environment, so that there is one only.
+/// ROS 2 node, while it is in use. Its domain is that of the environment, so that one node suffices.
 static ROS2_NODE: Mutex<Weak<Ros2Node>> = Mutex::const_new(Weak::new());
 
-/// Nodes of ROS 1 that this process has made.
-static MADE: AtomicU32 = AtomicU32::new(0);
+/// Number of ROS 1 nodes that this process has created.
+static CREATED_NODES: AtomicU32 = AtomicU32::new(0);
 
 /// Returns the runtime of the nodes.
 pub(super) fn runtime() -> Result<&'static Runtime, TopicError> {
     RUNTIME.as_ref().map_err(|error| TopicError::Thread(error.to_string()))
 }
 
-/// A node of ROS 1 with a master. It tells the master when its last user is gone.
+/// A ROS 1 node with a master. It unregisters when its last user is gone. The end of the process does not wait for
+/// that, because a sensor may be waiting for a message then.
 #[derive(Debug)]
 pub(super) struct SharedNode {
     environment: Environment,
@@ -49,8 +50,8 @@ impl Drop for SharedNode {
     }
 }
 
-/// Opens something on the node of this process for a master. Where that node has a reader or writer of the same topic
-/// already, or has ended, another node is taken.
+/// Opens a reader or writer on the node of this process for a master. Another node is used if that node has ended or
+/// already has the topic, because ROS 1 allows a node one subscription of a topic.
 pub(super) async fn open_on_ros1<T>(
     environment: &Environment,
     clock: &SharedClock,
@@ -77,7 +78,7 @@ pub(super) async fn open_on_ros1<T>(
     Ok((opened, shared))
 }
 
-/// Returns the node of ROS 2, which joins the domain of the environment when it is first asked for.
+/// Returns the ROS 2 node. It joins the domain of the environment at the first call.
 pub(super) async fn ros2_node() -> Result<Arc<Ros2Node>, TopicError> {
     let mut shared = ROS2_NODE.lock().await;
     if let Some(node) = shared.upgrade() {
@@ -92,31 +93,31 @@ pub(super) async fn ros2_node() -> Result<Arc<Ros2Node>, TopicError> {
     Ok(node)
 }
 
-/// Returns the node of ROS 2 that the readers and writers of this process share, for callers that use its topics
-/// themselves. It leaves the domain with its last user.
+/// Returns the ROS 2 node that the readers and writers of this process share, for callers that open topics themselves.
+/// It leaves the domain with its last user.
 ///
 /// # Errors
-/// The environment cannot be used, the domain cannot be joined, or this build has no ROS 2.
+/// If the environment cannot be used, the domain cannot be joined, or this build has no ROS 2.
 pub async fn shared_ros2_node() -> Result<Arc<Ros2Node>, TopicError> {
     let joined = runtime()?.spawn(ros2_node()).await;
     joined.map_err(|error| TopicError::Thread(error.to_string()))?
 }
 
-/// Returns the name of the next node of ROS 1. The master ends an older node of the same name.
+/// Returns the name of the next ROS 1 node. Names differ, because the master ends an older node of the same name.
 fn node_name() -> String {
     let base = base_name();
-    match MADE.fetch_add(1, Ordering::Relaxed) {
+    match CREATED_NODES.fetch_add(1, Ordering::Relaxed) {
         0 => base,
         others => format!("{base}_{}", others + 1),
     }
 }
 
-/// Returns `peernet`, the host and the process: nobody else has that name.
+/// Returns a name made of `peernet`, the host and the process, which no other program has.
 fn base_name() -> String {
     let system = rustix::system::uname();
     let host = system.nodename().to_string_lossy();
     let host: String = host.chars().map(|c| if c.is_ascii_alphanumeric() { c } else { '_' }).collect();
-    // ROS 2 allows no two underscores in a row.
+    // ROS 2 does not allow two successive underscores.
     let words: Vec<&str> = host.split('_').filter(|word| !word.is_empty()).collect();
     format!("peernet_{}_{}", words.join("_"), std::process::id()).replace("__", "_")
 }

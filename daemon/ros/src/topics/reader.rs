@@ -1,4 +1,4 @@
-//! Receiving messages.
+//! Blocking readers of topics.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -8,7 +8,7 @@ use peernet_clock::{SharedClock, WallTime};
 use tokio::time::timeout;
 
 use super::nodes::{SharedNode, open_on_ros1, ros2_node, runtime};
-use super::survey::seen;
+use super::survey::list_topics;
 use super::{MessageType, RosVersion, TopicError};
 use crate::messages::WireForm;
 use crate::ros1::{
@@ -20,37 +20,38 @@ use crate::ros2::{QosProfile, Reliability, Ros2Node, Ros2Subscription};
 /// Options of a reader.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct ReaderOptions {
-    /// Messages that wait to be read at most; beyond it the oldest is dropped and counted.
+    /// Largest number of messages that wait to be read. Beyond it the oldest one is dropped and counted, because a
+    /// robot needs the newest.
     pub queue: u32,
-    /// Whether lost messages are sent again. ROS 2 only; a reliable reader gets nothing of a best-effort publisher.
+    /// Reliability in ROS 2. A reliable reader gets no messages of a best-effort publisher.
     pub reliability: Reliability,
 }
 
 /// A message of a topic.
 #[derive(Clone, Debug)]
 pub struct TopicMessage {
-    /// Serialisation of `bytes`.
+    /// Serialization of `bytes`.
     pub form: WireForm,
     /// Type of the message, as its publisher names it.
     pub of: Arc<str>,
-    /// The message.
+    /// Bytes of the message.
     pub bytes: Bytes,
-    /// When this host had received the whole message, by its wall clock.
+    /// Time at which this host had received the whole message, by its wall clock.
     pub received: WallTime,
-    /// Messages since the one that was read before this one that were not read: replaced by newer ones in the queue, or, in
-    /// ROS 2, lost or in an encoding that is not read.
+    /// Number of messages between the previously read one and this one that were not read. They were replaced by newer
+    /// ones in the queue or, in ROS 2, lost or in an unsupported encoding.
     pub dropped: u64,
 }
 
 /// Receives the messages of a topic from all its publishers. Its methods block.
 pub struct TopicReader {
-    ends: Ends,
-    /// Dropped messages that were told.
-    told: u64,
+    inner: VersionedSubscriber,
+    /// Number of dropped messages that were reported.
+    reported: u64,
 }
 
-/// The subscriber goes before its node: the node tells the master.
-enum Ends {
+/// The fields are dropped in order: the subscriber before its node, which then informs the master.
+enum VersionedSubscriber {
     Ros1 {
         subscriber: Subscriber,
         environment: Environment,
@@ -66,12 +67,12 @@ enum Ends {
 }
 
 impl TopicReader {
-    /// Subscribes to a topic. `of` is the type of its messages; ROS 1 takes any without it. Blocks while the
+    /// Subscribes to a topic. `of` is the type of its messages; ROS 1 accepts any type without it. Blocks while the
     /// subscription is registered.
     ///
     /// # Errors
-    /// The environment or the name cannot be used, no master answers, the type is missing in ROS 2, or this build has no
-    /// ROS 2.
+    /// If the environment or the name cannot be used, no master answers, the type is missing in ROS 2, or this build
+    /// has no ROS 2.
     pub fn open(
         version: RosVersion,
         topic: &str,
@@ -79,45 +80,46 @@ impl TopicReader {
         options: ReaderOptions,
         clock: &SharedClock,
     ) -> Result<Self, TopicError> {
-        let ends = runtime()?.block_on(async {
+        let inner = runtime()?.block_on(async {
             match version {
                 RosVersion::Ros1 => open_ros1(topic, of, options, clock).await,
                 RosVersion::Ros2 => open_ros2(topic, of, options).await,
             }
         })?;
-        Ok(Self { ends, told: 0 })
+        Ok(Self { inner, reported: 0 })
     }
 
-    /// Waits for the next message.
+    /// Waits for the next message. Blocks.
     ///
     /// # Errors
-    /// [`TopicError::NoMessage`], or [`NoPeer`](crate::ros2::NoPeer) in ROS 2, says what is known of the publishers when none
-    /// comes within `patience`. The node may have ended ([`TopicError::is_end`]).
+    /// If no message arrives within `patience`: [`TopicError::NoMessage`], or [`NoPeer`](crate::ros2::NoPeer) in ROS 2,
+    /// with the state of the publishers. If the node has ended ([`TopicError::is_end`]).
     pub fn read(&mut self, patience: Duration) -> Result<TopicMessage, TopicError> {
         runtime()?.block_on(self.read_within(patience))
     }
 
     async fn read_within(&mut self, patience: Duration) -> Result<TopicMessage, TopicError> {
-        match &mut self.ends {
-            Ends::Ros1 { subscriber, environment, .. } => {
+        match &mut self.inner {
+            VersionedSubscriber::Ros1 { subscriber, environment, .. } => {
                 let Ok(message) = timeout(patience, subscriber.recv()).await else {
-                    let reason = absence(subscriber, environment).await;
+                    let reason = describe_missing_publisher(subscriber, environment).await;
                     let topic = subscriber.topic().to_owned();
                     return Err(TopicError::NoMessage { topic, waited: patience, reason });
                 };
                 let message = message?;
+                // The counts are totals; the message reports the increase since the last one.
                 let dropped = subscriber.counts().dropped;
                 Ok(TopicMessage {
                     form: WireForm::Ros1,
                     of: Arc::clone(&message.publisher.kind.name),
                     bytes: message.bytes,
                     received: message.received.wall,
-                    dropped: dropped - std::mem::replace(&mut self.told, dropped),
+                    dropped: dropped - std::mem::replace(&mut self.reported, dropped),
                 })
             }
-            Ends::Ros2 { subscription, of, .. } => {
+            VersionedSubscriber::Ros2 { subscription, of, .. } => {
                 let Ok(sample) = timeout(patience, subscription.receive()).await else {
-                    // Without a publisher the error says what discovery has seen.
+                    // If there is no publisher, the error says what discovery has seen.
                     subscription.await_peer(Duration::ZERO).await?;
                     let reason = "its publishers are there, but publish nothing".to_owned();
                     let topic = subscription.topic().to_owned();
@@ -125,7 +127,7 @@ impl TopicReader {
                 };
                 let sample = sample?;
                 let undecodable = subscription.counts().undecodable;
-                let unread = undecodable - std::mem::replace(&mut self.told, undecodable);
+                let unread = undecodable - std::mem::replace(&mut self.reported, undecodable);
                 Ok(TopicMessage {
                     form: WireForm::Cdr,
                     of: Arc::clone(of),
@@ -143,9 +145,9 @@ async fn open_ros1(
     of: Option<&MessageType>,
     options: ReaderOptions,
     clock: &SharedClock,
-) -> Result<Ends, TopicError> {
+) -> Result<VersionedSubscriber, TopicError> {
     let environment = Environment::from_process()?;
-    // By its name alone: publishers know the sum, and messages of types that are not known here are read as bytes.
+    // The sum is a wildcard, because publishers know it and messages of unknown types are read as bytes.
     let kind = match of {
         Some(of) => TopicType { name: of.as_str().into(), ..TopicType::any() },
         None => TopicType::any(),
@@ -158,23 +160,23 @@ async fn open_ros1(
     };
     let subscribe = async |node: &Node| node.subscribe(topic, kind.clone(), options.clone()).await;
     let (subscriber, node) = open_on_ros1(&environment, clock, subscribe).await?;
-    Ok(Ends::Ros1 { subscriber, environment, node })
+    Ok(VersionedSubscriber::Ros1 { subscriber, environment, node })
 }
 
 async fn open_ros2(
     topic: &str,
     of: Option<&MessageType>,
     options: ReaderOptions,
-) -> Result<Ends, TopicError> {
+) -> Result<VersionedSubscriber, TopicError> {
     let of = of.ok_or_else(|| TopicError::TypeRequired { topic: topic.to_owned() })?;
     let qos = QosProfile { reliability: options.reliability, depth: options.queue, ..QosProfile::default() };
     let node = ros2_node().await?;
     let subscription = node.subscription(topic, of.as_str(), &qos)?;
-    Ok(Ends::Ros2 { subscription: Box::new(subscription), of: of.as_str().into(), node })
+    Ok(VersionedSubscriber::Ros2 { subscription: Box::new(subscription), of: of.as_str().into(), node })
 }
 
-/// Says why no message comes, as far as the publishers' connections show it.
-async fn absence(subscriber: &Subscriber, environment: &Environment) -> String {
+/// Returns the reason why no message arrives, from the connections to publishers.
+async fn describe_missing_publisher(subscriber: &Subscriber, environment: &Environment) -> String {
     let publishers = subscriber.publishers();
     let failures = publishers.iter().filter_map(|publisher| match &publisher.state {
         PublisherState::Failed(reason) => Some(reason.clone()),
@@ -188,7 +190,9 @@ async fn absence(subscriber: &Subscriber, environment: &Environment) -> String {
             Ok(topics) => format!(
                 "no node publishes it; is the name right? The ROS master at {}: {}",
                 environment.master,
-                seen(topics.iter().map(|(name, _)| name.as_str()).filter(|name| *name != subscriber.topic()))
+                list_topics(
+                    topics.iter().map(|(name, _)| name.as_str()).filter(|name| *name != subscriber.topic())
+                )
             ),
             Err(error @ NodeError::NoMaster { .. }) => error.to_string(),
             Err(error) => format!("no node publishes it, and the ROS master cannot be asked: {error}"),

@@ -1,4 +1,4 @@
-//! What can be found wrong with a topic before it is opened.
+//! Checks of a topic before it is opened.
 
 use std::env;
 
@@ -7,20 +7,20 @@ use super::{MessageType, RosVersion, TopicError};
 use crate::ros1::{self, Environment, NodeName};
 use crate::ros2::{self, Ros2Error, Ros2Settings};
 
-/// What a topic is to be opened for.
+/// Purpose for which a topic is opened.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum TopicUse {
-    /// Its messages are read.
+    /// Messages are read.
     Read,
     /// Messages are published.
     Write,
 }
 
-/// Checks a topic without asking anybody, and returns its version of ROS: the names, the environment variables, and
-/// whether this build has that version.
+/// Checks the names, the environment variables, and whether this build supports the version of ROS. Does not use the
+/// network. Returns the version.
 ///
 /// # Errors
-/// What is wrong.
+/// The first problem.
 pub fn check_topic(
     configured: Option<RosVersion>,
     topic: &str,
@@ -34,11 +34,11 @@ pub fn check_topic(
     Ok(version)
 }
 
-/// Checks the name of a topic, the environment variables, and whether this build has the version of ROS; asks nobody.
-/// Returns the absolute name.
+/// Checks the name of a topic, the environment variables, and whether this build supports the version of ROS. Does not
+/// use the network. Returns the absolute name.
 ///
 /// # Errors
-/// What is wrong.
+/// The first problem.
 pub fn check_name(version: RosVersion, topic: &str) -> Result<String, TopicError> {
     match version {
         RosVersion::Ros1 => {
@@ -55,11 +55,11 @@ pub fn check_name(version: RosVersion, topic: &str) -> Result<String, TopicError
     }
 }
 
-/// Asks the ROS 1 master for a topic, and returns what would keep messages from passing now; nothing where all is well.
-/// Nobody is asked in ROS 2, which has no master. Blocks for some seconds at most.
+/// Asks the ROS 1 master about a topic. Returns the reason why messages would not pass at present, if there is one. ROS
+/// 2 has no master, and nothing is checked. Blocks for some seconds at most.
 ///
 /// # Errors
-/// The environment cannot be used, or no master answers.
+/// If the environment cannot be used, or no master answers.
 pub fn survey_topic(
     version: RosVersion,
     topic: &str,
@@ -75,29 +75,29 @@ pub fn survey_topic(
     let known = topics.iter().find(|(name, _)| *name == topic).map(|(_, kind)| kind.as_str());
     let master = environment.master;
     Ok(match (known, of) {
-        // The master knows the type as `*` where somebody has subscribed to any.
+        // The master knows the type as `*` if a node has subscribed to any type.
         (Some(kind), Some(of)) if kind != of.as_str() && kind != "*" => {
             Some(format!("topic {topic} has the type {kind}, not {of}, says the ROS master at {master}"))
         }
         (None, _) if for_use == TopicUse::Read => Some(format!(
             "the ROS master at {master} does not know topic {topic} yet; {}",
-            seen(topics.iter().map(|(name, _)| name.as_str()))
+            list_topics(topics.iter().map(|(name, _)| name.as_str()))
         )),
         _ => None,
     })
 }
 
-/// Most topics that are listed.
-const LISTED: usize = 8;
+/// Largest number of listed topics.
+const MAX_LISTED_TOPICS: usize = 8;
 
-/// Names the topics that there are.
-pub(super) fn seen<'a>(topics: impl Iterator<Item = &'a str>) -> String {
+/// Returns a text that lists the existing topics.
+pub(super) fn list_topics<'a>(topics: impl Iterator<Item = &'a str>) -> String {
     let mut all: Vec<&str> = topics.collect();
     if all.is_empty() {
         return "it knows no topic at all".to_owned();
     }
     all.sort_unstable();
-    let more = if all.len() > LISTED { ", …" } else { "" };
-    all.truncate(LISTED);
+    let more = if all.len() > MAX_LISTED_TOPICS { ", …" } else { "" };
+    all.truncate(MAX_LISTED_TOPICS);
     format!("it knows {}{more}", all.join(", "))
 }

@@ -1,11 +1,11 @@
-//! Which version of ROS a topic belongs to.
+//! The version of ROS that a topic belongs to.
 
 use std::fmt;
 
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
-/// Distributions of ROS 1; every other one is of ROS 2.
+/// Distributions of ROS 1; all others are of ROS 2.
 const ROS1_DISTRIBUTIONS: [&str; 13] = [
     "noetic",
     "melodic",
@@ -22,7 +22,7 @@ const ROS1_DISTRIBUTIONS: [&str; 13] = [
     "boxturtle",
 ];
 
-/// A version of ROS, written as its number.
+/// A version of ROS, serialized as its number.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(into = "u8", try_from = "u8")]
 pub enum RosVersion {
@@ -32,32 +32,32 @@ pub enum RosVersion {
     Ros2,
 }
 
-/// Why the version of ROS is not known.
+/// Reason why the version of ROS is unknown.
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
 pub enum VersionError {
-    /// Another number than 1 or 2.
+    /// The number is not 1 or 2.
     #[error("there is no ROS {0}; write 1 or 2")]
     Unknown(u8),
-    /// Nothing says which.
+    /// Neither configuration nor environment states the version.
     #[error(
         "which version of ROS? set ros_version = 1 or 2, or the environment variable ROS_VERSION or ROS_DISTRO, as the \
          setup script of a ROS installation does"
     )]
     NotGiven,
-    /// The environment says something else than 1 or 2.
+    /// The environment variable is not 1 or 2.
     #[error("the environment variable ROS_VERSION is `{value}`, but must be 1 or 2; or set ros_version")]
     Variable {
-        /// Its value.
+        /// Value of the variable.
         value: String,
     },
 }
 
 impl RosVersion {
     /// Returns the version: the configured one, else that of `ROS_VERSION`, else that of the distribution `ROS_DISTRO`.
-    /// `variable` looks up an environment variable; an empty value counts as not set.
+    /// `variable` looks up an environment variable; an empty value counts as unset.
     ///
     /// # Errors
-    /// Nothing says which version, or `ROS_VERSION` has a value that is none.
+    /// If nothing states the version, or `ROS_VERSION` has an invalid value.
     pub fn resolve(
         configured: Option<Self>,
         variable: impl Fn(&str) -> Option<String>,
@@ -130,7 +130,7 @@ mod tests {
     }
 
     #[test]
-    fn unknown_version_says_what_to_set() {
+    fn unknown_version_error_names_the_key() {
         assert!(resolved(None, &[]).unwrap_err().to_string().contains("set ros_version = 1 or 2"));
         let error = resolved(None, &[("ROS_VERSION", "3")]).unwrap_err();
         assert_eq!(error, VersionError::Variable { value: "3".into() });

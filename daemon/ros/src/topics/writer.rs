@@ -1,4 +1,4 @@
-//! Publishing messages.
+//! Blocking writers of topics.
 
 use std::sync::Arc;
 
@@ -10,23 +10,23 @@ use crate::messages::{Message, WireForm};
 use crate::ros1::{Environment, Publisher, PublisherOptions, TopicType};
 use crate::ros2::{QosProfile, Ros2Node, Ros2Publisher};
 
-/// What became of a message.
+/// Result of publishing a message.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Written {
-    /// Subscribers in ROS 1 that do not get it, because they are too slow and their queues are full. In ROS 2 the
-    /// publisher waits for them instead.
+pub struct WriteOutcome {
+    /// Number of ROS 1 subscribers that do not get the message, because their queues are full. In ROS 2 the publisher
+    /// waits for them instead.
     pub dropped: usize,
 }
 
 /// Publishes a topic. Its methods block.
 pub struct TopicWriter {
-    ends: Ends,
+    inner: VersionedPublisher,
     topic: String,
     clock: SharedClock,
 }
 
-/// The publisher goes before its node: the node tells the master.
-enum Ends {
+/// The fields are dropped in order: the publisher before its node, which then informs the master.
+enum VersionedPublisher {
     Ros1(Publisher, #[expect(dead_code, reason = "keeps the node")] Arc<SharedNode>),
     Ros2(Box<Ros2Publisher>, #[expect(dead_code, reason = "keeps the node")] Arc<Ros2Node>),
 }
@@ -35,13 +35,13 @@ impl TopicWriter {
     /// Publishes a topic with messages of the type `M`. Blocks while it is registered.
     ///
     /// # Errors
-    /// The environment or the name cannot be used, no master answers, or this build has no ROS 2.
+    /// If the environment or the name cannot be used, no master answers, or this build has no ROS 2.
     pub fn open<M: Message>(
         version: RosVersion,
         topic: &str,
         clock: &SharedClock,
     ) -> Result<Self, TopicError> {
-        let ends = runtime()?.block_on(async {
+        let inner = runtime()?.block_on(async {
             match version {
                 RosVersion::Ros1 => {
                     let environment = Environment::from_process()?;
@@ -49,37 +49,37 @@ impl TopicWriter {
                         node.publish(topic, TopicType::of::<M>(), PublisherOptions::default()).await
                     };
                     let (publisher, node) = open_on_ros1(&environment, clock, publish).await?;
-                    Ok::<_, TopicError>(Ends::Ros1(publisher, node))
+                    Ok::<_, TopicError>(VersionedPublisher::Ros1(publisher, node))
                 }
                 RosVersion::Ros2 => {
                     let node = ros2_node().await?;
                     let publisher = node.publisher(topic, M::DEFINITION.name, &QosProfile::default())?;
-                    Ok(Ends::Ros2(Box::new(publisher), node))
+                    Ok(VersionedPublisher::Ros2(Box::new(publisher), node))
                 }
             }
         })?;
-        Ok(Self { ends, topic: topic.to_owned(), clock: SharedClock::clone(clock) })
+        Ok(Self { inner, topic: topic.to_owned(), clock: SharedClock::clone(clock) })
     }
 
-    /// Publishes a message of the type that the topic was opened with.
+    /// Publishes a message of the type with which the topic was opened.
     ///
     /// # Errors
-    /// The node has ended, the message cannot be encoded, or subscriptions of ROS 2 do not keep up for 5 seconds.
-    pub fn write<M: Message>(&self, message: &M) -> Result<Written, TopicError> {
+    /// If the node has ended, the message cannot be encoded, or subscriptions of ROS 2 do not keep up for 5 seconds.
+    pub fn write<M: Message>(&self, message: &M) -> Result<WriteOutcome, TopicError> {
         let encode = |form| {
             message.encode(form).map_err(|source| TopicError::Encode { topic: self.topic.clone(), source })
         };
-        match &self.ends {
-            Ends::Ros1(publisher, _) => {
-                // What the kernel does not take at once is sent on the runtime.
+        match &self.inner {
+            VersionedPublisher::Ros1(publisher, _) => {
+                // Bytes that the kernel does not accept at once are sent on the runtime.
                 let _entered = runtime()?.enter();
                 let published = publisher.publish(encode(WireForm::Ros1)?)?;
-                Ok(Written { dropped: published.dropped })
+                Ok(WriteOutcome { dropped: published.dropped })
             }
-            Ends::Ros2(publisher, _) => {
+            VersionedPublisher::Ros2(publisher, _) => {
                 let payload = encode(WireForm::Cdr)?.into_bytes();
                 runtime()?.block_on(publisher.publish(payload, self.clock.wall()))?;
-                Ok(Written::default())
+                Ok(WriteOutcome::default())
             }
         }
     }

@@ -1,3 +1,3 @@
-//! Nodes of ROS 2 in one process, over DDS on loopback.
+//! Tests of ROS 2 nodes in one process, over DDS on loopback.
 
 mod topics;

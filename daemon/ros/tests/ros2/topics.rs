@@ -1,4 +1,4 @@
-//! ROS 2 between nodes of one process, over the loopback interface.
+//! Tests of ROS 2 between nodes of one process, over the loopback interface.
 
 use std::sync::atomic::{AtomicU16, Ordering};
 use std::time::Duration;
@@ -11,10 +11,10 @@ use peernet_ros::ros2::{
 };
 
 const BYTES: &str = "std_msgs/msg/UInt8MultiArray";
-/// A bound for what hangs, far above what anything here takes.
+/// Time limit of every wait, far above what is needed.
 const PATIENCE: Duration = Duration::from_secs(30);
 
-/// Returns settings of a domain that no other test of this process has.
+/// Returns settings with a domain that no other test of this process uses.
 fn settings() -> Ros2Settings {
     static NEXT: AtomicU16 = AtomicU16::new(0);
     let of_process = u16::try_from(std::process::id() % 10).expect("below 10") * 20;
@@ -48,7 +48,7 @@ fn payload(size: usize, seed: usize) -> Bytes {
     cdr.freeze()
 }
 
-/// Whether received bytes are what was sent, but for the padding of DDS.
+/// Returns whether the received bytes are those that were sent, apart from the padding of DDS.
 fn is_same(sent: &Bytes, received: &Bytes) -> bool {
     received.starts_with(sent) && received.len() < sent.len() + 4
 }
@@ -99,7 +99,7 @@ async fn burst_of_large_messages_arrives_whole() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn message_that_was_not_read_in_time_is_counted_as_lost() {
+async fn unread_message_is_counted_as_lost() {
     let nodes = two_nodes().await;
     let writer_qos = QosProfile { depth: 20, ..QosProfile::default() };
     let publisher = nodes.0.publisher("/slow", BYTES, &writer_qos).expect("a publisher");
@@ -120,7 +120,7 @@ async fn message_that_was_not_read_in_time_is_counted_as_lost() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn late_subscription_gets_kept_messages_of_transient_local_topic() {
+async fn late_subscription_gets_kept_transient_local_messages() {
     let nodes = two_nodes().await;
     let qos = QosProfile { durability: Durability::TransientLocal, depth: 3, ..QosProfile::default() };
     let publisher = nodes.0.publisher("/map", BYTES, &qos).expect("a publisher");
@@ -154,7 +154,7 @@ async fn incompatible_qos_is_named_at_both_ends() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn messages_of_another_type_are_not_handed_over() {
+async fn messages_of_another_type_are_dropped() {
     let nodes = two_nodes().await;
     let qos = QosProfile::default();
     let mut subscription = nodes.1.subscription("/type", BYTES, &qos).expect("a subscription");
@@ -174,7 +174,7 @@ async fn messages_of_another_type_are_not_handed_over() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn absence_of_a_peer_names_domain_interface_and_topics_seen() {
+async fn missing_peer_error_names_domain_interface_and_topics() {
     let (first, second) = two_nodes().await;
     let qos = QosProfile::default();
     let publisher = first.publisher("/alone", BYTES, &qos).expect("a publisher");
@@ -192,7 +192,7 @@ async fn absence_of_a_peer_names_domain_interface_and_topics_seen() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn shutdown_ends_receiving_and_is_seen_by_the_peer() {
+async fn shutdown_ends_receiving_and_peer_notices() {
     let nodes = two_nodes().await;
     let (publisher, mut subscription) = connected(&nodes, "/end", &QosProfile::default()).await;
     let receiving = tokio::spawn(async move { subscription.receive().await.map(|_| ()) });

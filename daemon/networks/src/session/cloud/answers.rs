@@ -1,4 +1,4 @@
-//! The wire form of an answer, and how many answers are being sent.
+//! The wire form of an answer, and the number of answers that are being sent.
 
 use std::sync::atomic::{AtomicUsize, Ordering};
 
@@ -15,7 +15,7 @@ use crate::session::incoming::{Failure, RequestKey};
 use crate::session::server::Route;
 use crate::transport::Frames;
 
-/// Answers that are being sent: their requests are no longer in flight.
+/// Counts the answers that are being sent and whose requests are no longer in flight.
 #[derive(Debug, Default)]
 pub(super) struct AnswersBeingSent {
     count: AtomicUsize,
@@ -23,7 +23,7 @@ pub(super) struct AnswersBeingSent {
 }
 
 impl AnswersBeingSent {
-    /// Sends an answer by `send`, and counts it as being sent meanwhile.
+    /// Calls `send`, and counts an answer as being sent until it returns.
     pub(super) fn during(&self, send: impl FnOnce()) {
         self.count.fetch_add(1, Ordering::SeqCst);
         send();
@@ -32,17 +32,17 @@ impl AnswersBeingSent {
     }
 
     /// Waits until no answer is being sent and no request is in flight.
-    pub(super) async fn drained(&self, in_flight: impl Fn() -> usize) {
+    pub(super) async fn wait_until_idle(&self, in_flight: impl Fn() -> usize) {
         while in_flight() > 0 || self.count.load(Ordering::SeqCst) > 0 {
             self.sent.notified().await;
         }
     }
 }
 
-/// Encodes an answer with what `log` grew here, and stamps its departure last.
+/// Encodes an answer with the nodes that `log` recorded here. The departure is stamped last.
 ///
 /// # Errors
-/// When its header cannot be encoded.
+/// If the header cannot be encoded.
 pub(super) fn encode_answer(
     clock: &dyn Clock,
     route: &Route,
@@ -51,11 +51,11 @@ pub(super) fn encode_answer(
     result: Result<Sample, Failure>,
 ) -> Result<Frames, HeaderError> {
     let (outcome, payload) = outcome(result, route.max_message_bytes);
-    let (grown, zero) = grown(log);
+    let (delta, zero) = encode_log_delta(log);
     let raw = route.version >= RAW_STAMPS_SINCE;
     let stamp = clock.stamp();
     let epoch = if raw { clock.epoch() } else { clock.wall_epoch() };
-    let departure = grown.as_ref().map(|_| {
+    let departure = delta.as_ref().map(|_| {
         let start = zero + (stamp.mono - MonoTime::default());
         Departure { sent: stamp.wall, start, epoch, sent_raw: raw.then_some(stamp.raw) }
     });
@@ -65,12 +65,13 @@ pub(super) fn encode_answer(
     let reply = Reply { session, request, departure, arrival_epoch, outcome, arrived_raw };
     let header = Header::Reply(reply).encode()?;
     let mut frames = Vec::with_capacity(2 + payload.len());
-    frames.extend([header, grown.unwrap_or_default()]);
+    frames.extend([header, delta.unwrap_or_default()]);
     frames.extend(payload);
     Ok(frames)
 }
 
-/// The outcome that a result is sent as, and its payload. What the edge would not take becomes a failure.
+/// Returns the outcome and the payload that are sent for a result. An answer that is larger than the edge accepts
+/// becomes a failure.
 fn outcome(result: Result<Sample, Failure>, max_message_bytes: u64) -> (Outcome, Vec<Bytes>) {
     let failed = |reason: String| (Outcome::Failed(reason), Vec::new());
     match result {
@@ -89,16 +90,16 @@ fn outcome(result: Result<Sample, Failure>, max_message_bytes: u64) -> (Outcome,
     }
 }
 
-/// The growth's wire form, and the offset of the monotonic clock's zero from this host's anchor.
-fn grown(log: Option<Recorder>) -> (Option<Bytes>, peernet_clock::Span) {
+/// Returns the wire form of the tree delta, and the offset of the monotonic clock's zero from this host's anchor.
+fn encode_log_delta(log: Option<Recorder>) -> (Option<Bytes>, peernet_clock::Span) {
     let Some(log) = log else { return (None, peernet_clock::Span::ZERO) };
     let zero = log.offset(MonoTime::default());
-    let grown = log.into_tree_delta().and_then(|growth| match encode_tree_delta(&growth) {
+    let delta = log.into_tree_delta().and_then(|delta| match encode_tree_delta(&delta) {
         Ok(wire) => Some(wire),
         Err(error) => {
             tracing::warn!(%error, "an answer goes out without what was measured here");
             None
         }
     });
-    (grown, zero)
+    (delta, zero)
 }

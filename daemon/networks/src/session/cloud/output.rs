@@ -5,7 +5,7 @@ use crate::session::server::Admission;
 use crate::statistics::{ConnectionStatistics, Counters};
 use crate::transport::{CloudSender, ConnectionId, Frames, Peer, SendOptions};
 
-/// Sends to the edges of a port, and counts what was sent and received on all of its connections together.
+/// Sends to the edges of a port, and counts what was sent and received on all connections together.
 #[derive(Debug)]
 pub(crate) struct PortOutput {
     sender: Box<dyn CloudSender>,
@@ -17,7 +17,7 @@ impl PortOutput {
         Self { sender, counters: Counters::default() }
     }
 
-    /// Tells the transport what the connection may send from now on.
+    /// Sets what the connection may send from now on.
     pub(super) fn set_admission(&self, connection: ConnectionId, admission: Admission) {
         match admission {
             Admission::Admitted => self.sender.admit(connection),
@@ -26,12 +26,12 @@ impl PortOutput {
         }
     }
 
-    /// Returns what a session counted, with what the transport knows of its connection.
+    /// Returns the statistics of a session, with those that its transport has of the connection.
     pub(super) fn statistics(&self, connection: ConnectionId, of_session: &Counters) -> ConnectionStatistics {
         of_session.statistics(&self.sender.statistics(connection))
     }
 
-    /// Sends a message and counts it, also for its session. Returns whether the transport took it.
+    /// Sends a message and counts it for the port and for its session. Returns whether the transport accepted it.
     pub(super) fn send(
         &self,
         peer: &Peer,

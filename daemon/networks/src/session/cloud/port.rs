@@ -1,4 +1,4 @@
-//! State that a listener shares with all answers under way.
+//! State that a listener shares with all answers in progress.
 
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
@@ -9,14 +9,14 @@ use peernet_sample::Sample;
 use super::answers::{AnswersBeingSent, encode_answer};
 use super::output::PortOutput;
 use crate::SessionSettings;
-use crate::message::{CountedAtCloud, Header, PeerClock, SessionAccepted, SessionId};
+use crate::message::{Header, PeerClock, SessionAccepted, SessionId, StatisticsReport};
 use crate::session::budget::Budget;
 use crate::session::incoming::{Failure, RequestKey};
 use crate::session::server::{Route, Server};
 use crate::transport::{CloudSender, ConnectionId, Peer};
 
-/// State that the listener shares with all answers under way. Answers hold it weakly: when the listener goes,
-/// the connections go.
+/// State that a listener shares with all answers in progress. Answers hold it weakly, so that the connections are
+/// closed when the listener is dropped.
 #[derive(Debug)]
 pub(crate) struct PortState {
     machine: Mutex<Server>,
@@ -46,7 +46,7 @@ impl PortState {
         }
     }
 
-    /// The sessions. The lock is held for microseconds, never while sending.
+    /// Locks the sessions. The lock is held for microseconds and never while sending.
     pub(super) fn machine(&self) -> MutexGuard<'_, Server> {
         self.machine.lock().unwrap_or_else(PoisonError::into_inner)
     }
@@ -59,38 +59,40 @@ impl PortState {
 
     pub(crate) fn accept(&self, session: SessionId, accepted: SessionAccepted) -> bool {
         let Some((peer, header)) = self.machine().accept(session, accepted) else { return false };
-        // Before the edge knows: its first request may be large.
+        // Before the acceptance is sent, because the edge's first request may be large.
         self.update_admission(peer.connection);
-        self.tell(&peer, &header)
+        self.send_message(&peer, &header)
     }
 
     pub(crate) fn refuse(&self, session: SessionId, reason: String) {
         let refusal = self.machine().refuse(session, reason);
         if let Some((peer, header)) = refusal {
             self.update_admission(peer.connection);
-            self.tell(&peer, &header);
+            self.send_message(&peer, &header);
         }
     }
 
     pub(crate) fn announce(&self, clock: PeerClock) {
-        let news = self.machine().announce(clock);
-        for (peer, header) in news {
-            self.tell(&peer, &header);
+        let headers = self.machine().announce(clock);
+        for (peer, header) in headers {
+            self.send_message(&peer, &header);
         }
     }
 
     pub(crate) fn report_statistics(&self) {
-        let sessions = self.machine().counted_sessions();
+        let sessions = self.machine().sessions_with_statistics();
         for (session, peer, counters) in sessions {
             let statistics = self.output.statistics(peer.connection, &counters);
-            let header = Header::Statistics(Box::new(CountedAtCloud { session, statistics }));
-            self.tell(&peer, &header);
+            let header = Header::Statistics(Box::new(StatisticsReport { session, statistics }));
+            self.send_message(&peer, &header);
         }
     }
 
-    /// Sends an answer with what `log` grew here; both are absent when no model was asked.
+    /// Sends an answer with the nodes that `log` recorded here. Without `log` (no model was asked) the reply has
+    /// neither tree delta nor departure.
     pub(crate) fn answer(&self, key: RequestKey, log: Option<Recorder>, result: Result<Sample, Failure>) {
-        // Counted before the request is out of flight: closing must find one of the two, or it says goodbye before the answer.
+        // Counted before the request leaves the requests in flight: closing must find one of the two, or it would say
+        // goodbye before the answer.
         self.answers.during(|| {
             let route = self.machine().finish(key.session, key.request);
             let sent = route.as_ref().is_some_and(|route| self.send_answer(route, key, log, result));
@@ -119,8 +121,8 @@ impl PortState {
         }
     }
 
-    /// Sends a message without payload. Returns whether the transport took it.
-    pub(super) fn tell(&self, peer: &Peer, header: &Header) -> bool {
+    /// Sends a message without payload. Returns whether the transport accepted it.
+    pub(super) fn send_message(&self, peer: &Peer, header: &Header) -> bool {
         let counters = self.machine().counters_of(peer.connection);
         match header.encode() {
             Ok(header) => self.output.send(peer, vec![header], None, counters.as_deref()),
@@ -131,7 +133,7 @@ impl PortState {
         }
     }
 
-    /// Counts what makes no sense, and logs it now and then.
+    /// Counts a malformed message. Logs it at a limited rate.
     pub(super) fn malformed(&self, from: &Peer, problem: &str) {
         self.output.counters.malformed();
         if let Some(counters) = self.machine().counters_of(from.connection) {
@@ -146,8 +148,8 @@ impl PortState {
         }
     }
 
-    /// Waits for the answers under way.
-    pub(super) async fn drained(&self) {
-        self.answers.drained(|| self.machine().in_flight()).await;
+    /// Waits for the answers in progress.
+    pub(super) async fn wait_until_idle(&self) {
+        self.answers.wait_until_idle(|| self.machine().in_flight()).await;
     }
 }

@@ -1,4 +1,4 @@
-//! Messages of edges, and their effects.
+//! Handling of the messages of edges.
 
 use std::sync::Arc;
 
@@ -8,7 +8,7 @@ use peernet_logger::{Recorder, TreeError};
 
 use super::PortState;
 use crate::message::{
-    Departure, Header, HeaderError, MAX_FRAMES, Request, TreeFrameError, decode_tree, put_upload,
+    Departure, Header, HeaderError, MAX_FRAMES, Request, TreeFrameError, add_upload, decode_tree,
 };
 use crate::session::exchange::Sizes;
 use crate::session::incoming::{
@@ -17,8 +17,8 @@ use crate::session::incoming::{
 use crate::session::server::{EdgeMessage, Server};
 use crate::transport::{Frames, Peer};
 
-/// A message arrived: what to hand out, if anything.
-pub(super) fn heard(
+/// Handles a message that arrived. Returns the event for the listener's user, if there is one.
+pub(super) fn handle_message(
     shared: &Arc<PortState>,
     peer: &Peer,
     frames: Frames,
@@ -33,7 +33,7 @@ pub(super) fn heard(
     let header = match Header::decode(frames.first().map_or(&[], |frame| frame)) {
         Ok(header) => header,
         Err(HeaderError::NoCommonVersion(mismatch)) => {
-            shared.tell(peer, &Server::incompatible(&mismatch));
+            shared.send_message(peer, &Server::incompatible(&mismatch));
             return None;
         }
         Err(error) => {
@@ -41,14 +41,14 @@ pub(super) fn heard(
             return None;
         }
     };
-    // Bound, so that the lock is free again before the answers below take it.
-    let heard = shared.machine().receive(peer, header);
-    if let EdgeMessage::Open(session, _) | EdgeMessage::Request(Request { session, .. }) = &heard
+    // A separate statement, so that the lock is released before the branches below take it.
+    let message = shared.machine().receive(peer, header);
+    if let EdgeMessage::Open(session, _) | EdgeMessage::Request(Request { session, .. }) = &message
         && let Some(counters) = shared.machine().counters(*session)
     {
         counters.received(bytes);
     }
-    match heard {
+    match message {
         EdgeMessage::Open(session, hello) => {
             shared.update_admission(peer.connection);
             let wish = OpenRequest::new(*hello, session, peer.address, Arc::downgrade(shared));
@@ -56,7 +56,7 @@ pub(super) fn heard(
         }
         EdgeMessage::Request(request) => incoming_request(shared, peer, request, frames, received),
         EdgeMessage::Answer(header) => {
-            shared.tell(peer, &header);
+            shared.send_message(peer, &header);
             None
         }
         EdgeMessage::Closed(session, ordered) => {
@@ -70,7 +70,8 @@ pub(super) fn heard(
     }
 }
 
-/// A request arrived: takes its bytes into the budget and continues its tree, or answers why not.
+/// Handles a request that arrived: counts its bytes in the budget and continues its tree, or answers with the reason
+/// why not.
 fn incoming_request(
     shared: &Arc<PortState>,
     peer: &Peer,
@@ -79,7 +80,7 @@ fn incoming_request(
     (received, arrival): (Stamp, ArrivalStamp),
 ) -> Option<Incoming> {
     let key = RequestKey { session: request.session, request: request.request, arrival };
-    let frames = match shared.budget.hold(frames) {
+    let frames = match shared.budget.reserve_frames(frames) {
         Ok(frames) => frames,
         Err(exceeded) => {
             shared.answer(key, None, Err(Failure::Overloaded(exceeded.to_string())));
@@ -103,7 +104,7 @@ fn incoming_request(
     }
 }
 
-/// Continues an edge's tree here: puts `upload` into it and closes it at `received`.
+/// Continues an edge's tree here: adds `upload` to it and closes that node at `received`.
 fn resume(
     shared: &PortState,
     tree: Option<&Bytes>,
@@ -111,11 +112,11 @@ fn resume(
     received: Stamp,
 ) -> Result<Recorder, InvalidRequest> {
     let mut tree = decode_tree(tree.ok_or(InvalidRequest::NoTree)?)?;
-    let upload = put_upload(&mut tree, departure);
+    let upload = add_upload(&mut tree, departure);
     Ok(Recorder::resume(shared.clock.clone(), shared.host, tree, upload, received)?)
 }
 
-/// A request that makes no sense.
+/// Error: a request cannot be interpreted.
 #[derive(Debug, thiserror::Error)]
 enum InvalidRequest {
     #[error("no tree")]

@@ -1,4 +1,4 @@
-//! The cloud's state machine: single steps, and whatever any number of edges may do.
+//! Tests of the cloud's state machine: single steps, and arbitrary steps of many edges.
 
 use peernet_clock::ClockIdentity;
 use peernet_logger::HostId;
@@ -63,7 +63,7 @@ fn opened(server: &mut Server, connection: u64) -> SessionId {
 }
 
 #[test]
-fn a_request_is_routed_back_once_to_where_it_came_from() {
+fn answer_is_routed_once_to_the_requesting_connection() {
     let mut server = server();
     let session = opened(&mut server, 5);
     assert!(
@@ -108,7 +108,7 @@ fn a_goodbye_frees_the_place() {
 }
 
 #[test]
-fn one_connection_cannot_take_all_places_and_is_told_which_limit_it_met() {
+fn session_limit_per_connection_is_named_in_refusal() {
     let mut server = Server::new(&SessionSettings::default());
     for _ in 0..SESSIONS_PER_CONNECTION {
         opened(&mut server, 1);
@@ -124,7 +124,7 @@ fn one_connection_cannot_take_all_places_and_is_told_which_limit_it_met() {
 }
 
 #[test]
-fn two_greedy_hosts_leave_sessions_to_a_third() {
+fn session_limit_per_host_leaves_room_for_others() {
     let mut server = Server::new(&SessionSettings::default());
     let mut taken = |host: u8, connections: std::ops::Range<u64>| {
         let Header::Open(open) = hello() else { unreachable!("a hello is an open") };
@@ -139,7 +139,7 @@ fn two_greedy_hosts_leave_sessions_to_a_third() {
 }
 
 #[test]
-fn one_address_with_many_host_names_leaves_sessions_to_others() {
+fn session_limit_per_address_ignores_host_names() {
     let mut server = Server::new(&SessionSettings::default());
     let mut open = |address: &str, host: u16| {
         let Header::Open(mut open) = hello() else { unreachable!("a hello is an open") };
@@ -157,11 +157,11 @@ fn one_address_with_many_host_names_leaves_sessions_to_others() {
 }
 
 #[test]
-fn the_end_of_a_connection_is_the_end_of_its_sessions_alone() {
+fn end_of_connection_ends_only_its_sessions() {
     let mut server = server();
     let (a, b, c) = (opened(&mut server, 1), opened(&mut server, 2), opened(&mut server, 1));
-    assert_eq!(server.gone(ConnectionId(1)), [a, c]);
-    assert_eq!(server.gone(ConnectionId(1)), []);
+    assert_eq!(server.remove_connection(ConnectionId(1)), [a, c]);
+    assert_eq!(server.remove_connection(ConnectionId(1)), []);
     assert!(server.accept(a, accepted()).is_none());
     assert!(server.accept(b, accepted()).is_some());
     let farewells = server.goodbye("bye");
@@ -171,15 +171,15 @@ fn the_end_of_a_connection_is_the_end_of_its_sessions_alone() {
 }
 
 #[test]
-fn what_is_announced_reaches_open_sessions_now_and_others_when_they_open() {
+fn announcement_reaches_open_and_later_sessions() {
     let mut server = server();
     let (open, asking) = (opened(&mut server, 1), opened(&mut server, 2));
     server.accept(open, accepted()).expect("the edge is there");
     let clock = PeerClock { epoch: 3, ..PeerClock::default() };
-    let told = server.announce(clock.clone());
+    let headers = server.announce(clock.clone());
     assert!(matches!(
-        &told[..],
-        [(to, Header::Clock(news))] if to.connection.0 == 1 && news.session == open && news.clock == clock
+        &headers[..],
+        [(to, Header::Clock(update))] if to.connection.0 == 1 && update.session == open && update.clock == clock
     ));
     let (_, header) = server.accept(asking, accepted()).expect("the edge is there");
     assert!(matches!(header, Header::Accepted(said) if said.accepted.host_clock == clock));
@@ -188,8 +188,8 @@ fn what_is_announced_reaches_open_sessions_now_and_others_when_they_open() {
 #[derive(Clone, Debug)]
 enum Step {
     Open(u64),
-    /// A message of any kind from a connection, naming the session at this place in the list of all so far.
-    Hear(u64, prop::sample::Index, Box<Header>),
+    /// Any message from a connection about the session at this index of all sessions so far.
+    Receive(u64, prop::sample::Index, Box<Header>),
     Request(u64, prop::sample::Index, u64),
     Accept(prop::sample::Index),
     Refuse(prop::sample::Index),
@@ -203,7 +203,7 @@ fn step() -> impl Strategy<Value = Step> {
     prop_oneof![
         4 => connection().prop_map(Step::Open),
         2 => (connection(), session(), strategies::header(Vec::new()))
-            .prop_map(|(connection, session, header)| Step::Hear(connection, session, Box::new(header))),
+            .prop_map(|(connection, session, header)| Step::Receive(connection, session, Box::new(header))),
         8 => (connection(), session(), 0..4_u64).prop_map(|(c, s, n)| Step::Request(c, s, n)),
         4 => session().prop_map(Step::Accept),
         1 => session().prop_map(Step::Refuse),
@@ -212,13 +212,13 @@ fn step() -> impl Strategy<Value = Step> {
     ]
 }
 
-/// The same message about another session.
+/// Returns the same message about another session.
 fn about(mut header: Header, session: SessionId) -> Header {
     match &mut header {
         Header::Request(request) => request.session = session,
         Header::Reply(reply) => reply.session = session,
-        Header::Clock(news) => news.session = session,
-        Header::Statistics(told) => told.session = session,
+        Header::Clock(update) => update.session = session,
+        Header::Statistics(report) => report.session = session,
         Header::UnknownSession(unknown) => unknown.session = session,
         Header::Goodbye(goodbye) => goodbye.session = session,
         Header::Accepted(accepted) => accepted.session = session,
@@ -229,7 +229,7 @@ fn about(mut header: Header, session: SessionId) -> Header {
 
 proptest! {
     #[test]
-    fn whatever_edges_do_limits_hold_and_the_books_balance(steps in proptest::collection::vec(step(), 0..120)) {
+    fn limits_and_counts_hold_for_any_messages(steps in proptest::collection::vec(step(), 0..120)) {
         let mut server = server();
         let mut sessions = vec![SessionId::random()];
         let mut in_flight = HashSet::new();
@@ -241,7 +241,7 @@ proptest! {
                         sessions.push(session);
                     }
                 }
-                Step::Hear(connection, session, header) => {
+                Step::Receive(connection, session, header) => {
                     let header = about(*header, *session.get(&sessions));
                     match server.receive(&peer(connection), header) {
                         EdgeMessage::Open(session, _) => sessions.push(session),
@@ -269,7 +269,7 @@ proptest! {
                     prop_assert_eq!(server.finish(session, number).is_some(), in_flight.remove(&(session, number)));
                 }
                 Step::Gone(connection) => {
-                    for session in server.gone(ConnectionId(connection)) {
+                    for session in server.remove_connection(ConnectionId(connection)) {
                         in_flight.retain(|(of, _)| *of != session);
                     }
                 }

@@ -6,7 +6,7 @@ use proptest::prelude::*;
 use super::*;
 
 #[test]
-fn addresses_read_back_as_written() {
+fn addresses_parse_from_their_text() {
     for text in [
         "tcp://127.0.0.1:5551",
         "tcp://[::1]:0",
@@ -19,7 +19,7 @@ fn addresses_read_back_as_written() {
 }
 
 #[test]
-fn what_is_wrong_is_said() {
+fn invalid_addresses_are_refused_with_the_reason() {
     for (text, problem) in [
         ("cloud:5551", "the scheme is missing"),
         ("pgm://cloud:5551", "unknown scheme \"pgm\""),
@@ -104,7 +104,7 @@ fn named_listeners_have_default_port_and_name() {
 
 proptest! {
     #[test]
-    fn no_text_can_panic_and_what_parses_reads_back(text in "((tcp|ros1|ros2)://)?[a-z0-9./:\\[\\]-]{0,24}") {
+    fn any_parsed_address_parses_from_its_text(text in "((tcp|ros1|ros2)://)?[a-z0-9./:\\[\\]-]{0,24}") {
         if let Ok(address) = text.parse::<Address>() {
             prop_assert_eq!(address.to_string().parse::<Address>(), Ok(address));
         }

@@ -1,8 +1,9 @@
 //! A virtual connection, without I/O: both halves, heartbeats and the goodbye.
 //!
-//! An end asks the other for a heartbeat when nothing came for the heartbeat interval, and sooner while messages
-//! that it sent are not settled there: the answer tells which never arrived. Without any word for the heartbeat
-//! timeout the connection is gone. It is closed by a goodbye that is repeated until it is heard.
+//! An end asks the other for a heartbeat if nothing arrived for the heartbeat interval. It asks sooner while messages
+//! that it sent are not settled, because the answer says which of them never arrived. If nothing arrives for the
+//! heartbeat timeout, the connection is gone. A connection is closed by a goodbye that is repeated until it is
+//! confirmed.
 
 mod control_queue;
 mod heartbeat_history;
@@ -24,9 +25,9 @@ use super::measurement::PathMeasurement;
 use super::packet::{Heartbeat, Packet, ResetReason, Role, Terms};
 use super::packet_writer::PacketWriter;
 use super::reassembly::ReassemblyLimits;
-use super::receiving::{Arrived, Receiving};
+use super::receiving::{FragmentOutcome, ReceivingHalf};
 use super::sending::QueueLimits;
-use super::sending::{Batch, Sending};
+use super::sending::{Batch, SendingHalf};
 use crate::statistics::TransportStatistics;
 use crate::transport::memory::{MemoryBudget, Reservation};
 use crate::transport::{Frames, MessageLoss, SendFailure};
@@ -34,36 +35,36 @@ use crate::transport::{Frames, MessageLoss, SendFailure};
 /// Interval at which unfinished messages are checked.
 const TICK: Span = Span::from_millis(20);
 
-/// Why a connection ends whose long datagrams are lost.
-const LONG_LOST: &str = "long datagrams do not arrive any more, short ones do: a link on the path takes smaller packets \
+/// Reason for the end of a connection on which long datagrams are lost.
+const LONG_DATAGRAMS_LOST: &str = "long datagrams do not arrive any more, short ones do: a link on the path takes smaller packets \
      (MTU) and does not say so; mend its MTU, or set datagram_bytes to what passes (1200 is tried by itself)";
 
-/// Why a connection ends whose ends contradict each other.
+/// Reason for the end of a connection whose ends contradict each other.
 const CONTRADICTED: &str = "the peer tells again and again of messages that were never sent: packets are altered or forged on the \
      path; a new connection begins afresh";
 
-/// Time limits and bounds of a connection.
+/// Timeouts and limits of a connection.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct ConnectionLimits {
     pub(crate) heartbeat_interval: Span,
     pub(crate) heartbeat_timeout: Span,
     pub(crate) queue: QueueLimits,
-    /// The configured rate; `None` sends as fast as the other end takes it.
+    /// Configured rate in bits per second; `None` adapts the rate to what the other end receives.
     pub(crate) bits_per_second: Option<u64>,
 }
 
-/// An event for the layer above.
+/// Event for the layer above.
 #[derive(Debug)]
 pub(crate) enum Event {
-    /// A message, and the memory that it takes until it is handed on.
+    /// A message arrived. The reservation holds its memory until the message is handed on.
     Message(Frames, Reservation),
-    /// A message of the other end did not arrive as a whole.
+    /// A message from the other end did not arrive as a whole.
     Incomplete(MessageLoss),
     /// A message that was sent did not arrive as a whole.
     Lost(MessageLoss),
-    /// A packet that cannot be right.
+    /// A packet arrived that cannot be right, for this reason.
     Garbage(String),
-    /// The connection is over.
+    /// The connection is over, for this reason.
     Gone(String),
 }
 
@@ -71,8 +72,8 @@ pub(crate) enum Event {
 #[derive(Debug)]
 pub(crate) struct Connection {
     writer: PacketWriter,
-    sending: Sending,
-    receiving: Receiving,
+    sending: SendingHalf,
+    receiving: ReceivingHalf,
     control: ControlQueue,
     events: VecDeque<Event>,
     shutdown: Shutdown,
@@ -82,7 +83,7 @@ pub(crate) struct Connection {
 }
 
 impl Connection {
-    /// A connection that the handshake has opened. `terms` are the other end's.
+    /// Creates a connection that the handshake has opened. `terms` are the other end's.
     pub(crate) fn new(
         writer: PacketWriter,
         terms: Terms,
@@ -92,8 +93,8 @@ impl Connection {
     ) -> Self {
         Self {
             writer,
-            sending: Sending::new(writer, terms, limits.queue, limits.bits_per_second, now),
-            receiving: Receiving::new(writer.connection(), reassembly, budget),
+            sending: SendingHalf::new(writer, terms, limits.queue, limits.bits_per_second, now),
+            receiving: ReceivingHalf::new(writer.connection(), reassembly, budget),
             control: ControlQueue::new(writer),
             events: VecDeque::new(),
             shutdown: Shutdown::new(),
@@ -103,7 +104,7 @@ impl Connection {
         }
     }
 
-    /// Replaces what arriving messages may cost.
+    /// Replaces the limits for incomplete messages that arrive.
     pub(crate) fn set_reassembly(&mut self, limits: ReassemblyLimits, budget: Arc<MemoryBudget>) {
         self.receiving.set_limits(limits, budget);
     }
@@ -111,7 +112,7 @@ impl Connection {
     /// Queues a message.
     ///
     /// # Errors
-    /// When too much waits already, or the connection is over.
+    /// If too many messages wait already, or the connection is over.
     pub(crate) fn send(
         &mut self,
         frames: Frames,
@@ -135,12 +136,12 @@ impl Connection {
             Packet::Data { number, fragment, .. } => {
                 self.measurement.arrive(number, now);
                 match self.receiving.receive(number, &fragment, now) {
-                    Arrived::Message(bytes, reserved) => match split_frames(bytes) {
+                    FragmentOutcome::Message(bytes, reserved) => match split_frames(bytes) {
                         Ok(frames) => self.events.push_back(Event::Message(frames, reserved)),
                         Err(error) => self.events.push_back(Event::Garbage(error.to_string())),
                     },
-                    Arrived::Nothing => {}
-                    Arrived::Garbage(problem) => self.events.push_back(Event::Garbage(problem)),
+                    FragmentOutcome::Nothing => {}
+                    FragmentOutcome::Garbage(problem) => self.events.push_back(Event::Garbage(problem)),
                 }
                 if let Some(progress) = self.receiving.progress() {
                     self.control.push(progress);
@@ -163,12 +164,12 @@ impl Connection {
                 self.events.extend(incomplete.map(Event::Incomplete));
             }
             Packet::Ping { heartbeat, .. } => {
-                self.learn(&heartbeat, now);
+                self.apply_heartbeat(&heartbeat, now);
                 let heartbeat = self.heartbeat(heartbeat.time, now);
                 self.control.push(Packet::Pong { connection, heartbeat });
             }
             Packet::Pong { heartbeat, .. } => {
-                self.learn(&heartbeat, now);
+                self.apply_heartbeat(&heartbeat, now);
                 let asked = Span::from_nanos(i64::try_from(heartbeat.time).unwrap_or(0));
                 self.measurement.answer(MonoTime::default() + asked, now);
             }
@@ -178,14 +179,14 @@ impl Connection {
             Packet::Reset { reason, .. } => self.end(match reason {
                 ResetReason::Unknown => "the peer does not know the connection any more: it was restarted, or it gave the connection up",
                 ResetReason::Full => "the peer has too many connections",
-                ResetReason::LongLost => LONG_LOST,
+                ResetReason::LongLost => LONG_DATAGRAMS_LOST,
             }),
-            // The handshake's packets and confirmed paths are not a connection's own.
+            // Packets of the handshake and confirmed paths do not belong to a connection; the endpoint handles them.
             _ => {}
         }
     }
 
-    /// Returns this end's heartbeat.
+    /// Returns the heartbeat of this end.
     fn heartbeat(&mut self, time: u64, now: MonoTime) -> Heartbeat {
         Heartbeat {
             time,
@@ -196,29 +197,30 @@ impl Connection {
         }
     }
 
-    /// Takes over the progress that a heartbeat of the other end reports.
-    fn learn(&mut self, heartbeat: &Heartbeat, now: MonoTime) {
+    /// Applies a heartbeat of the other end.
+    fn apply_heartbeat(&mut self, heartbeat: &Heartbeat, now: MonoTime) {
+        // A duplicated heartbeat says nothing new, and must not count as a second contradiction.
         if !self.heartbeats.receive(heartbeat) {
             return;
         }
         let settled = self.sending.settled(heartbeat.settled);
         if self.refuse(settled).is_none() {
             if self.heartbeats.contradict() {
-                self.say_bye();
+                self.send_bye();
                 self.end(CONTRADICTED);
             }
             return;
         }
         self.heartbeats.agree();
-        // Each of these refuses its own fields: one altered field must not hide what the others report.
-        let told =
+        // Each of these checks its own fields, so that one altered field does not hide what the others report.
+        let reported =
             self.measurement.report(heartbeat.number, heartbeat.arrivals, self.sending.datagrams(), now);
-        self.refuse(told);
+        self.refuse(reported);
         let expected = self.receiving.expect(heartbeat.next, heartbeat.time, now);
         self.refuse(expected);
     }
 
-    /// Passes on a claim that cannot be true as garbage; it has no other effect.
+    /// Reports a false claim as garbage. A false claim has no other effect.
     fn refuse<T>(&mut self, claim: Result<T, FalseClaim>) -> Option<T> {
         claim.map_err(|claim| self.events.push_back(Event::Garbage(claim.to_string()))).ok()
     }
@@ -232,7 +234,8 @@ impl Connection {
         let count = self.shutdown.receive_bye();
         let expected = self.receiving.expect(next, count.into(), now);
         self.refuse(expected);
-        if self.shutdown.is_impatient() {
+        // The other end does not wait any longer, so its unfinished messages will never be completed.
+        if self.shutdown.gives_up_messages() {
             self.receiving.give_up_all();
         }
         self.report(now);
@@ -242,35 +245,35 @@ impl Connection {
         }
     }
 
-    /// Begins to say goodbye, after what is queued has left.
+    /// Closes the connection after the queued messages have been sent.
     pub(crate) fn close(&mut self, now: MonoTime) {
         self.shutdown.begin(now);
     }
 
-    /// Says goodbye once, at once, and is over.
+    /// Closes the connection at once, with a single goodbye.
     pub(crate) fn abandon(&mut self) {
         self.control.clear();
-        self.say_bye();
+        self.send_bye();
         self.shutdown.close();
     }
 
-    fn say_bye(&mut self) {
+    fn send_bye(&mut self) {
         self.control.push(Packet::Bye { connection: self.writer.connection(), next: self.sending.next() });
     }
 
-    /// Whether the connection is over: nothing that arrives changes anything.
+    /// Returns whether the connection is over. Packets that arrive then have no effect.
     pub(crate) fn is_closed(&self) -> bool {
         self.shutdown.is_closed()
     }
 
-    /// Ends the connection and tells why.
+    /// Ends the connection and reports the reason.
     pub(crate) fn end(&mut self, reason: impl Into<String>) {
         if self.shutdown.close() {
             self.events.push_back(Event::Gone(reason.into()));
         }
     }
 
-    /// Does what is due.
+    /// Does everything that is due at `now`.
     pub(crate) fn tick(&mut self, now: MonoTime) {
         if self.shutdown.is_closed() {
             return;
@@ -282,12 +285,12 @@ impl Connection {
         self.report(now);
         if self.sending.loses_long(self.measurement.reported_lost(), now) {
             tracing::debug!(bytes = self.sending.longest(), "none of the longest datagrams arrive");
-            // The handshake of the next connection finds out what passes.
+            // The handshake of the next connection finds out which length passes.
             if self.writer.role() == Role::Cloud {
                 self.control
                     .push(Packet::Reset { id: self.writer.connection(), reason: ResetReason::LongLost });
             }
-            self.end(LONG_LOST);
+            self.end(LONG_DATAGRAMS_LOST);
             return;
         }
         if self.timer.ends_at() <= now {
@@ -303,8 +306,8 @@ impl Connection {
             self.control.push(Packet::Ping { connection: self.writer.connection(), heartbeat });
         }
         if self.bye_at().is_some_and(|at| at <= now) {
-            self.shutdown.say_bye(now);
-            self.say_bye();
+            self.shutdown.send_bye(now);
+            self.send_bye();
         }
     }
 
@@ -312,24 +315,24 @@ impl Connection {
         self.timer.ping_at(self.sending.unsettled_since())
     }
 
-    /// When the next goodbye is due: all messages leave before the first.
+    /// Returns the time of the next goodbye. All messages are sent before the first one.
     fn bye_at(&self) -> Option<MonoTime> {
         self.shutdown.bye_at().filter(|_| self.sending.is_empty())
     }
 
-    /// When [`tick`](Self::tick) is to be called at the latest.
+    /// Returns the latest time for the next call of [`tick`](Self::tick).
     pub(crate) fn next_timer(&self, now: MonoTime) -> MonoTime {
         let next = self.ping_at().min(self.timer.ends_at());
         let others = [self.bye_at(), self.sending.opens_at(), self.receiving.next_timer(now, TICK)];
         others.into_iter().flatten().fold(next, MonoTime::min)
     }
 
-    /// Takes the next event.
+    /// Removes and returns the next event.
     pub(crate) fn next_event(&mut self) -> Option<Event> {
         self.events.pop_front()
     }
 
-    /// Appends datagrams that leave now. Returns `None` when there are none.
+    /// Appends datagrams that may be sent now. `None` if there are none.
     pub(crate) fn fill(&mut self, out: &mut Vec<u8>, most: usize, now: MonoTime) -> Option<Batch> {
         if let Some(batch) = self.control.fill(out) {
             return Some(batch);
@@ -340,7 +343,7 @@ impl Connection {
         self.sending.fill(out, most, now)
     }
 
-    /// Passes on what was lost.
+    /// Reports losses to the other end and to the layer above.
     fn report(&mut self, now: MonoTime) {
         let known = self.receiving.take_lost(now);
         let (packets, silent) = self.receiving.reports(now);

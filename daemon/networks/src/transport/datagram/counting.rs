@@ -1,8 +1,8 @@
-//! Counting the datagrams of one direction of a connection: how many arrived, twice, out of order or never.
+//! Counts the datagrams of one direction of a connection: arrived, duplicated, reordered and lost ones.
 //!
-//! Every datagram with data has a number, the next one of its connection and direction; what is sent again gets a new one
-//! (packet numbers, RFC 9000 section 12.3). A number that is missing is waited for before it counts as lost, so that no
-//! total ever falls.
+//! Every datagram with data has a number, the next one of its connection and direction. A retransmission gets a new
+//! number (as packet numbers in RFC 9000, section 12.3). A missing number is waited for before it counts as lost, so
+//! that no total ever decreases.
 
 mod gap_check;
 
@@ -12,12 +12,12 @@ pub(super) use self::gap_check::MAX_GAP;
 use self::gap_check::{GapCheck, NextNumber};
 use crate::statistics::DatagramStatistics;
 
-/// A number that is missing for so long, and at most for twice as long, counts as lost.
-const WAIT: Span = Span::from_seconds(1);
+/// Shortest time after which a missing number counts as lost. The longest is twice that.
+const LOSS_DELAY: Span = Span::from_seconds(1);
 
-/// Numbers below the highest one of which it is remembered whether they arrived. One that comes later still is not
-/// counted: it may be a duplicate.
-const REMEMBERED: u64 = 4_096;
+/// Number of numbers below the highest one for which it is remembered whether they arrived. A datagram with an older
+/// number is not counted, because it may be a duplicate.
+const REMEMBERED_NUMBERS: u64 = 4_096;
 
 /// Totals that the receiving end of a direction reports to its sending end.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -31,12 +31,12 @@ pub(crate) struct ArrivalTotals {
 }
 
 impl ArrivalTotals {
-    /// Returns the larger of each total: reports may arrive out of order.
+    /// Returns the larger value of each total. Reports may arrive out of order.
     pub(crate) fn max(self, other: Self) -> Self {
         self.of_each(other, u64::max)
     }
 
-    /// Returns the smaller of each total.
+    /// Returns the smaller value of each total.
     pub(crate) fn min(self, other: Self) -> Self {
         self.of_each(other, u64::min)
     }
@@ -50,22 +50,22 @@ impl ArrivalTotals {
     }
 }
 
-/// Counts what arrives.
+/// Counts arriving datagrams by their numbers.
 #[derive(Debug)]
 pub(crate) struct ArrivalCounter {
-    /// All that arrived, what came twice included.
+    /// Number of datagrams that arrived, including duplicates.
     datagrams: u64,
     totals: ArrivalTotals,
-    /// Numbers below were sent, as far as is known.
+    /// Numbers below this one have been sent, as far as is known.
     next: u64,
-    /// One bit for each of the remembered numbers, at its remainder.
+    /// One bit for each remembered number, at the number modulo [`REMEMBERED_NUMBERS`].
     present: Vec<u64>,
-    /// Numbers below have arrived or count as lost.
+    /// Numbers below this one have arrived or count as lost.
     decided: u64,
-    /// Numbers below were sent before `since`, and are decided when the wait is over.
+    /// Numbers below this one were sent before `since`. They are decided when the wait is over.
     waiting: u64,
     since: MonoTime,
-    /// Arrived numbers from `decided` to `waiting`, and from there on.
+    /// Arrived numbers from `decided` to `waiting`, and from `waiting` on.
     arrived: (u64, u64),
     gaps: GapCheck,
 }
@@ -76,7 +76,7 @@ impl ArrivalCounter {
             datagrams: 0,
             totals: ArrivalTotals::default(),
             next: 0,
-            present: vec![0; (REMEMBERED / 64) as usize],
+            present: vec![0; (REMEMBERED_NUMBERS / 64) as usize],
             decided: 0,
             waiting: 0,
             since: now,
@@ -85,7 +85,7 @@ impl ArrivalCounter {
         }
     }
 
-    /// A datagram arrived; `number` is the low half of its number.
+    /// Counts a datagram that arrived. `number` is the lower half of its number.
     pub(crate) fn arrive(&mut self, number: u32, now: MonoTime) {
         self.decide(now);
         self.datagrams += 1;
@@ -98,7 +98,7 @@ impl ArrivalCounter {
             return;
         }
         let Some(number) = self.next.checked_add_signed(ahead) else { return };
-        if self.next - number > REMEMBERED {
+        if self.next - number > REMEMBERED_NUMBERS {
             return;
         }
         if !self.mark(number) {
@@ -113,7 +113,7 @@ impl ArrivalCounter {
         }
     }
 
-    /// The other end has sent the numbers below this one, of which only the low half is known.
+    /// Notes that the other end has sent all numbers below `next`, of which only the lower half is known.
     pub(crate) fn expect(&mut self, next: u32, now: MonoTime) {
         self.decide(now);
         let number = self.next + self.ahead(next).max(0).unsigned_abs();
@@ -122,7 +122,8 @@ impl ArrivalCounter {
         }
     }
 
-    /// Whether a number is believed. Counts the datagram beyond a gap that was held back until now.
+    /// Returns whether a number is believed. If it confirms a number beyond a gap that was held back, the datagram of
+    /// that number is counted now.
     fn is_believed(&mut self, found: NextNumber, now: MonoTime) -> bool {
         let Some(confirmed) = self.gaps.check(self.next, found, now) else { return false };
         let held_back = confirmed.filter(|held| held.has_arrived && held.number < found.number);
@@ -132,7 +133,7 @@ impl ArrivalCounter {
         true
     }
 
-    /// A datagram arrived whose number is not below the next one.
+    /// Counts a datagram whose number is not below the next one.
     fn arrive_next(&mut self, number: u64) {
         self.advance(number + 1 - self.next);
         self.mark(number);
@@ -142,7 +143,7 @@ impl ArrivalCounter {
     /// Notes that `count` more numbers were sent, of which none has arrived.
     fn advance(&mut self, count: u64) {
         self.next += count;
-        for number in self.next - count.min(REMEMBERED)..self.next {
+        for number in self.next - count.min(REMEMBERED_NUMBERS)..self.next {
             let (word, bit) = place(number);
             self.present[word] &= !bit;
         }
@@ -154,7 +155,7 @@ impl ArrivalCounter {
         self.totals
     }
 
-    /// Returns the totals that this end shows.
+    /// Returns the statistics of this direction at this end.
     pub(crate) fn statistics(&mut self, now: MonoTime) -> DatagramStatistics {
         let ArrivalTotals { lost, duplicated, reordered } = self.totals(now);
         DatagramStatistics {
@@ -162,17 +163,18 @@ impl ArrivalCounter {
             lost: Some(lost),
             duplicated: Some(duplicated),
             reordered: Some(reordered),
-            // Only who sends knows.
+            // Known to the sending end only.
             retransmitted: None,
         }
     }
 
-    /// Distance of a number above the next one; negative below. Less than half of all 32-bit numbers.
+    /// Returns the distance of a number from the next one, negative for numbers below it. Its absolute value is at most
+    /// half of all 32-bit numbers.
     fn ahead(&self, number: u32) -> i64 {
         i64::from(number.wrapping_sub(self.next as u32) as i32)
     }
 
-    /// Notes that a remembered number arrived. Returns whether it had not before.
+    /// Notes that a remembered number arrived. Returns whether it had not arrived before.
     fn mark(&mut self, number: u64) -> bool {
         let (word, bit) = place(number);
         let is_new = self.present[word] & bit == 0;
@@ -180,9 +182,9 @@ impl ArrivalCounter {
         is_new
     }
 
-    /// Counts as lost what has been missing for long enough.
+    /// Counts as lost the numbers that have been missing for long enough.
     fn decide(&mut self, now: MonoTime) {
-        if now - self.since < WAIT {
+        if now - self.since < LOSS_DELAY {
             return;
         }
         let (before, after) = self.arrived;
@@ -192,9 +194,9 @@ impl ArrivalCounter {
     }
 }
 
-/// Word and bit of a number among those that are remembered.
+/// Returns the word and the bit of a remembered number.
 const fn place(number: u64) -> (usize, u64) {
-    let at = number % REMEMBERED;
+    let at = number % REMEMBERED_NUMBERS;
     ((at / 64) as usize, 1 << (at % 64))
 }
 
@@ -220,7 +222,7 @@ mod tests {
         }
         assert_eq!(counter.totals(at(900)), totals(0, 1, 0));
         counter.arrive(2, at(950));
-        // The first look begins the wait for what was sent before it, the second ends it.
+        // The first call starts the wait for what was sent before it, the second one ends it.
         assert_eq!(counter.totals(at(1_000)), totals(0, 1, 1));
         assert_eq!(counter.totals(at(2_000)), totals(1, 1, 1));
         counter.arrive(3, at(2_100));
@@ -229,7 +231,7 @@ mod tests {
     }
 
     #[test]
-    fn lost_tail_is_counted_when_sender_tells_its_number() {
+    fn lost_tail_is_counted_by_reported_number() {
         let mut counter = ArrivalCounter::new(at(0));
         counter.arrive(0, at(0));
         counter.expect(10, at(10));
@@ -267,10 +269,10 @@ mod tests {
     }
 
     #[test]
-    fn numbers_go_on_after_32_bits() {
+    fn counting_continues_after_32_bits() {
         let mut counter = ArrivalCounter::new(at(0));
         let numbers = [i32::MAX as u32 - 1, i32::MAX as u32, u32::MAX - 2, u32::MAX - 1, u32::MAX, 0, 2];
-        // So late that so many can have been sent.
+        // The numbers are a day apart, so that the peer can have sent all datagrams in between.
         for (day, number) in numbers.into_iter().enumerate() {
             counter.arrive(number, at(day as i64 * 86_400_000));
         }

@@ -1,4 +1,7 @@
 //! The cloud's end of all virtual connections of a port, without I/O.
+//!
+//! An edge whose address changes keeps its connection: packets from a new address are answered with a path token, and
+//! the new address is used when the token returns from there.
 
 mod answers;
 mod arrival_queue;
@@ -29,31 +32,31 @@ use super::sending::Batch;
 use crate::statistics::TransportStatistics;
 use crate::transport::{AddressGroup, Arrival, ConnectionId, Frames, Peer, SendFailure};
 
-/// Shortest time between two questions to a connection's new address.
+/// Shortest time between two path tokens to new addresses of a connection.
 const PATH_PAUSE: Span = Span::from_millis(100);
 
-/// Bytes of the packet that asks, and the least that it is an answer to.
+/// Length of a packet with a path token. Only packets of at least this length are answered with one.
 const PATH_BYTES: usize = 17;
 
-/// The shortest time between two looks at a connection.
-const SOON: Span = Span::from_millis(1);
+/// Shortest time between two timer calls of a connection.
+const MIN_TIMER_PAUSE: Span = Span::from_millis(1);
 
-/// Time limits and bounds of a port.
+/// Timeouts and limits of a port.
 #[derive(Clone, Debug)]
 pub(crate) struct EndpointLimits {
     pub(crate) connection: ConnectionLimits,
-    /// Limits of connections that have a session.
+    /// Limits of connections with a session.
     pub(crate) reassembly: ReassemblyLimits,
-    /// Memory for the unfinished messages of all of these.
+    /// Memory for the unfinished messages of all connections with a session. Bytes.
     pub(crate) max_unfinished_bytes: u64,
     pub(crate) max_connections: usize,
-    /// Longest time of a connection without a session or a request for one.
+    /// Time limit for a connection without a session or a request for one.
     pub(crate) hello_timeout: Span,
     /// Terms of this end.
     pub(crate) terms: Terms,
 }
 
-/// Destination of datagrams, and the address of this machine that they leave from.
+/// Destination of datagrams, and the address of this machine that they are sent from.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub(crate) struct Route {
     pub(crate) to: SocketAddr,
@@ -76,7 +79,7 @@ pub(crate) struct Endpoint {
 }
 
 impl Endpoint {
-    /// Each datagram begins with `prefix`.
+    /// Creates a port without connections. Each datagram begins with `prefix`.
     pub(crate) fn new(secret: [u8; 32], prefix: &'static [u8], limits: EndpointLimits) -> Self {
         Self {
             key: CookieKey::new(secret),
@@ -91,7 +94,7 @@ impl Endpoint {
         }
     }
 
-    /// A body arrived from an address, at one of this machine's.
+    /// Handles a datagram without its prefix. `local` is the address of this machine at which it arrived.
     pub(crate) fn receive(&mut self, source: SocketAddr, local: Option<IpAddr>, body: &[u8], now: MonoTime) {
         let packet = match Packet::read(Role::Cloud, body) {
             Ok(packet) => packet,
@@ -121,7 +124,9 @@ impl Endpoint {
                     return self.receive_known(connection, back, body.len(), packet, now);
                 }
                 match packet {
+                    // The connection is gone here, and the other end repeats its goodbye until it is confirmed.
                     Packet::Bye { .. } => self.answers.push(back, &Packet::ByeHeard { connection }),
+                    // Only an end that still uses the connection has to learn that it is gone.
                     Packet::Data { .. } | Packet::Ping { .. } => {
                         self.answers
                             .push(back, &Packet::Reset { id: connection, reason: ResetReason::Unknown });
@@ -158,7 +163,7 @@ impl Endpoint {
             Connection::new(writer, terms, self.limits.connection, self.budgets.unadmitted(), now)
         };
         let datagram = match self.table.get_mut(id) {
-            // An edge that found no answer to a large datagram asks for smaller ones.
+            // An edge that gets no answer to a large datagram asks for smaller ones.
             Some(entry) if entry.datagram != datagram && !entry.has_delivered => {
                 (entry.connection, entry.datagram) = (connect(), datagram);
                 datagram
@@ -172,12 +177,12 @@ impl Endpoint {
             }
         };
         let opened = Packet::Opened { nonce, connection: id, terms: Terms { datagram, ..own } };
-        // As long as the longest that will be sent: what does not fit on the path is noticed at once.
+        // As long as the longest datagram that will be sent, so that a path with a smaller MTU is noticed at once.
         self.answers.push_padded(route, &opened, datagram.into());
         self.schedule(id, now);
     }
 
-    /// Whether one more connection may be opened; closes the one that makes room for it.
+    /// Returns whether one more connection may be opened. Closes a connection to make room if necessary.
     fn make_room(&mut self, group: AddressGroup) -> bool {
         match self.table.capacity(group, self.limits.max_connections) {
             Capacity::Free => true,
@@ -197,6 +202,7 @@ impl Endpoint {
         } else if let Packet::PathConfirmed { token, .. } = packet {
             let to = reply_address(back.to, entry.reply_port);
             let is_token = |period: MonoTime| token == first_u64(&self.key.cookie(to, id, period));
+            // The token may have been made in the previous period.
             if is_token(now) || is_token(now - Span::from_seconds(10)) {
                 self.table.relocate(id, back.to, back.from);
                 self.arrivals.push(Arrival::Moved(ConnectionId(id), back.to), None);
@@ -217,7 +223,7 @@ impl Endpoint {
         self.arrivals.push(Arrival::Garbage(Some(source), problem), None);
     }
 
-    /// Takes what a connection has to tell, and notes that it may have something to send.
+    /// Collects the events of a connection, and notes that it may have something to send.
     fn collect(&mut self, id: u64) {
         let Some(entry) = self.table.get_mut(id) else { return };
         let connection = ConnectionId(id);
@@ -231,6 +237,7 @@ impl Endpoint {
                 Event::Incomplete(loss) => (Arrival::Incomplete(connection, loss), None),
                 Event::Lost(loss) => (Arrival::Lost(connection, loss), None),
                 Event::Garbage(problem) => (Arrival::Garbage(Some(entry.source), problem), None),
+                // The layer above has not heard of a connection without a message.
                 Event::Gone(_) if !entry.has_delivered => continue,
                 Event::Gone(reason) => (Arrival::Gone(connection, reason), None),
             };
@@ -242,15 +249,15 @@ impl Endpoint {
         }
     }
 
-    /// Takes the next arrival.
+    /// Removes and returns the next arrival.
     pub(crate) fn next_arrival(&mut self) -> Option<Delivery> {
         self.arrivals.pop()
     }
 
-    /// Queues a message to a connection.
+    /// Queues a message for a connection.
     ///
     /// # Errors
-    /// When too much waits already, or the connection is gone.
+    /// If too many messages wait already, or the connection is gone.
     pub(crate) fn send(
         &mut self,
         id: ConnectionId,
@@ -264,7 +271,7 @@ impl Endpoint {
         Ok(())
     }
 
-    /// The connection's hello is being decided on.
+    /// Notes that the connection has asked for a session and waits for the decision.
     pub(crate) fn greet(&mut self, id: ConnectionId) {
         if let Some(entry) = self.table.get_mut(id.0)
             && matches!(entry.admission, Admission::Unadmitted { .. })
@@ -273,13 +280,13 @@ impl Endpoint {
         }
     }
 
-    /// Returns what is known of a connection; nothing when it is over.
+    /// Returns the statistics of a connection; empty ones if it is over.
     pub(crate) fn statistics(&mut self, id: ConnectionId, now: MonoTime) -> TransportStatistics {
         let entry = self.table.get_mut(id.0);
         entry.map(|entry| entry.connection.statistics(now)).unwrap_or_default()
     }
 
-    /// The connection has a session.
+    /// Notes that the connection has a session.
     pub(crate) fn admit(&mut self, id: ConnectionId) {
         let (limits, budget) = self.budgets.admitted();
         if let Some(entry) = self.table.get_mut(id.0) {
@@ -288,7 +295,7 @@ impl Endpoint {
         }
     }
 
-    /// The connection has no session any more.
+    /// Notes that the connection has no session any more.
     pub(crate) fn demote(&mut self, id: ConnectionId, now: MonoTime) {
         let (limits, budget) = self.budgets.unadmitted();
         if let Some(entry) = self.table.get_mut(id.0) {
@@ -297,7 +304,7 @@ impl Endpoint {
         }
     }
 
-    /// Does what is due.
+    /// Does everything that is due at `now`.
     pub(crate) fn tick(&mut self, now: MonoTime) {
         while let Some(id) = self.timers.take_due(now) {
             let Some(entry) = self.table.get_mut(id) else { continue };
@@ -311,11 +318,11 @@ impl Endpoint {
         }
     }
 
-    /// Sees to it that a connection is looked at in time. Called after each change.
+    /// Schedules the next timer call of a connection. Called after each change.
     fn schedule(&mut self, id: u64, now: MonoTime) {
         if let Some(entry) = self.table.get(id) {
             let at = entry.next_timer(self.limits.hello_timeout, now);
-            self.timers.bring_forward(id, at.max(now + SOON));
+            self.timers.bring_forward(id, at.max(now + MIN_TIMER_PAUSE));
         }
     }
 
@@ -326,18 +333,18 @@ impl Endpoint {
         }
     }
 
-    /// When [`tick`](Self::tick) is to be called at the latest.
+    /// Returns the latest time for the next call of [`tick`](Self::tick).
     pub(crate) fn next_timer(&self) -> Option<MonoTime> {
         self.timers.next()
     }
 
-    /// Appends datagrams that leave now. Returns where they go; `None` when there are none.
+    /// Appends datagrams that may be sent now. Returns their route; `None` if there are none.
     pub(crate) fn fill(&mut self, out: &mut Vec<u8>, most: usize, now: MonoTime) -> Option<(Route, Batch)> {
         if let Some((route, answer)) = self.answers.pop() {
             out.extend_from_slice(&answer);
             return Some((route, Batch { segment: answer.len(), count: 1 }));
         }
-        // Whatever changes a connection makes it ready.
+        // Every change of a connection makes it ready, so connections that are not ready have nothing to send.
         while let Some(id) = self.ready.pop_front() {
             let Some(entry) = self.table.get_mut(id) else { continue };
             if let Some(batch) = entry.connection.fill(out, most, now) {
@@ -356,7 +363,7 @@ impl Endpoint {
         None
     }
 
-    /// Begins to say goodbye to all.
+    /// Starts to say goodbye to all connections.
     pub(crate) fn close(&mut self, now: MonoTime) {
         for (id, entry) in self.table.iter_mut() {
             entry.connection.close(now);
@@ -365,7 +372,7 @@ impl Endpoint {
         self.tick(now);
     }
 
-    /// Says goodbye to all, once.
+    /// Says goodbye to all connections once, without waiting for confirmation.
     pub(crate) fn abandon(&mut self) {
         let ids: Vec<u64> = self.table.iter_mut().map(|(id, _)| id).collect();
         for id in ids {
@@ -376,18 +383,18 @@ impl Endpoint {
         }
     }
 
-    /// Whether no connection is left.
+    /// Returns whether no connection and no answer is left.
     pub(crate) fn is_empty(&self) -> bool {
         self.table.len() == 0 && self.answers.is_empty()
     }
 
-    /// Connections that are open.
+    /// Returns the number of open connections.
     #[cfg(test)]
     pub(crate) fn len(&self) -> usize {
         self.table.len()
     }
 
-    /// Memory that unfinished messages, and messages that were not handed on, take.
+    /// Returns the memory of unfinished messages and of messages that were not handed on yet. Bytes.
     pub(crate) fn held_bytes(&self) -> u64 {
         self.budgets.held()
     }

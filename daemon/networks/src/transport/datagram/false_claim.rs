@@ -1,18 +1,19 @@
 //! Claims of packets that cannot be true.
 
-/// A claim of a packet that cannot be true, or not by its word alone: it was altered or forged on the way.
+/// A claim of a packet that cannot be true, or that a single packet cannot prove: the packet was altered or forged on
+/// the way.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub(crate) enum FalseClaim {
-    /// It reports on messages that this end has not sent.
+    /// The packet reports on messages that this end has not sent.
     #[error("a packet tells of a message that was never sent")]
     Unsent,
-    /// It reports more fragments than the message has.
+    /// The packet reports more fragments than the message has.
     #[error("a packet tells of more fragments than the message has")]
     Fragments,
-    /// It has a message number far above those that are known to have been sent.
+    /// The packet has a message number far above those that are known to have been sent.
     #[error("a packet has a message number that is too far ahead")]
     TooFarAhead,
-    /// It reports totals above what was sent.
+    /// The packet reports totals above what was sent.
     #[error("a packet counts more datagrams than were sent")]
     Totals,
 }

@@ -1,14 +1,14 @@
-//! Splitting a message of several frames into fragments of equal length.
+//! Splits a message of several frames into fragments of equal length.
 
 use bytes::{Buf, Bytes};
 use peernet_clock::MonoTime;
 
 use crate::transport::Frames;
 
-/// Most frames that a message may be said to have.
+/// Largest number of frames that a message may claim.
 const MAX_FRAMES: usize = 1_024;
 
-/// A message that cannot be sent in fragments.
+/// Error: a message cannot be sent in fragments.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub(crate) enum UnsendableMessage {
     #[error("a message of more than 4 GiB cannot be sent in datagrams")]
@@ -17,7 +17,7 @@ pub(crate) enum UnsendableMessage {
     TooManyFrames,
 }
 
-/// Bytes that do not make a message.
+/// Error: bytes do not form a message.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("the lengths of a message's frames do not add up")]
 pub(crate) struct InvalidMessage;
@@ -27,21 +27,21 @@ pub(crate) fn fragment_count(total: u32, stride: u16) -> u32 {
     total.div_ceil(u32::from(stride.max(1)))
 }
 
-/// A message on its way out. Its bytes are the number of frames (16 bits), their lengths (32 bits each), and the
+/// A message that is being sent. Its wire form is the number of frames (16 bits), their lengths (32 bits each), and the
 /// frames.
 #[derive(Debug)]
 pub(crate) struct OutgoingMessage {
     pub(crate) sequence: u64,
-    /// As it is written: 0 for none.
+    /// Tag in its wire form: the sender's number plus one, 0 for none.
     pub(crate) tag: u64,
     pub(crate) total: u32,
     pub(crate) checksum: u32,
     pub(crate) deadline: Option<MonoTime>,
-    /// Frames, or their ends, that have not been taken yet.
+    /// Frames, or their remainders, that have not been taken yet.
     rest: Vec<Bytes>,
-    /// The first of `rest` that is not used up.
+    /// Index of the first frame in `rest` that is not used up.
     first: usize,
-    /// Bytes that were taken.
+    /// Number of bytes that were taken.
     pub(crate) offset: u32,
 }
 
@@ -49,7 +49,7 @@ impl OutgoingMessage {
     /// Prepares a message.
     ///
     /// # Errors
-    /// When it has too many frames or bytes.
+    /// If it has too many frames or bytes.
     pub(crate) fn new(
         frames: Frames,
         sequence: u64,
@@ -72,17 +72,17 @@ impl OutgoingMessage {
         Ok(Self { sequence, tag, total, checksum: checksum.finalize(), deadline, rest, first: 0, offset: 0 })
     }
 
-    /// Whether all was taken.
+    /// Returns whether all bytes were taken.
     pub(crate) const fn is_done(&self) -> bool {
         self.offset >= self.total
     }
 
-    /// Bytes that were not taken yet.
+    /// Returns the number of bytes that were not taken yet.
     pub(crate) const fn remaining(&self) -> u32 {
         self.total - self.offset
     }
 
-    /// Takes at most `most` of the next bytes and appends them. Returns their offset and number.
+    /// Appends at most `most` of the next bytes to `out`. Returns their offset and number.
     pub(crate) fn take(&mut self, most: u16, out: &mut Vec<u8>) -> (u32, u16) {
         let (offset, mut wanted) = (self.offset, usize::from(most));
         while wanted > 0
@@ -93,7 +93,7 @@ impl OutgoingMessage {
             part.advance(count);
             wanted -= count;
             if part.is_empty() {
-                // Sent frames need not be kept until the whole message is out.
+                // Frees the memory of frames that were sent, before the whole message has been sent.
                 *part = Bytes::new();
                 self.first += 1;
             }
@@ -104,10 +104,10 @@ impl OutgoingMessage {
     }
 }
 
-/// The frames of a whole message.
+/// Returns the frames of a whole message.
 ///
 /// # Errors
-/// When the lengths of its frames do not add up.
+/// If the lengths of its frames do not add up.
 pub(crate) fn split_frames(mut message: Bytes) -> Result<Frames, InvalidMessage> {
     let count = usize::from(message.try_get_u16().map_err(|_| InvalidMessage)?);
     if count > MAX_FRAMES || message.len() < 4 * count {

@@ -1,4 +1,4 @@
-//! Any datagrams at a cloud's port: what the fuzz target in `fuzz/` and a test run.
+//! Arbitrary datagrams at a cloud's port, for the fuzz target in `fuzz/` and for a test.
 
 use std::net::SocketAddr;
 
@@ -25,12 +25,14 @@ struct Port {
     stranger: SocketAddr,
 }
 
-/// A script: each step is a byte for what happens, one for how many bytes of the script it takes, and these. Steps bring
-/// any bytes, fragments and packets of an open connection with any fields, and time.
+/// Runs a script of steps against a port.
+///
+/// Each step is a byte for its kind, a byte for the number of its bytes, and these bytes. Steps bring arbitrary bytes,
+/// fragments and packets of an open connection with arbitrary fields, and let time pass.
 ///
 /// # Panics
-/// When a promise is broken: an unverified address is sent more than came from it, messages take more memory than
-/// they may, or more datagrams count as lost than were sent.
+/// If a promise is broken: an unverified address gets more bytes than came from it, messages take more memory than they
+/// may, or more datagrams count as lost than were sent.
 pub fn any_datagrams(script: &[u8]) {
     let Some(mut port) = Port::open() else { panic!("the handshake opens a connection") };
     let mut rest = script;
@@ -69,11 +71,11 @@ impl Port {
             known,
             stranger: SocketAddr::from(([198, 51, 100, 1], 2)),
         };
-        let answer = port.say(known, &Packet::Hello { version: 1, nonce: 3, reply_port: 0 });
+        let answer = port.send_packet(known, &Packet::Hello { version: 1, nonce: 3, reply_port: 0 });
         let Ok(Packet::Cookie { nonce, cookie }) = Packet::read(Role::Edge, answer.get(2..)?) else {
             return None;
         };
-        let answer = port.say(known, &Packet::Open { nonce, cookie, reply_port: 0, terms: TERMS });
+        let answer = port.send_packet(known, &Packet::Open { nonce, cookie, reply_port: 0, terms: TERMS });
         let Ok(Packet::Opened { connection, .. }) = Packet::read(Role::Edge, answer.get(2..)?) else {
             return None;
         };
@@ -82,17 +84,17 @@ impl Port {
         Some(port)
     }
 
-    fn say(&mut self, from: SocketAddr, packet: &Packet<'_>) -> Vec<u8> {
+    fn send_packet(&mut self, from: SocketAddr, packet: &Packet<'_>) -> Vec<u8> {
         let mut body = Vec::new();
         packet.write(Role::Edge, &mut body);
         self.bring(from, &body)
     }
 
-    /// Brings a body and returns all that is sent to where it came from.
+    /// Brings a body. Returns all that is sent back to its source.
     fn bring(&mut self, from: SocketAddr, body: &[u8]) -> Vec<u8> {
         self.endpoint.receive(from, None, body, self.now);
         let (mut back, mut out) = (Vec::new(), Vec::new());
-        // What a connection has to say is bounded; what it sends stops at its window.
+        // Ends, because the control packets of a connection are bounded and its messages stop at the window.
         while let Some((route, _)) = self.endpoint.fill(&mut out, 4, self.now) {
             if route.to == from {
                 back.extend_from_slice(&out);
@@ -138,7 +140,7 @@ impl Port {
             2 => {
                 let sent =
                     self.endpoint.send(ConnectionId(connection), vec![bytes.to_vec().into()], Some(sequence));
-                // It may be full, or the connection may have ended.
+                // The queue may be full, or the connection may have ended.
                 drop(sent);
                 return;
             }
@@ -163,7 +165,7 @@ impl Port {
         self.check(from, &body);
     }
 
-    /// Brings a body, and checks that a stranger gets no more back.
+    /// Brings a body and checks that a stranger gets no more bytes back.
     fn check(&mut self, from: SocketAddr, body: &[u8]) {
         let back = self.bring(from, body);
         if from == self.stranger {
@@ -178,13 +180,13 @@ mod tests {
 
     proptest! {
         #[test]
-        fn any_datagrams_break_no_promise(script in proptest::collection::vec(any::<u8>(), 0..600)) {
+        fn invariants_hold_for_any_datagrams(script in proptest::collection::vec(any::<u8>(), 0..600)) {
             super::any_datagrams(&script);
         }
     }
 
     #[test]
-    fn corpus_breaks_no_promise() {
+    fn invariants_hold_for_fuzz_corpus() {
         let folder = concat!(env!("CARGO_MANIFEST_DIR"), "/../../fuzz/corpus/datagrams");
         let mut count = 0;
         for entry in std::fs::read_dir(folder).expect("the corpus") {

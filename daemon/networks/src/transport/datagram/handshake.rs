@@ -1,8 +1,9 @@
-//! Opening a virtual connection, without I/O.
+//! Opening of a virtual connection, without I/O.
 //!
-//! An edge says hello; the cloud answers with a cookie and keeps nothing. Who repeats the cookie receives what is sent
-//! to its address, and gets a connection. So no sender can have a cloud send more to an address than was sent from it, or
-//! fill its memory from invented addresses (RFC 9147, section 5.1, does the same).
+//! An edge sends a hello. The cloud answers with a cookie and keeps no state. An edge that returns the cookie receives
+//! what is sent to its address, and gets a connection. Until then no answer is longer than its request. A sender
+//! therefore cannot make a cloud send more to an address than was sent from it, and cannot fill the cloud's memory from
+//! invented addresses. RFC 9147, section 5.1, does the same.
 
 use std::net::{IpAddr, SocketAddr};
 
@@ -13,22 +14,24 @@ use sha2::Sha256;
 use super::MIN_DATAGRAM_BYTES;
 use super::packet::{Cookie, Packet, ResetReason, Role, Terms, VERSION};
 
-/// The largest datagram that every path is trusted to carry: with its headers below IPv6's 1,280 bytes.
+/// Largest datagram that every path is assumed to carry: with its headers it is below IPv6's minimum MTU of 1,280
+/// bytes.
 pub(crate) const SAFE_DATAGRAM_BYTES: u16 = 1_200;
 
-/// Shortest time for which a cookie is accepted; the longest is twice that.
+/// Shortest time for which a cookie is accepted. The longest is twice that.
 const COOKIE_LIFE: Span = Span::from_seconds(10);
 
-/// The pause after the first packet without an answer; it doubles up to eight times as much.
+/// Pause after the first packet without an answer. It doubles up to eight times this value.
 const RETRY_PAUSE: Span = Span::from_millis(100);
 
-/// Requests with large datagrams that go unanswered before a small one is tried.
+/// Number of unanswered requests with large datagrams after which a small one is tried.
 const LARGE_TRIES: u32 = 3;
 
-/// Requests with small datagrams and the same cookie that go unanswered: five seconds, less than a cookie is accepted.
+/// Largest number of unanswered requests with small datagrams and the same cookie. They take five seconds, less than a
+/// cookie is accepted.
 const TRIES: u32 = 8;
 
-/// The secret with which a cloud makes cookies and numbers.
+/// The secret with which a cloud makes cookies and connection numbers.
 pub(crate) struct CookieKey([u8; 32]);
 
 impl std::fmt::Debug for CookieKey {
@@ -42,17 +45,17 @@ impl CookieKey {
         Self(secret)
     }
 
-    /// The cookie of an address and a nonce.
+    /// Returns the cookie of an address and a nonce.
     pub(crate) fn cookie(&self, address: SocketAddr, nonce: u64, now: MonoTime) -> Cookie {
         self.cookie_at(address, nonce, period(now))
     }
 
-    /// Whether this is the cookie of an address and a nonce, made lately.
+    /// Returns whether this is the cookie of an address and a nonce and is not too old.
     pub(crate) fn is_cookie(&self, cookie: &Cookie, address: SocketAddr, nonce: u64, now: MonoTime) -> bool {
         [period(now), period(now) - 1].iter().any(|at| self.cookie_at(address, nonce, *at) == *cookie)
     }
 
-    /// An unpredictable number for a connection.
+    /// Returns an unpredictable number for a connection.
     pub(crate) fn connection(&self, count: u64) -> u64 {
         first_u64(&self.code(b"connection", &[&count.to_be_bytes()]))
     }
@@ -63,6 +66,7 @@ impl CookieKey {
             IpAddr::V6(ip) => ip,
         };
         let (port, nonce, period) = (address.port().to_be_bytes(), nonce.to_be_bytes(), period.to_be_bytes());
+        // A code over the address and the nonce, so that the cookie is checked without stored state.
         let code = self.code(b"cookie", &[&ip.octets(), &port, &nonce, &period]);
         let mut cookie = Cookie::default();
         cookie.copy_from_slice(&code[..16]);
@@ -78,7 +82,7 @@ impl CookieKey {
     }
 }
 
-/// The first 64 bits of a cookie or a code.
+/// Returns the first 64 bits of a cookie or a code.
 pub(crate) fn first_u64(bytes: &[u8]) -> u64 {
     bytes.first_chunk().map_or(0, |first| u64::from_be_bytes(*first))
 }
@@ -89,14 +93,14 @@ fn period(now: MonoTime) -> i64 {
 
 /// Outcome of a handshake.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Dialled {
-    /// The connection exists; the other end takes this.
+pub(crate) enum HandshakeOutcome {
+    /// The connection exists; the other end has these terms.
     Opened { connection: u64, terms: Terms },
-    /// The cloud takes no more connections.
+    /// The cloud accepts no more connections.
     Refused,
 }
 
-/// Why a connection cannot be opened: even the smallest datagrams that are tried are too long for the path.
+/// Error: even the smallest datagrams that are tried are too long for the path.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error(
     "it answers short datagrams, but none of {bytes} bytes: a link on the path takes smaller packets (MTU); mend its \
@@ -106,25 +110,25 @@ pub(crate) struct PathTooSmall {
     bytes: u16,
 }
 
-/// An edge that opens a connection.
+/// State of an edge that opens a connection.
 #[derive(Debug)]
-pub(crate) struct Dialling {
+pub(crate) struct DialState {
     nonce: u64,
-    /// Port to which the cloud answers; 0 is the one that the packets come from.
+    /// Port to which the cloud is to answer; 0 means the source port of the packets.
     reply_port: u16,
     terms: Terms,
     prefix_bytes: usize,
     cookie: Option<Cookie>,
     is_second_cookie: bool,
-    /// Packets of this kind without an answer.
+    /// Number of unanswered packets of the present kind.
     tries: u32,
     next: MonoTime,
-    /// Length of the datagrams that the path does not carry.
+    /// Length of datagrams that the path does not carry.
     too_long: Option<u16>,
 }
 
-impl Dialling {
-    /// `prefix_bytes` are those of each datagram before the packet.
+impl DialState {
+    /// Creates the state. `prefix_bytes` is the length of the prefix of each datagram.
     pub(crate) fn new(nonce: u64, reply_port: u16, terms: Terms, prefix_bytes: usize, now: MonoTime) -> Self {
         Self {
             nonce,
@@ -139,28 +143,30 @@ impl Dialling {
         }
     }
 
-    /// A packet arrived from where the cloud is.
-    pub(crate) fn receive(&mut self, packet: &Packet<'_>, now: MonoTime) -> Option<Dialled> {
+    /// Handles a packet from the cloud's address.
+    pub(crate) fn receive(&mut self, packet: &Packet<'_>, now: MonoTime) -> Option<HandshakeOutcome> {
         match *packet {
             Packet::Cookie { nonce, cookie } if nonce == self.nonce && self.cookie.is_none() => {
                 (self.cookie, self.tries, self.next) = (Some(cookie), 0, now);
                 None
             }
-            // No cloud takes shorter ones only: a length that was altered on the way must not stay for the whole session.
+            // No cloud has a smaller limit. A length that was altered on the way must not stay for the whole session.
             Packet::Opened { terms, .. } if terms.datagram < MIN_DATAGRAM_BYTES => None,
             Packet::Opened { nonce, connection, terms } if nonce == self.nonce => {
                 let datagram = terms.datagram.min(self.terms.datagram);
-                Some(Dialled::Opened { connection, terms: Terms { datagram, ..terms } })
+                Some(HandshakeOutcome::Opened { connection, terms: Terms { datagram, ..terms } })
             }
-            Packet::Reset { id, reason: ResetReason::Full } if id == self.nonce => Some(Dialled::Refused),
+            Packet::Reset { id, reason: ResetReason::Full } if id == self.nonce => {
+                Some(HandshakeOutcome::Refused)
+            }
             _ => None,
         }
     }
 
-    /// Datagrams of the present length do not pass: shorter ones are tried at once.
+    /// Continues with shorter datagrams, because those of the present length do not pass.
     ///
     /// # Errors
-    /// When there are no shorter ones to try.
+    /// If there are no shorter ones to try.
     pub(crate) fn shorten(&mut self, now: MonoTime) -> Result<(), PathTooSmall> {
         let bytes = self.terms.datagram;
         if bytes <= SAFE_DATAGRAM_BYTES {
@@ -171,7 +177,8 @@ impl Dialling {
         Ok(())
     }
 
-    /// Returns the remark that the path takes shorter datagrams only, and what to do, if it does.
+    /// Returns the remark that the path carries only shorter datagrams, with advice. `None` if it carries the
+    /// configured ones.
     pub(crate) fn remark(&self) -> Option<String> {
         let bytes = self.too_long?;
         Some(format!(
@@ -183,7 +190,7 @@ impl Dialling {
     /// Appends a packet if one is due. Returns whether it did.
     ///
     /// # Errors
-    /// When the cloud answers short packets only.
+    /// If the cloud answers short packets only.
     pub(crate) fn fill(&mut self, out: &mut Vec<u8>, now: MonoTime) -> Result<bool, PathTooSmall> {
         if now < self.next {
             return Ok(false);
@@ -193,7 +200,7 @@ impl Dialling {
             if is_large || self.is_second_cookie {
                 self.shorten(now)?;
             } else {
-                // The first cookie may be too old by now; if there is a second one, short datagrams still pass.
+                // The first cookie may be too old by now. If a second one arrives, short datagrams still pass.
                 (self.cookie, self.tries, self.is_second_cookie) = (None, 0, true);
             }
         }
@@ -203,7 +210,7 @@ impl Dialling {
             Some(cookie) => {
                 let start = out.len();
                 Packet::Open { nonce, cookie, reply_port, terms: self.terms }.write(Role::Edge, out);
-                // As long as the longest that will be sent: what does not fit on the path is noticed here.
+                // As long as the longest datagram that will be sent, so that a path with a smaller MTU is noticed here.
                 let longest = start + usize::from(self.terms.datagram) - self.prefix_bytes.min(64);
                 out.resize(out.len().max(longest), 0);
             }
@@ -213,7 +220,7 @@ impl Dialling {
         Ok(true)
     }
 
-    /// When the next packet is due.
+    /// Returns the time at which the next packet is due.
     pub(crate) const fn next_timer(&self) -> MonoTime {
         self.next
     }

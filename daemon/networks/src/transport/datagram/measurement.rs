@@ -1,4 +1,4 @@
-//! Measurements of a connection's datagrams: losses of both directions, and the round trip.
+//! Measurements of a connection's path: losses of both directions, and the round trip.
 
 mod reported_totals;
 mod round_trip;
@@ -11,12 +11,12 @@ use super::counting::{ArrivalCounter, ArrivalTotals};
 use super::false_claim::FalseClaim;
 use crate::statistics::{DatagramStatistics, TransportStatistics};
 
-/// The measurements of one end.
+/// Measurements of one end.
 #[derive(Debug)]
 pub(super) struct PathMeasurement {
-    /// Datagrams of the other end.
+    /// Datagrams of the other end, counted here.
     arrivals: ArrivalCounter,
-    /// Datagrams of this end, as the other end reports them.
+    /// Totals of this end's datagrams, as the other end reports them.
     reported: ReportedTotals,
     round_trip: RoundTripEstimator,
 }
@@ -40,10 +40,11 @@ impl PathMeasurement {
         self.arrivals.totals(now)
     }
 
-    /// Takes a report of the other end: the number of its next datagram, and the totals of this end's, of which `sent` have left.
+    /// Handles a report of the other end: the number of its next datagram, and the totals of this end's datagrams, of
+    /// which `sent` have been sent.
     ///
     /// # Errors
-    /// When they are more than `sent` can have led to.
+    /// If the totals are higher than `sent` allows.
     pub(super) fn report(
         &mut self,
         number: u32,
@@ -55,30 +56,30 @@ impl PathMeasurement {
         self.reported.report(totals, sent)
     }
 
-    /// Notes that a heartbeat leaves.
+    /// Notes that a heartbeat is sent.
     pub(super) fn ask(&mut self, now: MonoTime) {
         self.round_trip.ask(now);
     }
 
-    /// Notes that the heartbeat that left at `asked` is answered.
+    /// Notes that the heartbeat that was sent at `asked` is answered.
     pub(super) fn answer(&mut self, asked: MonoTime, now: MonoTime) {
         self.round_trip.answer(asked, now);
     }
 
-    /// Datagrams of this end that the other end has reported as lost.
+    /// Returns the number of this end's datagrams that the other end reports as lost.
     pub(super) fn reported_lost(&self) -> u64 {
-        self.reported.totals().map_or(0, |told| told.lost)
+        self.reported.totals().map_or(0, |totals| totals.lost)
     }
 
-    /// Returns all totals; of `sent` datagrams, `retransmitted` were sent again.
+    /// Returns all totals. `sent` datagrams were sent, of which `retransmitted` were retransmissions.
     pub(super) fn statistics(&mut self, sent: u64, retransmitted: u64, now: MonoTime) -> TransportStatistics {
-        let told = self.reported.totals();
+        let totals = self.reported.totals();
         TransportStatistics {
             sent: DatagramStatistics {
                 datagrams: Some(sent),
-                lost: told.map(|told| told.lost),
-                duplicated: told.map(|told| told.duplicated),
-                reordered: told.map(|told| told.reordered),
+                lost: totals.map(|totals| totals.lost),
+                duplicated: totals.map(|totals| totals.duplicated),
+                reordered: totals.map(|totals| totals.reordered),
                 retransmitted: Some(retransmitted),
             },
             received: self.arrivals.statistics(now),

@@ -1,14 +1,15 @@
-//! Messages and connections over datagrams, without I/O and with time from outside.
+//! Messages and connections over datagrams, without I/O; the caller provides the time.
 //!
-//! For transports whose network knows datagrams only: UDP, and what else loses, doubles and reorders what it carries.
-//! A *virtual connection* is opened by a [`handshake`], has heartbeats, and is ended by a goodbye or by silence
-//! ([`connection`]). A message is split into [fragments](fragment); at the other end [`reassembly`] puts it together
-//! or counts it as lost, and then both ends learn how many of its fragments arrived. Nothing is sent again but what opens
-//! and closes sessions. [`window`] bounds the bytes in flight, [`counting`] has the losses of datagrams, [`endpoint`] has all
-//! connections of a port, and [`packet`] describes the wire form.
+//! For transports over networks that lose, duplicate and reorder datagrams, such as UDP. A *virtual connection* is
+//! opened by a [`handshake`], has heartbeats, and ends with a goodbye or by silence ([`connection`]). A message is
+//! split into [fragments](fragment). At the other end, [`reassembly`] completes it or counts it as lost; then both ends
+//! learn how many of its fragments arrived. Only the messages that open and close sessions are retransmitted.
+//! [`window`] bounds the bytes in flight, [`counting`] counts the losses of datagrams, [`endpoint`] has all connections
+//! of a port, and [`packet`] describes the wire form.
 //!
-//! Any packet may have been altered or forged on the way: a number far ahead and a total need a second packet that agrees
-//! ([`receiving`], [`counting`], [`measurement`]), and what contradicts this end's own state is a [`false_claim`].
+//! Any packet may have been altered or forged on the way. A number far ahead and a total therefore need a second packet
+//! that agrees ([`receiving`], [`counting`], [`measurement`]). A packet that contradicts this end's own state makes a
+//! [`false_claim`] and has no effect.
 
 pub(crate) mod connection;
 pub(crate) mod counting;
@@ -29,5 +30,5 @@ pub(crate) mod window;
 #[cfg(test)]
 mod tests;
 
-/// The smallest datagram that can be configured, and that a peer may ask for.
+/// Smallest datagram that can be configured, and that a peer may ask for. Bytes.
 pub(crate) const MIN_DATAGRAM_BYTES: u16 = 512;

@@ -1,7 +1,7 @@
-//! The bodies of datagrams: fixed layouts, integers in network byte order.
+//! The wire form of packets: fixed layouts, integers in network byte order.
 //!
-//! The first byte is the kind; its highest bit is set in what a cloud sends, so that a datagram that is sent back to
-//! where it came from means nothing there. Nonces and connections are random 64-bit numbers.
+//! The first byte is the kind. Its highest bit is set in packets of a cloud, so that a packet that is reflected to its
+//! sender is not valid there. Nonces and connections are random 64-bit numbers.
 //!
 //! | kind | from | fields |
 //! | --- | --- | --- |
@@ -23,16 +23,16 @@ use super::counting::ArrivalTotals;
 
 mod read;
 
-/// The version of this layout.
+/// Version of this layout.
 pub(crate) const VERSION: u8 = 1;
 
-/// Bytes of a hello: more than the cookie that answers it.
+/// Length of a hello: more than the cookie that answers it. Bytes.
 pub(crate) const HELLO_BYTES: usize = 64;
 
-/// Bytes of a data packet before the fragment's bytes.
+/// Length of a data packet without the fragment's bytes. Bytes.
 pub(crate) const DATA_HEADER_BYTES: usize = 1 + 8 + 4 + 8 + 8 + 4 + 4 + 4 + 2 + 2;
 
-/// The bit of the kind that is set in what a cloud sends.
+/// Bit of the kind that is set in packets of a cloud.
 const FROM_CLOUD: u8 = 0x80;
 
 /// A cookie, which proves that an address receives what is sent to it.
@@ -43,16 +43,16 @@ pub(crate) type Cookie = [u8; 16];
 pub(crate) enum Role {
     /// The end that opens connections.
     Edge,
-    /// The end that accepts them.
+    /// The end that accepts connections.
     Cloud,
 }
 
 /// Terms that an end of a connection asks for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Terms {
-    /// Bytes that may be on their way to it.
+    /// Largest number of bytes in flight to this end.
     pub(crate) window: u32,
-    /// Largest datagram that is sent to it. Bytes.
+    /// Largest datagram that may be sent to this end. Bytes.
     pub(crate) datagram: u16,
 }
 
@@ -61,17 +61,17 @@ pub(crate) struct Terms {
 pub(crate) struct Fragment<'a> {
     /// Number of the message in its connection and direction.
     pub(crate) sequence: u64,
-    /// The sender's own number for the message, plus one; 0 for none.
+    /// The sender's number for the message, plus one; 0 for none.
     pub(crate) tag: u64,
     /// Offset of the bytes in the message; a multiple of the stride.
     pub(crate) offset: u32,
-    /// Bytes of the whole message.
+    /// Length of the whole message. Bytes.
     pub(crate) total: u32,
     /// CRC-32 of the whole message.
     pub(crate) checksum: u32,
-    /// Bytes of every fragment but the last.
+    /// Length of every fragment but the last. Bytes.
     pub(crate) stride: u16,
-    /// Milliseconds after which the message is of no use; 0 for none.
+    /// Time after which the message is of no use; 0 for none. Milliseconds.
     pub(crate) lifetime_ms: u16,
     /// The bytes.
     pub(crate) bytes: &'a [u8],
@@ -80,13 +80,13 @@ pub(crate) struct Fragment<'a> {
 /// A heartbeat: the progress of an end.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) struct Heartbeat {
-    /// When the ping left, on its sender's clock; nanoseconds. A pong repeats it.
+    /// Departure of the ping on its sender's clock, in nanoseconds. The pong repeats it.
     pub(crate) time: u64,
-    /// Messages with a lower number have left this end.
+    /// Messages with a lower number have been sent by this end.
     pub(crate) next: u64,
-    /// Messages of the other end with a lower number are settled here.
+    /// Messages of the other end with a lower number are settled at this end.
     pub(crate) settled: u64,
-    /// The number of this end's next datagram with data, its low half.
+    /// Lower half of the number of this end's next datagram with data.
     pub(crate) number: u32,
     /// Totals of the other end's datagrams.
     pub(crate) arrivals: ArrivalTotals,
@@ -103,7 +103,7 @@ pub(crate) enum ResetReason {
     LongLost,
 }
 
-/// Every kind of packet.
+/// A packet; each variant is one kind.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Packet<'a> {
     Hello { version: u8, nonce: u64, reply_port: u16 },
@@ -123,7 +123,7 @@ pub(crate) enum Packet<'a> {
     Reset { id: u64, reason: ResetReason },
 }
 
-/// Bytes that are not a packet.
+/// Error: bytes are not a packet.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub(crate) enum InvalidPacket {
     #[error("a packet of an unknown kind")]
@@ -137,7 +137,7 @@ pub(crate) enum InvalidPacket {
 }
 
 impl Packet<'_> {
-    /// Appends the body that an end of a connection sends.
+    /// Appends the wire form of a packet that an end of a connection sends.
     pub(crate) fn write(&self, from: Role, out: &mut Vec<u8>) {
         let start = out.len();
         out.push(self.kind() | if from == Role::Cloud { FROM_CLOUD } else { 0 });
@@ -214,7 +214,7 @@ impl Packet<'_> {
         }
     }
 
-    /// The connection that the packet belongs to; `None` in the handshake.
+    /// Returns the connection of the packet; `None` for packets of the handshake.
     pub(crate) const fn connection(&self) -> Option<u64> {
         match *self {
             Self::Hello { .. } | Self::Cookie { .. } | Self::Open { .. } | Self::Opened { .. } => None,
@@ -253,7 +253,7 @@ impl Packet<'_> {
     }
 }
 
-/// Appends a data packet without the fragment's bytes, which follow.
+/// Appends a data packet without the fragment's bytes, which the caller appends.
 pub(crate) fn write_data_header(
     from: Role,
     (connection, number): (u64, u32),
@@ -263,7 +263,7 @@ pub(crate) fn write_data_header(
     Packet::Data { connection, number, fragment: Fragment { bytes: &[], ..*fragment } }.write(from, out);
 }
 
-/// The fields of a data packet between its kind and the fragment's bytes.
+/// Returns the fields of a data packet between its kind and the fragment's bytes.
 fn data_header(connection: u64, number: u32, fragment: &Fragment<'_>) -> [u8; DATA_HEADER_BYTES - 1] {
     let mut header = [0; DATA_HEADER_BYTES - 1];
     header[..8].copy_from_slice(&connection.to_be_bytes());

@@ -1,8 +1,8 @@
-//! Writing the datagrams of one end of a connection.
+//! Writes the datagrams of one end of a connection.
 
 use super::packet::{DATA_HEADER_BYTES, Fragment, Packet, Role, write_data_header};
 
-/// Writes datagrams: each begins with a prefix, and those with data say which connection they belong to.
+/// Writes datagrams of a connection. Each begins with a prefix.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct PacketWriter {
     role: Role,
@@ -15,17 +15,17 @@ impl PacketWriter {
         Self { role, connection, prefix }
     }
 
-    /// The end that writes.
+    /// Returns the end that writes.
     pub(super) const fn role(&self) -> Role {
         self.role
     }
 
-    /// The number of the connection.
+    /// Returns the number of the connection.
     pub(super) const fn connection(&self) -> u64 {
         self.connection
     }
 
-    /// Bytes of a datagram with data before those of the fragment.
+    /// Returns the length of a datagram with data without the bytes of the fragment.
     pub(super) const fn data_overhead(&self) -> usize {
         self.prefix.len() + DATA_HEADER_BYTES
     }
@@ -38,7 +38,7 @@ impl PacketWriter {
         out.len() - start
     }
 
-    /// Appends a datagram with data up to the fragment's bytes, which follow.
+    /// Appends a datagram with data without the fragment's bytes, which the caller appends.
     pub(super) fn write_data_header(&self, number: u32, fragment: &Fragment<'_>, out: &mut Vec<u8>) {
         out.extend_from_slice(self.prefix);
         write_data_header(self.role, (self.connection, number), fragment, out);

@@ -1,4 +1,4 @@
-//! The bytes of a message of which fragments have arrived, in memory that grows with them.
+//! The bytes of a message of which some fragments have arrived, in memory that grows with them.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -7,38 +7,40 @@ use bytes::Bytes;
 
 use crate::transport::memory::{Exhausted, MemoryBudget, Reservation};
 
-/// Cost of a fragment behind a gap beside its bytes: its place in the map and what the allocator adds. Bytes.
+/// Memory of a fragment behind a gap in addition to its bytes: its entry in the map and the overhead of the allocator.
+/// Bytes.
 const FRAGMENT_OVERHEAD: u64 = 96;
 
 /// The part of a message that has arrived.
 ///
-/// The length that a sender claims reserves nothing: one datagram must not cost the memory of a whole message.
+/// The length that a sender claims reserves no memory, so that one datagram cannot cost the memory of a whole message.
 #[derive(Debug)]
 pub(super) struct PartialMessage {
     total: u32,
-    /// The bytes from the beginning up to the first gap.
+    /// Bytes from the beginning up to the first gap.
     start: Vec<u8>,
-    /// The fragments behind that gap, by offset.
+    /// Fragments behind that gap, by offset.
     behind: BTreeMap<u32, Box<[u8]>>,
-    /// Cost of the fragments behind the gap. Bytes.
+    /// Memory of the fragments behind the gap. Bytes.
     behind_cost: u64,
     reserved: Reservation,
 }
 
-/// Most memory of a message while its fragments arrive in any order, as a multiple of its length: the bytes before
-/// the gap are reserved up to twice, and those behind it wait beside them. For fragments of a datagram's usual length.
+/// Largest memory of a message as a multiple of its length, while its fragments arrive in any order. Up to twice the
+/// bytes before the gap are reserved, and the bytes behind it are stored separately. Holds for fragments of a
+/// datagram's usual length.
 pub(super) const PEAK_COST: u64 = 2;
 
 /// Effect of a fragment.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Added {
+pub(super) enum AddOutcome {
     New,
-    /// It was there already.
+    /// The fragment had arrived before.
     Duplicate,
 }
 
 impl PartialMessage {
-    /// A message of `total` bytes, of which none has arrived.
+    /// Creates a message of `total` bytes, of which none has arrived.
     pub(super) fn new(total: u32, budget: &Arc<MemoryBudget>) -> Self {
         Self {
             total,
@@ -49,31 +51,31 @@ impl PartialMessage {
         }
     }
 
-    /// Bytes of the whole message.
+    /// Returns the length of the whole message.
     pub(super) const fn total(&self) -> u32 {
         self.total
     }
 
-    /// Adds a fragment. Fragments of one message do not overlap and do not go beyond its end.
+    /// Adds a fragment. Fragments of one message do not overlap and do not extend beyond its end.
     ///
     /// # Errors
-    /// When the budget has no room; the message can only be given up then.
+    /// If the budget has no room. The message must then be given up.
     pub(super) fn add(
         &mut self,
         offset: u32,
         bytes: &[u8],
         budget: &Arc<MemoryBudget>,
-    ) -> Result<Added, Exhausted> {
+    ) -> Result<AddOutcome, Exhausted> {
         let arrived = self.start.len();
         if (offset as usize) < arrived || self.behind.contains_key(&offset) {
-            return Ok(Added::Duplicate);
+            return Ok(AddOutcome::Duplicate);
         }
         if offset as usize > arrived {
             let cost = self.behind_cost + bytes.len() as u64 + FRAGMENT_OVERHEAD;
             self.reserved.set(budget, self.start.capacity() as u64 + cost)?;
             self.behind_cost = cost;
             self.behind.insert(offset, bytes.into());
-            return Ok(Added::New);
+            return Ok(AddOutcome::New);
         }
         self.append(bytes, budget)?;
         while let Some(entry) = self.behind.first_entry()
@@ -83,13 +85,13 @@ impl PartialMessage {
             self.append(&bytes, budget)?;
             self.behind_cost -= bytes.len() as u64 + FRAGMENT_OVERHEAD;
         }
-        Ok(Added::New)
+        Ok(AddOutcome::New)
     }
 
     fn append(&mut self, bytes: &[u8], budget: &Arc<MemoryBudget>) -> Result<(), Exhausted> {
         let needed = self.start.len() + bytes.len();
         if needed > self.start.capacity() {
-            // Twice of what has arrived at most, so that a long message is moved seldom.
+            // At most twice the bytes that have arrived, so that a long message is copied seldom.
             let capacity = needed.max(self.start.len() * 2).min(self.total as usize);
             self.reserved.set(budget, capacity as u64 + self.behind_cost)?;
             self.start.reserve_exact(capacity - self.start.len());
@@ -98,7 +100,7 @@ impl PartialMessage {
         Ok(())
     }
 
-    /// The bytes of a message that is whole, and the memory that they take.
+    /// Returns the bytes of a whole message, and the reservation of their memory.
     pub(super) fn into_bytes(self) -> (Bytes, Reservation) {
         (self.start.into(), self.reserved)
     }
@@ -125,10 +127,10 @@ mod tests {
     fn fragment_without_room_is_refused() {
         let budget = MemoryBudget::new(2_500);
         let mut message = PartialMessage::new(10_000, &budget);
-        assert_eq!(message.add(0, &[7; 1_000], &budget), Ok(Added::New));
-        assert_eq!(message.add(5_000, &[7; 1_000], &budget), Ok(Added::New));
-        assert_eq!(message.add(0, &[7; 1_000], &budget), Ok(Added::Duplicate));
-        assert_eq!(message.add(5_000, &[7; 1_000], &budget), Ok(Added::Duplicate));
+        assert_eq!(message.add(0, &[7; 1_000], &budget), Ok(AddOutcome::New));
+        assert_eq!(message.add(5_000, &[7; 1_000], &budget), Ok(AddOutcome::New));
+        assert_eq!(message.add(0, &[7; 1_000], &budget), Ok(AddOutcome::Duplicate));
+        assert_eq!(message.add(5_000, &[7; 1_000], &budget), Ok(AddOutcome::Duplicate));
         assert_eq!(message.add(6_000, &[7; 1_000], &budget), Err(Exhausted));
         assert_eq!(message.add(1_000, &[7; 1_000], &budget), Err(Exhausted));
     }
@@ -149,7 +151,7 @@ mod tests {
             order.extend(0..fragments.len());
             for index in order {
                 let (index, part) = fragments[index];
-                if message.add((index * stride) as u32, part, &budget).expect("there is room") == Added::New {
+                if message.add((index * stride) as u32, part, &budget).expect("there is room") == AddOutcome::New {
                     arrived += part.len() as u64;
                     count += 1;
                 }

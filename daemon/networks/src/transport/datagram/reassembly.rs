@@ -1,8 +1,8 @@
-//! Putting messages together from the fragments of one connection, in bounded memory.
+//! Reassembles messages from the fragments of one connection, in bounded memory.
 //!
-//! Fragments may be missing, doubled, late or forged. Every message number is settled once: its message is handed out
-//! or counted as lost. Numbers below [`Reassembly::floor`] are settled; the states of at most [`MAX_SPAN`] numbers above
-//! are kept, and when a number beyond arrives, the lowest are given up.
+//! Fragments may be missing, duplicated, late or forged. Every message number is settled once: its message is delivered
+//! or counted as lost. Numbers below [`Reassembly::floor`] are settled. The states of at most [`MAX_SPAN`] numbers
+//! above it are kept; when a number beyond them arrives, the lowest ones are given up.
 
 use std::collections::VecDeque;
 use std::sync::Arc;
@@ -12,14 +12,14 @@ use peernet_clock::{MonoTime, Span};
 
 use super::fragment::fragment_count;
 use super::packet::Fragment;
-use super::partial_message::{Added, PartialMessage};
+use super::partial_message::{AddOutcome, PartialMessage};
 use crate::transport::memory::{Exhausted, MemoryBudget, Reservation};
 
-/// Message numbers whose state is kept at once.
+/// Largest number of message numbers whose state is kept.
 pub(crate) const MAX_SPAN: u64 = 1_024;
 
-/// Distance above the messages that are known to have been sent, up to which a fragment's message is taken when that needs
-/// more than [`MAX_SPAN`] states.
+/// Largest distance of a fragment's message above the messages that are known to have been sent, if it needs more than
+/// [`MAX_SPAN`] states.
 const MAX_AHEAD: u64 = 64;
 
 /// Limits of unfinished messages.
@@ -27,9 +27,9 @@ const MAX_AHEAD: u64 = 64;
 pub(crate) struct ReassemblyLimits {
     /// Largest message. Bytes.
     pub(crate) max_message_bytes: u32,
-    /// Messages of which a part has arrived.
+    /// Largest number of messages of which a part has arrived.
     pub(crate) max_unfinished_messages: usize,
-    /// Time for which fragments are waited for once all of the message is known to have left.
+    /// Time for which fragments are awaited after the whole message is known to have been sent.
     pub(crate) timeout: Span,
     /// Longest time without a new fragment of a message while that is not known.
     pub(crate) idle_timeout: Span,
@@ -37,46 +37,46 @@ pub(crate) struct ReassemblyLimits {
 
 /// Outcome of a fragment.
 #[derive(Debug)]
-pub(crate) enum Received {
-    /// It completes this message, which takes the reserved memory.
+pub(crate) enum ReassemblyOutcome {
+    /// The fragment completes this message.
     Message {
         /// The message.
         bytes: Bytes,
-        /// Its memory.
+        /// Reservation of its memory.
         reserved: Reservation,
     },
-    /// It is kept, or its message was given up because of it.
+    /// The fragment is stored, or its message was given up because of it.
     Stored,
-    /// It was there already, or its message is settled.
+    /// The fragment had arrived before, or its message is settled.
     Duplicate,
-    /// It contradicts the fragments that came before.
+    /// The fragment contradicts earlier fragments of its message.
     Inconsistent,
-    /// Its message is too far above those that are known to have been sent.
+    /// The message is too far above those that are known to have been sent.
     TooFarAhead,
 }
 
-/// A message that will not be handed out.
+/// A message that will not be delivered.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct LostMessage {
     pub(crate) sequence: u64,
-    /// The sender's own number for it; `None` when no fragment has arrived.
+    /// The sender's number for the message; `None` if no fragment has arrived.
     pub(crate) tag: Option<u64>,
-    /// Fragments that have arrived.
+    /// Number of fragments that have arrived.
     pub(crate) received: u32,
-    /// Fragments that it has; 0 when no fragment has arrived.
+    /// Number of fragments of the message; 0 if no fragment has arrived.
     pub(crate) total: u32,
 }
 
-/// The messages of one direction of a connection.
+/// Messages of one direction of a connection.
 #[derive(Debug)]
 pub(crate) struct Reassembly {
     limits: ReassemblyLimits,
     budget: Arc<MemoryBudget>,
     floor: u64,
-    /// Messages below are known to have left as a whole: their sender sends one after the other. Only these are given up
-    /// when nothing of them arrives.
+    /// Messages below this number are known to have been sent completely, because their sender sends one after the
+    /// other. Only these are given up if no fragment of them arrives.
     sent: u64,
-    /// The states of the numbers from the floor on; the first one is not settled.
+    /// States of the numbers from the floor on. The first one is not settled.
     slots: VecDeque<Slot>,
     unfinished: usize,
     lost: Vec<LostMessage>,
@@ -85,12 +85,12 @@ pub(crate) struct Reassembly {
 #[derive(Debug)]
 enum Slot {
     Missing { since: MonoTime },
-    Unfinished(Box<Unfinished>),
+    Unfinished(Box<UnfinishedMessage>),
     Settled,
 }
 
 #[derive(Debug)]
-struct Unfinished {
+struct UnfinishedMessage {
     tag: u64,
     checksum: u32,
     stride: u16,
@@ -99,7 +99,7 @@ struct Unfinished {
     count: u32,
     deadline: Option<MonoTime>,
     progress: MonoTime,
-    /// When it was known that all of it had left.
+    /// Time at which it was known that the whole message had been sent.
     sent: Option<MonoTime>,
 }
 
@@ -108,58 +108,58 @@ impl Reassembly {
         Self { limits, budget, floor: 0, sent: 0, slots: VecDeque::new(), unfinished: 0, lost: Vec::new() }
     }
 
-    /// Replaces the limits and the budget; what is there already stays.
+    /// Replaces the limits and the budget. Messages that have arrived in part are kept.
     pub(crate) fn set_limits(&mut self, limits: ReassemblyLimits, budget: Arc<MemoryBudget>) {
         self.limits = limits;
         self.budget = budget;
     }
 
-    /// Messages with a lower number are settled.
+    /// Returns the number below which all messages are settled.
     pub(crate) const fn floor(&self) -> u64 {
         self.floor
     }
 
-    /// Whether nothing is awaited.
+    /// Returns whether no message is awaited.
     pub(crate) const fn is_settled(&self) -> bool {
         self.floor >= self.sent && self.unfinished == 0
     }
 
-    /// The messages that were lost since the last call.
+    /// Removes and returns the messages that were lost since the last call.
     pub(crate) fn take_lost(&mut self) -> Vec<LostMessage> {
         std::mem::take(&mut self.lost)
     }
 
-    /// A fragment arrived.
-    pub(crate) fn receive(&mut self, fragment: &Fragment<'_>, now: MonoTime) -> Received {
+    /// Handles a fragment.
+    pub(crate) fn receive(&mut self, fragment: &Fragment<'_>, now: MonoTime) -> ReassemblyOutcome {
         if fragment.sequence < self.floor {
-            return Received::Duplicate;
+            return ReassemblyOutcome::Duplicate;
         }
-        // One altered number must not give up all that is awaited.
+        // One altered number must not give up all awaited messages.
         let most = self.floor.saturating_add(MAX_SPAN).max(self.sent.saturating_add(MAX_AHEAD));
         if fragment.sequence >= most {
-            return Received::TooFarAhead;
+            return ReassemblyOutcome::TooFarAhead;
         }
         self.extend(fragment.sequence.saturating_add(1), now);
         let at = (fragment.sequence - self.floor) as usize;
         let received = match self.slots.get_mut(at) {
-            None | Some(Slot::Settled) => Ok(Received::Duplicate),
+            None | Some(Slot::Settled) => Ok(ReassemblyOutcome::Duplicate),
             Some(Slot::Unfinished(unfinished)) => unfinished.add(fragment, &self.budget, now),
             Some(Slot::Missing { .. }) => self.begin(fragment, now),
         };
         match received {
-            Ok(Received::Stored) => self.finish(fragment.sequence),
+            Ok(ReassemblyOutcome::Stored) => self.finish(fragment.sequence),
             Ok(received) => received,
             Err(Exhausted) => {
                 self.give_up_slot(fragment.sequence);
-                Received::Stored
+                ReassemblyOutcome::Stored
             }
         }
     }
 
-    /// Begins a message of which nothing was there.
-    fn begin(&mut self, fragment: &Fragment<'_>, now: MonoTime) -> Result<Received, Exhausted> {
+    /// Starts a message of which nothing had arrived.
+    fn begin(&mut self, fragment: &Fragment<'_>, now: MonoTime) -> Result<ReassemblyOutcome, Exhausted> {
         let count = fragment_count(fragment.total, fragment.stride);
-        let mut unfinished = Unfinished {
+        let mut unfinished = UnfinishedMessage {
             tag: fragment.tag,
             checksum: fragment.checksum,
             stride: fragment.stride,
@@ -171,6 +171,7 @@ impl Reassembly {
             progress: now,
             sent: (fragment.sequence < self.sent).then_some(now),
         };
+        // Too long for this end: counted as lost like a message without memory, so that the sender learns of it.
         let added = if fragment.total > self.limits.max_message_bytes {
             unfinished.received = 1;
             Err(Exhausted)
@@ -180,7 +181,7 @@ impl Reassembly {
         if count > 1 && self.unfinished >= self.limits.max_unfinished_messages {
             self.give_up_oldest();
         }
-        // Giving up the oldest may have moved the floor.
+        // Giving up the oldest one may have moved the floor.
         let at = (fragment.sequence - self.floor) as usize;
         if let Some(slot) = self.slots.get_mut(at) {
             *slot = Slot::Unfinished(Box::new(unfinished));
@@ -189,15 +190,15 @@ impl Reassembly {
         added
     }
 
-    /// Hands out the message of a number, if it is whole.
-    fn finish(&mut self, sequence: u64) -> Received {
+    /// Delivers the message of a number if it is complete.
+    fn finish(&mut self, sequence: u64) -> ReassemblyOutcome {
         let at = (sequence - self.floor) as usize;
-        let Some(slot) = self.slots.get_mut(at) else { return Received::Stored };
+        let Some(slot) = self.slots.get_mut(at) else { return ReassemblyOutcome::Stored };
         if !matches!(slot, Slot::Unfinished(unfinished) if unfinished.received == unfinished.count) {
-            return Received::Stored;
+            return ReassemblyOutcome::Stored;
         }
         let Slot::Unfinished(unfinished) = std::mem::replace(slot, Slot::Settled) else {
-            return Received::Stored;
+            return ReassemblyOutcome::Stored;
         };
         self.unfinished -= 1;
         self.advance();
@@ -205,12 +206,12 @@ impl Reassembly {
         let (bytes, reserved) = unfinished.message.into_bytes();
         if crc32fast::hash(&bytes) != unfinished.checksum {
             self.lost.push(lost);
-            return Received::Inconsistent;
+            return ReassemblyOutcome::Inconsistent;
         }
-        Received::Message { bytes, reserved }
+        ReassemblyOutcome::Message { bytes, reserved }
     }
 
-    /// The other end has sent all messages below this number, as is known since then.
+    /// Notes that the other end has sent all messages below `next`, which is known since `since`.
     pub(crate) fn expect(&mut self, next: u64, since: MonoTime) {
         self.extend(next, since);
         let first = self.sent.max(self.floor);
@@ -226,14 +227,15 @@ impl Reassembly {
         self.sent = next;
     }
 
-    /// Keeps the states of all messages below this number.
+    /// Creates the states of all messages below `next`.
     fn extend(&mut self, next: u64, now: MonoTime) {
         if next > self.floor.saturating_add(MAX_SPAN) {
             let floor = next - MAX_SPAN;
             while self.floor < floor
                 && let Some(slot) = self.slots.pop_front()
             {
-                // Numbers of which nothing came are passed over: who leaves out many at once gets no answer for each.
+                // Numbers without any fragment are skipped. A sender that leaves out many numbers at once does not get
+                // an answer for each.
                 if let Slot::Unfinished(unfinished) = slot {
                     self.unfinished -= 1;
                     self.lost.push(unfinished.lost(self.floor));
@@ -249,14 +251,14 @@ impl Reassembly {
         }
     }
 
-    /// Gives up what has waited too long.
+    /// Gives up messages that have waited too long.
     pub(crate) fn tick(&mut self, now: MonoTime) {
         let ReassemblyLimits { timeout, idle_timeout, .. } = self.limits;
         let next = self.sent;
         self.give_up(|sequence, slot| match slot {
             Slot::Missing { since } => sequence < next && now - *since >= timeout,
             Slot::Unfinished(unfinished) => {
-                let Unfinished { deadline, progress, sent, .. } = **unfinished;
+                let UnfinishedMessage { deadline, progress, sent, .. } = **unfinished;
                 deadline.is_some_and(|deadline| deadline <= now)
                     || sent.is_some_and(|sent| now - sent.max(progress) >= timeout)
                     || now - progress >= idle_timeout
@@ -265,7 +267,7 @@ impl Reassembly {
         });
     }
 
-    /// Gives up all that is awaited.
+    /// Gives up all awaited messages.
     pub(crate) fn give_up_all(&mut self) {
         let next = self.sent;
         self.give_up(|sequence, slot| sequence < next || matches!(slot, Slot::Unfinished(_)));
@@ -302,7 +304,7 @@ impl Reassembly {
         }
     }
 
-    /// Gives up a message that is unfinished.
+    /// Gives up an unfinished message.
     fn give_up_slot(&mut self, sequence: u64) {
         let at = (sequence - self.floor) as usize;
         if let Some(slot) = self.slots.get_mut(at)
@@ -323,31 +325,31 @@ impl Reassembly {
     }
 }
 
-impl Unfinished {
+impl UnfinishedMessage {
     /// Adds a fragment to its message.
     ///
     /// # Errors
-    /// When the budget has no room for it.
+    /// If the budget has no room for it.
     fn add(
         &mut self,
         fragment: &Fragment<'_>,
         budget: &Arc<MemoryBudget>,
         now: MonoTime,
-    ) -> Result<Received, Exhausted> {
+    ) -> Result<ReassemblyOutcome, Exhausted> {
         let is_same = (fragment.tag, fragment.checksum, fragment.stride)
             == (self.tag, self.checksum, self.stride)
             && fragment.total == self.message.total();
         if !is_same {
-            return Ok(Received::Inconsistent);
+            return Ok(ReassemblyOutcome::Inconsistent);
         }
-        // The fields agree with each other: equal strides and aligned offsets leave no room for overlaps.
+        // Equal strides and aligned offsets exclude overlaps.
         let added = self.message.add(fragment.offset, fragment.bytes, budget);
-        if added == Ok(Added::Duplicate) {
-            return Ok(Received::Duplicate);
+        if added == Ok(AddOutcome::Duplicate) {
+            return Ok(ReassemblyOutcome::Duplicate);
         }
         self.received += 1;
         self.progress = now;
-        added.map(|_| Received::Stored)
+        added.map(|_| ReassemblyOutcome::Stored)
     }
 
     fn lost(&self, sequence: u64) -> LostMessage {

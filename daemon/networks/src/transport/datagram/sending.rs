@@ -1,4 +1,4 @@
-//! The sending half of a virtual connection: messages that wait, and those that left and are not settled.
+//! The sending half of a virtual connection: messages that wait, and messages that were sent and are not settled.
 
 mod long_losses;
 mod outstanding;
@@ -18,40 +18,41 @@ use super::packet_writer::PacketWriter;
 use super::window::SendWindow;
 use crate::transport::{Frames, MessageLoss, SendFailure};
 
-/// Largest message without a tag that is sent again when it is lost: what opens and closes sessions.
+/// Largest message without a tag that is retransmitted when it is lost. Messages without a tag open and close sessions.
+/// Bytes.
 const MAX_KEPT_BYTES: u32 = 64 * 1024;
 
-/// Most bytes of datagrams that leave at once.
+/// Largest number of bytes of datagrams that are sent at once.
 const MAX_BATCH_BYTES: usize = 60_000;
 
-/// Datagrams that leave together: all but the last have the same length.
+/// Datagrams that are sent together. All but the last have the same length.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Batch {
-    /// Bytes of each datagram but the last.
+    /// Length of each datagram but the last. Bytes.
     pub(crate) segment: usize,
     /// Number of datagrams.
     pub(crate) count: usize,
 }
 
-/// The sending half.
+/// The sending half of a connection.
 #[derive(Debug)]
-pub(crate) struct Sending {
+pub(crate) struct SendingHalf {
     writer: PacketWriter,
-    /// Bytes of every fragment but the last of a message.
+    /// Length of every fragment of a message but the last. Bytes.
     stride: u16,
     window: SendWindow,
     queue: SendQueue,
     outstanding: OutstandingMessages,
     long_losses: LongLossDetector,
-    /// When a part of a message last left.
+    /// Time at which a part of a message was last sent.
     sent_at: MonoTime,
-    /// Datagrams that left: the number of the next.
+    /// Number of datagrams that were sent, which is also the number of the next one.
     datagrams: u64,
-    /// Datagrams of messages that were sent again.
+    /// Number of datagrams of messages that were retransmitted.
     retransmitted: u64,
 }
 
-impl Sending {
+impl SendingHalf {
     pub(crate) fn new(
         writer: PacketWriter,
         terms: Terms,
@@ -75,7 +76,7 @@ impl Sending {
     /// Queues a message.
     ///
     /// # Errors
-    /// When too much waits already.
+    /// If too many messages wait already.
     pub(crate) fn send(
         &mut self,
         frames: Frames,
@@ -90,6 +91,7 @@ impl Sending {
     }
 
     fn enqueue(&mut self, frames: Frames, tag: u64, deadline: Option<MonoTime>) -> Result<(), SendFailure> {
+        // Messages without a tag open and close sessions, and are retransmitted.
         let kept = (tag == 0).then(|| frames.clone());
         let message = OutgoingMessage::new(frames, self.outstanding.next(), tag, deadline)
             .map_err(|error| SendFailure::Gone(error.to_string()))?;
@@ -99,43 +101,43 @@ impl Sending {
         Ok(())
     }
 
-    /// Returns the message of which the next part leaves, and the offset of that part.
+    /// Returns the message whose part is sent next, and the offset of that part.
     fn position(&self) -> (u64, u32) {
         let waiting = self.queue.front().map(|message| (message.sequence, message.offset));
         waiting.unwrap_or_else(|| (self.outstanding.next(), 0))
     }
 
-    /// The number of the first message that has not left as a whole.
+    /// Returns the number of the first message that has not been sent completely.
     pub(crate) fn next(&self) -> u64 {
         self.position().0
     }
 
-    /// Datagrams that left: the number of the next.
+    /// Returns the number of datagrams that were sent, which is also the number of the next one.
     pub(crate) const fn datagrams(&self) -> u64 {
         self.datagrams
     }
 
-    /// Datagrams of messages that were sent again.
+    /// Returns the number of datagrams of messages that were retransmitted.
     pub(crate) const fn retransmitted(&self) -> u64 {
         self.retransmitted
     }
 
-    /// Whether nothing waits to be sent.
+    /// Returns whether no message waits to be sent.
     pub(crate) fn is_empty(&self) -> bool {
         self.queue.is_empty()
     }
 
-    /// When a part of a message last left; `None` when all that left is settled.
+    /// Returns the time at which a part of a message was last sent; `None` if all messages that were sent are settled.
     pub(crate) fn unsettled_since(&self) -> Option<MonoTime> {
         (self.outstanding.first() < self.next()).then_some(self.sent_at)
     }
 
-    /// When something more can leave, if nothing is heard until then.
+    /// Returns the time at which more can be sent if nothing arrives until then.
     pub(crate) fn opens_at(&self) -> Option<MonoTime> {
         (!self.queue.is_empty()).then(|| self.window.opens_at())
     }
 
-    /// Appends at most `most` datagrams that leave now. Returns `None` when there are none.
+    /// Appends at most `most` datagrams that may be sent now. `None` if there are none.
     pub(crate) fn fill(&mut self, out: &mut Vec<u8>, most: usize, now: MonoTime) -> Option<Batch> {
         let start = out.len();
         let full = self.longest();
@@ -147,6 +149,7 @@ impl Sending {
             if count >= most || (count > 0 && out.len() - start + full > MAX_BATCH_BYTES) {
                 break;
             }
+            // At least 1, because 0 means no deadline.
             let lifetime_ms = message.deadline.map_or(0, |deadline| {
                 ((deadline - now).nanos() / 1_000_000).clamp(1, u16::MAX.into()) as u16
             });
@@ -169,7 +172,8 @@ impl Sending {
             self.sent_at = now;
             let segment = batch.map_or(length, |batch| batch.segment);
             batch = Some(Batch { segment, count: count + 1 });
-            // A shorter one can only be the last, and after a short first one there is no longer one.
+            // Only the last datagram of a batch may be shorter, and after a short first one all others would have to be
+            // as short.
             if length < segment || segment < full {
                 break;
             }
@@ -177,16 +181,16 @@ impl Sending {
         batch
     }
 
-    /// Drops the waiting messages whose deadline is over. Returns their tags and fragments.
+    /// Drops the waiting messages whose deadline has passed. Returns their tags and numbers of fragments.
     pub(crate) fn expire(&mut self, now: MonoTime) -> Vec<MessageLoss> {
         let expired = self.queue.expire(now);
         expired.into_iter().filter_map(|sequence| self.outstanding.expire(sequence)).collect()
     }
 
-    /// Takes a report of progress: everything up to `end` of the message `sequence` has arrived or is lost.
+    /// Handles a report of progress: everything up to `end` of the message `sequence` has arrived or is lost.
     ///
     /// # Errors
-    /// When that part was not sent.
+    /// If that part was not sent.
     pub(crate) fn progress(&mut self, sequence: u64, end: u32, now: MonoTime) -> Result<(), FalseClaim> {
         let (current, offset) = self.position();
         if sequence > current || (sequence == current && end > offset) {
@@ -196,13 +200,13 @@ impl Sending {
         Ok(())
     }
 
-    /// The other end has settled all messages below this number.
+    /// Notes that the other end has settled all messages below this number.
     ///
     /// # Errors
-    /// When one of them was not sent.
+    /// If one of them was not sent.
     pub(crate) fn settled(&mut self, below: u64) -> Result<(), FalseClaim> {
         let (current, offset) = self.position();
-        // What has begun to leave may have been given up already.
+        // A message of which only a part was sent may have been given up already.
         if below > current + u64::from(offset > 0) {
             return Err(FalseClaim::Unsent);
         }
@@ -212,11 +216,11 @@ impl Sending {
         Ok(())
     }
 
-    /// Takes the report of a lost message; `lost` is as in [`loses_long`](Self::loses_long). Returns the tag and the number of
-    /// fragments for the answer, and the loss to pass on.
+    /// Handles the report of a lost message; `lost` is as in [`loses_long`](Self::loses_long). Returns the tag and the
+    /// number of fragments for the answer, and the loss to be passed on.
     ///
     /// # Errors
-    /// When the message was not sent, or has fewer fragments than are said to have arrived.
+    /// If the message was not sent, or has fewer fragments than are reported as received.
     pub(crate) fn lost(
         &mut self,
         (sequence, received): (u64, u32),
@@ -224,17 +228,19 @@ impl Sending {
         now: MonoTime,
     ) -> Result<(u64, u32, Option<MessageLoss>), FalseClaim> {
         let (current, offset) = self.position();
-        // Only a message of which something has left can be lost on the way.
+        // Only a message of which something was sent can be lost.
         if sequence > current || (sequence == current && offset == 0) {
             return Err(FalseClaim::Unsent);
         }
+        // The message is settled or too old; the answer only ends the reports about it.
         let Some(message) = self.outstanding.get_mut(sequence) else { return Ok((0, 0, None)) };
         let (tag, fragments) = (message.tag, message.fragments);
         if received > fragments {
             return Err(FalseClaim::Fragments);
         }
         if sequence == current {
-            // The other end found no room for it. The rest would arrive in vain, and the loss would not be known here in time.
+            // The other end found no room for the message. Its remaining fragments would be useless, and the loss would
+            // be known here too late.
             self.queue.drop_front();
         }
         if std::mem::replace(&mut message.is_lost, true) {
@@ -252,13 +258,13 @@ impl Sending {
         Ok((tag, fragments, Some(MessageLoss { tag: read_tag(tag), received, total: fragments })))
     }
 
-    /// Whether none of the longest datagrams arrives any more. `lost` is the number of lost datagrams that the other end
-    /// has reported: it may give messages up for other reasons, too.
+    /// Returns whether the longest datagrams do not arrive any more. `lost` is the number of lost datagrams that the
+    /// other end has reported. It is needed because the other end may give messages up for other reasons, too.
     pub(crate) fn loses_long(&self, lost: u64, now: MonoTime) -> bool {
         self.long_losses.loses_all(lost, now)
     }
 
-    /// Bytes of the longest datagrams that are sent.
+    /// Returns the length of the longest datagrams that are sent.
     pub(crate) fn longest(&self) -> usize {
         self.writer.data_overhead() + usize::from(self.stride)
     }

@@ -1,4 +1,4 @@
-//! An edge and a cloud over a simulated network that loses, doubles and reorders.
+//! Tests with an edge and a cloud over a simulated network that loses, duplicates and reorders datagrams.
 
 use std::collections::BTreeSet;
 use std::net::SocketAddr;
@@ -9,7 +9,7 @@ use proptest::prelude::*;
 
 use super::connection::{Connection, ConnectionLimits, Event};
 use super::endpoint::{Endpoint, EndpointLimits};
-use super::handshake::{Dialled, Dialling};
+use super::handshake::{DialState, HandshakeOutcome};
 use super::packet::{Fragment, Heartbeat, Packet, Role, Terms};
 use super::reassembly::ReassemblyLimits;
 use super::sending::QueueLimits;
@@ -26,7 +26,7 @@ const TERMS: Terms = Terms { window: 1 << 20, datagram: 1_200 };
 pub(super) fn limits() -> EndpointLimits {
     EndpointLimits {
         connection: ConnectionLimits {
-            // So often that chance never loses all heartbeats of the timeout, at 30 % loss in both directions.
+            // Short enough that 30 % loss in both directions never loses all heartbeats of a timeout by chance.
             heartbeat_interval: Span::from_millis(100),
             heartbeat_timeout: Span::from_seconds(5),
             queue: QueueLimits { messages: 100, bytes: 10_000_000 },
@@ -92,7 +92,7 @@ proptest! {
         prop_assert!(loss > 0 || lost.is_empty());
         prop_assert_eq!(network.cloud.held_bytes(), 0);
 
-        // The other way, and the goodbye.
+        // A message in the other direction, and the goodbye.
         network.cloud.send(id, vec![payload(5).into()], Some(5)).expect("there is room");
         network.steps(4_000);
         let answers = network.events.iter().filter(|event| matches!(
@@ -138,7 +138,7 @@ fn silence_ends_connection_at_both_ends() {
 }
 
 #[test]
-fn restarted_cloud_says_so() {
+fn restarted_cloud_reports_unknown_connection() {
     let mut network = SimulatedNetwork::new(UNIMPAIRED, 1);
     network.open();
     network.cloud = Endpoint::new([8; 32], PREFIX, limits());
@@ -149,7 +149,7 @@ fn restarted_cloud_says_so() {
 }
 
 #[test]
-fn peer_that_moves_is_followed_after_it_was_asked() {
+fn moved_peer_is_followed_after_confirmation() {
     let mut network = SimulatedNetwork::new(UNIMPAIRED, 1);
     let id = network.open();
     network.edge_address = "192.0.2.77:7".parse().expect("an address");
@@ -165,7 +165,7 @@ fn peer_that_moves_is_followed_after_it_was_asked() {
 }
 
 #[test]
-fn invented_addresses_get_less_than_they_send_and_no_memory() {
+fn forged_addresses_cause_neither_amplification_nor_memory_use() {
     let mut cloud = Endpoint::new([7; 32], PREFIX, limits());
     let now = MonoTime::default();
     let cookie = [9; 16];
@@ -188,9 +188,9 @@ fn invented_addresses_get_less_than_they_send_and_no_memory() {
     assert_eq!(cloud.len(), 0);
 }
 
-/// Opens a connection from an address without a network between; `None` when it is refused.
+/// Opens a connection from an address directly, without a network. `None` if it is refused.
 fn open_from(cloud: &mut Endpoint, source: SocketAddr, nonce: u64, now: &mut MonoTime) -> Option<u64> {
-    let mut dialling = Dialling::new(nonce, 0, TERMS, PREFIX.len(), *now);
+    let mut dialling = DialState::new(nonce, 0, TERMS, PREFIX.len(), *now);
     let mut opened = None;
     for _ in 0..2 {
         let mut out = Vec::new();
@@ -202,7 +202,7 @@ fn open_from(cloud: &mut Endpoint, source: SocketAddr, nonce: u64, now: &mut Mon
             let body = &answer[answer.len() - batch.segment + PREFIX.len()..];
             if route.to == source
                 && let Ok(packet) = Packet::read(Role::Edge, body)
-                && let Some(Dialled::Opened { connection, .. }) = dialling.receive(&packet, *now)
+                && let Some(HandshakeOutcome::Opened { connection, .. }) = dialling.receive(&packet, *now)
             {
                 opened = Some(connection);
             }
@@ -269,7 +269,7 @@ fn message_without_room_is_lost_while_it_still_leaves() {
     let connection = open_from(&mut network.cloud, stranger, 77, &mut now).expect("there is room");
     network.cloud.admit(ConnectionId(connection));
     network.now = now;
-    // Fragments of two messages that take nearly all memory.
+    // Fragments of two messages that fill nearly all of the memory.
     for number in 0..9_000 {
         let fragment = Fragment {
             sequence: u64::from(number % 2),
@@ -301,10 +301,10 @@ fn message_without_room_is_lost_while_it_still_leaves() {
 }
 
 #[test]
-fn large_datagrams_that_do_not_pass_are_given_up() {
+fn lost_large_datagrams_fall_back_to_small_ones() {
     let mut now = MonoTime::default();
     let large = Terms { datagram: 8_000, ..TERMS };
-    let mut dialling = Dialling::new(1, 0, large, PREFIX.len(), now);
+    let mut dialling = DialState::new(1, 0, large, PREFIX.len(), now);
     dialling.receive(&Packet::Cookie { nonce: 1, cookie: [1; 16] }, now);
     let mut lengths = Vec::new();
     for _ in 0..4 {

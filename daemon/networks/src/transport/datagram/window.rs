@@ -1,9 +1,13 @@
 //! Flow control of one direction: the other end's socket buffer, recent arrivals, and a configured rate.
 //!
-//! The other end says how many bytes may be on their way to it and how far it has come. Within that the window grows
-//! with what arrives and is halved when messages are lost, much as TCP's does (RFC 5681), so that the rate follows the
-//! slowest link on the way. After a loss it grows with time and not with what arrives, as CUBIC's does (RFC 9438): every
-//! loss costs a whole message, so the size that was too much is tried again after seconds and not within the next message.
+//! The other end says how many bytes may be in flight to it and how far it has received. Within that limit the window
+//! grows with the bytes that arrive and is halved when messages are lost, as TCP's is (RFC 5681), so that the rate
+//! follows the slowest link of the path.
+//!
+//! After a loss the window grows with time and not with the bytes that arrive, as CUBIC's does (RFC 9438). Every loss
+//! costs a whole message. A size that was too large is therefore tried again after seconds and not within the next
+//! message. With a receiver whose buffer is too small, such as libzmq's, a message is lost every few seconds instead of
+//! nearly every message.
 
 mod congestion;
 mod in_flight;
@@ -16,10 +20,10 @@ use self::in_flight::BytesInFlight;
 use self::pacing::Pacer;
 use super::packet::Terms;
 
-/// Bytes that an end receives before it says how far it has come.
+/// Number of bytes after which an end reports its progress.
 pub(crate) const PROGRESS_BYTES: u32 = 16 * 1024;
 
-/// The state of one direction of a connection.
+/// Flow control state of one direction of a connection.
 #[derive(Debug)]
 pub(crate) struct SendWindow {
     congestion: CongestionWindow,
@@ -28,7 +32,7 @@ pub(crate) struct SendWindow {
 }
 
 impl SendWindow {
-    /// A window for the other end's terms; `bits_per_second` is the configured rate.
+    /// Creates a window for the other end's terms. `bits_per_second` is the configured rate.
     pub(crate) fn new(terms: Terms, bits_per_second: Option<u64>, now: MonoTime) -> Self {
         Self {
             congestion: CongestionWindow::new(terms.window, now),
@@ -37,7 +41,7 @@ impl SendWindow {
         }
     }
 
-    /// Bytes that may be on their way.
+    /// Returns the number of bytes that may be in flight.
     #[cfg(test)]
     pub(crate) const fn size(&self) -> u32 {
         self.congestion.size()
@@ -47,23 +51,23 @@ impl SendWindow {
         self.in_flight.bytes() >= u64::from(self.congestion.size())
     }
 
-    /// Whether another datagram may leave now.
+    /// Returns whether another datagram may be sent now.
     pub(crate) fn is_open(&self, now: MonoTime) -> bool {
         !self.is_full() && self.pacer.opens_at() <= now
     }
 
-    /// When it may be open again, if nothing is heard until then.
+    /// Returns the time at which the window may be open again if nothing arrives until then.
     pub(crate) fn opens_at(&self) -> MonoTime {
         if self.is_full() { self.in_flight.ends_at() } else { self.pacer.opens_at() }
     }
 
-    /// A datagram left, with the part of a message that ends there.
+    /// Notes that a datagram was sent whose part of message `sequence` ends at offset `end`.
     pub(crate) fn sent(&mut self, sequence: u64, end: u32, bytes: u32, now: MonoTime) {
         self.in_flight.send((sequence, end), bytes, now);
         self.pacer.sent(bytes, now);
     }
 
-    /// The other end has come so far.
+    /// Handles a report of the other end's progress.
     pub(crate) fn progress(&mut self, sequence: u64, end: u32, now: MonoTime) {
         let arrived = self.in_flight.progress((sequence, end), now);
         if arrived > 0 {
@@ -71,12 +75,12 @@ impl SendWindow {
         }
     }
 
-    /// A message was lost on the way.
+    /// Notes that a message was lost.
     pub(crate) fn lost(&mut self) {
         self.congestion.shrink(self.in_flight.sent(), self.in_flight.arrived());
     }
 
-    /// Takes what is on its way for gone when nothing was heard of it for long.
+    /// Treats bytes in flight as arrived or lost after a long silence.
     pub(crate) fn tick(&mut self, now: MonoTime) {
         self.in_flight.tick(now);
     }
@@ -136,7 +140,7 @@ mod tests {
     }
 
     #[test]
-    fn size_that_was_too_much_is_tried_again_after_seconds() {
+    fn lossy_window_size_is_retried_after_seconds() {
         let mut window = SendWindow::new(TERMS, None, at(0));
         fill(&mut window, at(0));
         window.lost();
@@ -152,7 +156,7 @@ mod tests {
     }
 
     #[test]
-    fn silence_opens_window_again() {
+    fn window_reopens_after_silence() {
         let mut window = SendWindow::new(TERMS, None, at(0));
         fill(&mut window, at(0));
         assert_eq!(window.opens_at(), at(200));

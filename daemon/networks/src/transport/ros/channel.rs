@@ -25,22 +25,22 @@ use crate::transport::memory::MemoryBudget;
 use crate::transport::tcp_info::tcp_statistics;
 use crate::transport::{SendFailure, SendOptions};
 
-/// One end of a connection, as senders and its task share it.
+/// One end of a connection, shared by senders and the connection's task.
 #[derive(Debug)]
 pub(super) struct Channel {
     pub(super) node: Arc<dyn SessionNode>,
     clock: ConnectionClock,
     state: Mutex<Connection>,
-    /// Topic of the companions.
+    /// Publisher of companions.
     info: Box<dyn SessionPublisher>,
     payload_topic: PayloadTopic,
-    /// Signals that a remark waits to be handed up.
+    /// Signals that a remark waits.
     has_remark: Notify,
-    /// The node at the other end, once it is known, and the connection from it.
+    /// Node and connection of the other end, once they are known.
     peer: OnceLock<RemoteNode>,
 }
 
-/// First payload part of a message and its departure, as its header has them.
+/// First payload part of a message and its departure, from the header.
 struct PayloadHeader {
     part: Description,
     /// Nanoseconds since the Unix epoch.
@@ -72,38 +72,39 @@ impl Channel {
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Returns the time of the state machine.
+    /// Returns the current time for the state machine.
     pub(super) fn now(&self) -> MonoTime {
         self.clock.now()
     }
 
-    /// Returns the instant at which the state machine has a timer that expires next.
+    /// Returns the instant of the state machine's next timer.
     pub(super) fn next_timer(&self) -> Option<Instant> {
         self.lock().next_timer().map(|next| self.clock.instant(next))
     }
 
-    /// Returns the node at the other end; messages of others are not taken.
+    /// Returns the node at the other end. Messages of other nodes are ignored.
     pub(super) fn peer(&self) -> Option<&RemoteNode> {
         self.peer.get()
     }
 
-    /// Sets the node at the other end; the first one stays.
+    /// Sets the node at the other end. Only the first call has an effect.
     pub(super) fn set_peer(&self, peer: RemoteNode) {
         self.peer.get_or_init(|| peer);
     }
 
-    /// Publishes a companion without frames, for whoever subscribes.
+    /// Publishes a companion without frames for all subscribers.
     pub(super) fn announce(&self, kind: u8) {
         let info = self.begin(kind);
-        let tells_buffer = matches!(kind, MessageInfo::HELLO | MessageInfo::WELCOME);
-        let buffer = self.node.receive_buffer_bytes().filter(|_| tells_buffer);
+        let states_buffer_size = matches!(kind, MessageInfo::HELLO | MessageInfo::WELCOME);
+        // The other end cannot know the size of these buffers, so hello and welcome state it.
+        let buffer = self.node.receive_buffer_bytes().filter(|_| states_buffer_size);
         let frame_lengths =
             buffer.map(|bytes| u32::try_from(bytes).unwrap_or(u32::MAX)).into_iter().collect();
         self.publish_for_all(&MessageInfo { frame_lengths, ..info });
     }
 
-    /// Says goodbye.
-    pub(super) fn say_goodbye(&self, reason: &str) {
+    /// Publishes a goodbye.
+    pub(super) fn send_goodbye(&self, reason: &str) {
         let info = self.begin(MessageInfo::GOODBYE);
         self.publish_for_all(&MessageInfo { reason: reason.to_owned(), ..info });
     }
@@ -123,7 +124,7 @@ impl Channel {
         }
     }
 
-    /// Sends heartbeats and notices that are due.
+    /// Publishes heartbeats and notices that are due.
     pub(super) fn send_notices(&self) {
         loop {
             let notice = self.lock().next_notice(self.clock.wall(), self.now());
@@ -134,14 +135,14 @@ impl Channel {
         }
     }
 
-    /// Publishes a message: its first payload part on the payload topic where that fits and is there, all else on the
-    /// companions' topic.
+    /// Publishes a message. Its first payload part goes to the payload topic if its type fits and the topic is open.
+    /// All else goes to the companions' topic.
     pub(super) fn send(&self, message: &[Bytes], options: SendOptions) -> Result<(), SendFailure> {
         let gone = |reason: String| SendFailure::Gone(reason);
         let peer = self.peer.get().ok_or_else(|| gone("the connection is not open".into()))?;
         let described = message.get(PAYLOAD_FRAME).and_then(|_| describe(message.first()?));
         let departure = described.as_ref().map_or_else(|| self.clock.wall(), |described| described.departure);
-        // Held until both are published, so that both topics have the messages in the order of their stamps.
+        // Held until both messages are published, so that both topics have the messages in the order of their stamps.
         let mut state = self.lock();
         if state.is_closed() {
             return Err(gone("the connection is closed".into()));
@@ -158,6 +159,7 @@ impl Channel {
         if !frames::pack(&mut info, message, has_payload) {
             return Err(gone("a frame has 4 GiB or more".into()));
         }
+        // Each part takes the number of the message, which gets the next one: numbers are in the order of sending.
         let mut companions = Vec::new();
         for frames in parts::split(&mut info.frames, self.node.max_companion_bytes()) {
             companions.push(MessageInfo { frames, ..state.begin_part(&mut info) });
@@ -173,7 +175,7 @@ impl Channel {
         }
     }
 
-    /// Publishes the first payload part. Returns whether the peer gets it this way.
+    /// Publishes the first payload part. Returns whether the peer receives it this way.
     fn publish_payload(
         &self,
         state: &mut Connection,
@@ -185,23 +187,23 @@ impl Channel {
         self.payload_topic.publish(&*self.node, peer, payload, &mut remark)
     }
 
-    /// Has the task hand up a condition that makes the connection worse than it could be.
+    /// Queues a remark about the connection for the task that hands it up.
     pub(super) fn remark(&self, state: &mut Connection, text: String) {
         state.remark(text);
         self.has_remark.notify_one();
     }
 
-    /// Waits until a remark is to be handed up.
+    /// Waits until there is a remark to be handed up.
     pub(super) async fn wait_for_remark(&self) {
         self.has_remark.notified().await;
     }
 
-    /// Waits until the payload topic is to be opened; returns the type that it is to have. That happens once.
+    /// Waits until the payload topic is to be opened, which happens once. Returns its type.
     pub(super) async fn wait_for_payload_type(&self) -> PayloadType {
         self.payload_topic.take_request().await
     }
 
-    /// Opens the payload topic, again and again while the master is away.
+    /// Opens the payload topic. Repeats the attempt while the master is not reachable.
     pub(super) async fn publish_payload_topic(&self, kind: PayloadType) {
         let mut is_reported = false;
         while !self.lock().is_closed() {
@@ -224,16 +226,16 @@ impl Channel {
         Some(ConnectionAddresses { local: peer.local, remote: peer.remote })
     }
 
-    /// Returns the statistics of the transport. The round trip is that of the connection of the peer's companions.
+    /// Returns the statistics of the transport. The round trip is that of the connection with the peer's companions.
     pub(super) fn statistics(&self) -> TransportStatistics {
         let round_trip = self.addresses().and_then(|addresses| tcp_statistics(&addresses).round_trip);
-        let lost = Some(self.lock().missed());
+        let lost = Some(self.lock().missing_companions());
         let received = DatagramStatistics { lost, ..DatagramStatistics::default() };
         TransportStatistics { sent: DatagramStatistics::default(), received, round_trip }
     }
 }
 
-/// Reads the first payload part and the departure in a message's header.
+/// Reads the first payload part and the departure from a message's header.
 fn describe(header: &Bytes) -> Option<PayloadHeader> {
     let (departure, sample) = match Header::decode(header).ok()? {
         Header::Request(request) => (Some(request.departure), request.sample),

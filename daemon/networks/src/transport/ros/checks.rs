@@ -1,4 +1,4 @@
-//! Checks that the build and this host have what ROS 2 needs.
+//! Checks that the build and this host support ROS 2.
 
 use std::error::Error;
 
@@ -11,7 +11,7 @@ use crate::{Address, SessionSettings};
 pub(crate) const HOST_CHECKS: HostChecks = HostChecks { address: check_address, settings: check_settings };
 
 fn check_address(address: &Address) -> Result<(), Box<dyn Error + Send + Sync>> {
-    // Only addresses of ROS 2 are in a domain.
+    // Only addresses of ROS 2 have a domain.
     if address.domain().is_some() && !ros2::IS_BUILT { Err(Ros2Error::NotBuilt.into()) } else { Ok(()) }
 }
 
@@ -24,7 +24,7 @@ mod tests {
     use crate::{Address, NetworkKind, Ros2SessionSettings, SessionSettings};
 
     #[test]
-    fn address_in_domain_needs_ros2() {
+    fn domain_address_requires_ros2() {
         let checked = |text: &str| text.parse::<Address>().expect("an address").check_host();
         assert!(checked("ros1://robot").is_ok());
         assert_eq!(checked("ros2://7").is_ok(), peernet_ros::ros2::IS_BUILT);
@@ -35,7 +35,7 @@ mod tests {
     }
 
     #[test]
-    fn interface_that_is_not_there_is_named_with_its_key() {
+    fn unknown_interface_is_reported_with_its_key() {
         let interfaces = vec!["eth99".to_owned()];
         let settings = SessionSettings {
             ros2: Ros2SessionSettings { interfaces, ..Ros2SessionSettings::default() },

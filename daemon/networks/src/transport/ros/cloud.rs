@@ -1,4 +1,7 @@
 //! The cloud's end of all connections of one name.
+//!
+//! An address names the master and the cloud, because a topic has no host. The cloud's node has a fixed name; the nodes
+//! of edges have random names.
 
 mod connection_table;
 mod payload_subscription;
@@ -20,35 +23,35 @@ use tokio::sync::mpsc;
 use self::connection_table::Admission;
 use self::peers::{Delivery, Peers};
 use self::tasks::CloudTasks;
-use super::interface::{NodeFailure, Received, SessionNode, SessionSubscriber, TopicUse, open_node};
+use super::interface::{NodeFailure, SessionNode, SessionSubscriber, TopicMessage, TopicUse, open_node};
 use super::names::{cloud_node, refusals_topic, sessions_topic};
 use crate::descriptors::DescriptorShare;
 use crate::statistics::TransportStatistics;
 use crate::transport::{
-    Arrival, BindFailure, Bound, CloudReceiver, CloudSender, ConnectionId, Frames, Peer, SendFailure,
+    Arrival, BindFailure, BoundPort, CloudReceiver, CloudSender, ConnectionId, Frames, Peer, SendFailure,
     SendOptions,
 };
 use crate::{Address, SessionSettings};
 
-/// Arrivals that wait to be received.
+/// Largest number of arrivals that wait to be received.
 const QUEUED_ARRIVALS: usize = 64;
 
 /// Largest request for a connection. Bytes.
 const MAX_HELLO_BYTES: usize = 4 * 1024;
 
-/// Requests that wait at most. Edges repeat theirs.
-const QUEUED_HELLOS: usize = 64;
+/// Largest number of waiting requests. Edges repeat theirs.
+const MAX_QUEUED_HELLOS: usize = 64;
 
-/// Topics that a connection takes: each is a TCP connection.
+/// Number of topics of a connection. Each is a TCP connection.
 const SOCKETS_OF_CONNECTION: usize = 5;
 
-/// Serves the address's name at its master.
+/// Opens the cloud's node and its topics under the address's name.
 pub(crate) async fn bind(
     address: &Address,
     settings: &SessionSettings,
     ports: NonZeroUsize,
     clock: &SharedClock,
-) -> Result<Bound, BindFailure> {
+) -> Result<BoundPort, BindFailure> {
     let other = |error: NodeFailure| BindFailure::Other(error.to_string());
     let name = address.listener_name().unwrap_or_default();
     let node = open_node(address, &cloud_node(name), settings, clock).await.map_err(other)?;
@@ -58,7 +61,7 @@ pub(crate) async fn bind(
         return Err(other(failure));
     }
     let options = SubscriberOptions {
-        queue: QueueLimits { messages: QUEUED_HELLOS, bytes: QUEUED_HELLOS * MAX_HELLO_BYTES },
+        queue: QueueLimits { messages: MAX_QUEUED_HELLOS, bytes: MAX_QUEUED_HELLOS * MAX_HELLO_BYTES },
         when_full: WhenFull::Drop,
         max_message_bytes: MAX_HELLO_BYTES,
         ..Default::default()
@@ -66,7 +69,7 @@ pub(crate) async fn bind(
     let kind = (TopicUse::Sessions, TopicType::of::<SessionHello>());
     let sessions = node.subscribe(&topic, kind, options).await.map_err(other)?;
     let refusals = (TopicUse::Companions, TopicType::of::<MessageInfo>());
-    let queue = QueueLimits { messages: QUEUED_HELLOS, bytes: QUEUED_HELLOS * MAX_HELLO_BYTES };
+    let queue = QueueLimits { messages: MAX_QUEUED_HELLOS, bytes: MAX_QUEUED_HELLOS * MAX_HELLO_BYTES };
     let refusals = node.publish(&refusals_topic(name), refusals, queue).await.map_err(other)?;
     let caveat = node.caveat().map(str::to_owned);
     let (deliveries, arrivals) = mpsc::channel(QUEUED_ARRIVALS);
@@ -82,10 +85,10 @@ pub(crate) async fn bind(
     tasks.spawn(accept(Arc::clone(&peers), Arc::clone(&node), sessions, tasks.clone()));
     let sender = Box::new(RosCloudSender(peers));
     let receiver = Box::new(RosCloudReceiver { node, arrivals, tasks });
-    Ok(Bound { address: address.clone(), caveat, sender, receiver })
+    Ok(BoundPort { address: address.clone(), caveat, sender, receiver })
 }
 
-/// Opens a connection for each edge that asks.
+/// Opens a connection for each edge that asks for one.
 async fn accept(
     peers: Arc<Peers>,
     node: Arc<dyn SessionNode>,
@@ -96,7 +99,7 @@ async fn accept(
         tokio::select! {
             () = tasks.ending() => return,
             message = sessions.recv() => match message {
-                Ok(message) => hear(&peers, node.form(), message),
+                Ok(message) => handle_hello(&peers, node.form(), message),
                 Err(error) => {
                     tracing::error!(%error, node = node.name(), "edges can ask for no connections any more");
                     tasks.abort();
@@ -107,10 +110,10 @@ async fn accept(
     }
 }
 
-fn hear(peers: &Arc<Peers>, form: WireForm, message: Received) {
-    let Received { bytes, publisher, .. } = message;
+fn handle_hello(peers: &Arc<Peers>, form: WireForm, message: TopicMessage) {
+    let TopicMessage { bytes, publisher, .. } = message;
     match SessionHello::decode(form, bytes) {
-        // A node asks for itself only.
+        // A node may only ask for itself.
         Ok(hello) if *hello.node == *publisher.node => peers.open(hello, &publisher),
         Ok(hello) => {
             let problem =

@@ -1,7 +1,7 @@
-//! One end of a virtual connection over topics, without I/O.
+//! State machine of one end of a virtual connection over topics, without I/O.
 //!
-//! A connection has a random identifier, which all its companions carry. It ends by a goodbye, by silence, or by the end of the
-//! peer's topic, which its driver notices.
+//! A connection has a random identifier, which all its companions carry. It ends with a goodbye, by silence, or with
+//! the peer's topic, whose end its driver reports.
 
 mod assembly;
 mod confirmation;
@@ -25,22 +25,22 @@ use super::pairing::request_of;
 use crate::transport::MessageLoss;
 use crate::transport::memory::MemoryBudget;
 
-/// Bounds of a connection.
+/// Limits of a connection.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct ConnectionLimits {
-    /// Bytes of all frames of a message.
+    /// Largest sum of the lengths of all frames of a message. Bytes.
     pub(super) max_message_bytes: u64,
-    /// Whether this end says that it receives the payload topic, which the other one cannot know.
+    /// `true` if this end must confirm that it receives the payload topic, because the other end cannot know it.
     pub(super) confirms_payloads: bool,
     /// Largest number of messages of which only one half has arrived.
     pub(super) max_incomplete: usize,
-    /// Timeout of the other half of a message.
+    /// Time limit for the other half of a message.
     pub(super) pairing_timeout: Span,
     pub(super) heartbeat_interval: Span,
     pub(super) heartbeat_timeout: Span,
 }
 
-/// One end.
+/// One end of a connection.
 #[derive(Debug)]
 pub(super) struct Connection {
     outgoing: OutgoingSequence,
@@ -49,28 +49,29 @@ pub(super) struct Connection {
     assembly: MessageAssembly,
     events: EventQueue,
     confirmation: PayloadConfirmation,
-    /// State of the other end, as it says.
+    /// State of the other end, as it reported.
     peer: PeerState,
     phase: Phase,
 }
 
-/// Progress of a connection from its beginning to its end.
+/// Phase of a connection.
 #[derive(Debug)]
 enum Phase {
     Open,
-    /// The peer has said goodbye with a reason, which waits for payloads that it overtook.
+    /// The peer has said goodbye with this reason. The connection ends when the payloads have arrived whose companions
+    /// came before the goodbye.
     Leaving(String),
     Closed,
 }
 
-/// State of the other end of a connection, as it says.
+/// State of the other end of a connection, as it reported.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) struct PeerState {
-    /// Bytes of the longest payload message that it takes, if that is bounded.
+    /// Largest payload message that it can receive, if limited. Bytes.
     pub(super) receive_buffer_bytes: Option<u32>,
-    /// Payloads of this connection arrive there: they need not travel in their companions as well.
+    /// `true` if payloads of this connection arrive there, so that they need not be sent in their companions as well.
     pub(super) is_subscribed: bool,
-    /// It has said goodbye.
+    /// `true` if it has said goodbye.
     pub(super) has_left: bool,
 }
 
@@ -106,31 +107,31 @@ impl Connection {
         self.peer
     }
 
-    /// Returns the number of companions of the peer that never arrived.
-    pub(super) fn missed(&self) -> u64 {
-        self.incoming.missed()
+    /// Returns the number of the peer's companions that never arrived.
+    pub(super) fn missing_companions(&self) -> u64 {
+        self.incoming.missing_companions()
     }
 
-    /// Begins a message that departs at `wall`, nanoseconds since the Unix epoch.
+    /// Creates the companion of a message that departs at `wall`, in nanoseconds since the Unix epoch.
     pub(super) fn begin(&mut self, kind: u8, wall: i64, now: MonoTime) -> MessageInfo {
         self.heartbeats.note_sent(now);
         self.outgoing.begin(kind, wall)
     }
 
-    /// Returns a companion for the first bytes of a message, and gives the message the number after it.
+    /// Returns a companion for the first bytes of a message, and gives the message the next number.
     pub(super) fn begin_part(&mut self, message: &mut MessageInfo) -> MessageInfo {
         self.outgoing.begin_part(message)
     }
 
-    /// Takes a companion of this connection that arrived.
-    pub(super) fn hear_info(&mut self, info: MessageInfo, now: MonoTime) {
+    /// Handles a companion of this connection.
+    pub(super) fn receive_info(&mut self, info: MessageInfo, now: MonoTime) {
         if self.is_closed() {
             return;
         }
-        self.heartbeats.note_heard(now);
-        self.incoming.hear(info.sequence);
+        self.heartbeats.note_received(now);
+        self.incoming.receive(info.sequence);
         match info.kind {
-            MessageInfo::DATA => self.assembly.hear_data(info, now, &mut self.events),
+            MessageInfo::DATA => self.assembly.receive_data(info, now, &mut self.events),
             MessageInfo::HELLO => {
                 self.peer.receive_buffer_bytes = info.frame_lengths.first().copied();
                 self.events.push(Event::Hello);
@@ -141,7 +142,7 @@ impl Connection {
             }
             MessageInfo::HEARTBEAT => {}
             MessageInfo::SUBSCRIBED => self.peer.is_subscribed = true,
-            MessageInfo::PART => self.assembly.hear_part(&info, now),
+            MessageInfo::PART => self.assembly.receive_part(&info, now),
             MessageInfo::LOST => {
                 let loss = MessageLoss { tag: request_of(&info), received: 1, total: 2 };
                 self.events.push(Event::Lost(loss));
@@ -155,18 +156,19 @@ impl Connection {
         }
     }
 
-    /// Takes a payload of this connection that arrived.
-    pub(super) fn hear_payload(&mut self, stamp: i64, payload: Bytes, now: MonoTime) {
+    /// Handles a payload of this connection.
+    pub(super) fn receive_payload(&mut self, stamp: i64, payload: Bytes, now: MonoTime) {
         if self.is_closed() {
             return;
         }
-        self.heartbeats.note_heard(now);
+        self.heartbeats.note_received(now);
         self.confirmation.note_payload();
-        self.assembly.hear_payload(stamp, payload, now, &mut self.events);
+        self.assembly.receive_payload(stamp, payload, now, &mut self.events);
         self.end_after_payloads();
     }
 
-    /// Ends the connection after a goodbye. Both topics have no common order: payloads whose companions came are awaited.
+    /// Ends the connection after a goodbye, once all payloads have arrived whose companions have. They are awaited
+    /// because the two topics have no common order.
     fn end_after_payloads(&mut self) {
         let has_all_payloads = self.assembly.deliver_overtaking(&mut self.events);
         if has_all_payloads && let Phase::Leaving(reason) = &mut self.phase {
@@ -175,12 +177,12 @@ impl Connection {
         }
     }
 
-    /// Changes the budget of messages that arrive from now on.
+    /// Changes the budget for messages that arrive from now on.
     pub(super) fn set_budget(&mut self, budget: Arc<MemoryBudget>) {
         self.assembly.set_budget(budget);
     }
 
-    /// Handles the timers that have expired; [`next_timer`](Self::next_timer) says when the next one does.
+    /// Handles the timers that have expired. [`next_timer`](Self::next_timer) returns the next one.
     pub(super) fn tick(&mut self, now: MonoTime) {
         self.assembly.expire(now, &mut self.events);
         self.end_after_payloads();
@@ -194,7 +196,8 @@ impl Connection {
         }
     }
 
-    /// Returns the next message that is due without a call to send: a heartbeat, or a notice that a message arrived in part.
+    /// Returns the next message that is due without a call to send: a heartbeat, a confirmation, or a notice that a
+    /// message arrived only in part.
     pub(super) fn next_notice(&mut self, wall: i64, now: MonoTime) -> Option<MessageInfo> {
         if self.is_closed() {
             return None;
@@ -208,7 +211,7 @@ impl Connection {
         self.heartbeats.is_due(now).then(|| self.begin(MessageInfo::HEARTBEAT, wall, now))
     }
 
-    /// Returns when [`tick`](Self::tick) is to be called next.
+    /// Returns the time for the next call of [`tick`](Self::tick).
     pub(super) fn next_timer(&self) -> Option<MonoTime> {
         if self.is_closed() {
             return None;
@@ -221,7 +224,7 @@ impl Connection {
         self.events.pop()
     }
 
-    /// Counts a message of the peer that makes no sense.
+    /// Reports an invalid message of the peer.
     pub(super) fn garbage(&mut self, problem: String) {
         if !self.is_closed() {
             self.events.push(Event::Garbage(problem));
@@ -233,7 +236,7 @@ impl Connection {
         self.events.push(Event::Remark(text));
     }
 
-    /// Ends the connection; the first reason counts.
+    /// Ends the connection. The first reason is kept.
     pub(super) fn end(&mut self, reason: String) {
         if !self.is_closed() {
             self.phase = Phase::Closed;

@@ -3,7 +3,7 @@
 use peernet_clock::{MonoTime, SharedClock, Span};
 use tokio::time::Instant;
 
-/// Clock of one end of a connection, whose state machine counts time from the beginning of the connection.
+/// Clock of one end of a connection. Its state machine counts time from the start of the connection.
 #[derive(Debug)]
 pub(super) struct ConnectionClock {
     clock: SharedClock,
@@ -15,17 +15,17 @@ impl ConnectionClock {
         Self { clock, start: Instant::now() }
     }
 
-    /// Returns the time of the state machine.
+    /// Returns the current time for the state machine.
     pub(super) fn now(&self) -> MonoTime {
         MonoTime::default() + Span::from(self.start.elapsed())
     }
 
-    /// Returns the instant of a time of the state machine, for timers.
+    /// Converts a time of the state machine to an instant for timers.
     pub(super) fn instant(&self, time: MonoTime) -> Instant {
         self.start + (time - MonoTime::default()).to_duration()
     }
 
-    /// Returns the wall-clock time. Nanoseconds since the Unix epoch.
+    /// Returns the wall-clock time in nanoseconds since the Unix epoch.
     pub(super) fn wall(&self) -> i64 {
         self.clock.wall().unix_nanos()
     }

@@ -20,25 +20,28 @@ use super::interface::{
 };
 use super::limits::{ReceiveLimits, largest_message, queue_limits};
 use super::names::{TopicPair, allowed, edge_node_prefix, refusals_topic, sessions_topic};
-use super::serving::{Directive, Serving, Sink};
+use super::serving::{ConnectionTask, Directive, Sink};
 use crate::statistics::{ConnectionAddresses, TransportStatistics};
 use crate::transport::memory::{MemoryBudget, Reservation};
 use crate::transport::{
-    DialFailure, Dialled, Dialler, Disconnected, EdgeArrival, EdgeReceiver, EdgeSender, Frames, SendFailure,
-    SendOptions,
+    DialFailure, Dialler, Disconnected, EdgeArrival, EdgeConnection, EdgeReceiver, EdgeSender, Frames,
+    SendFailure, SendOptions,
 };
 use crate::{Address, SessionSettings};
 
-/// Time between the first two times that an edge says hello. It doubles until the edge is welcome.
+/// First interval between two hellos of an edge. It doubles until the cloud answers.
+///
+/// The hello is repeated because a ROS 2 publisher does not know whether the other end has found it, and messages
+/// published before that are lost.
 const MIN_HELLO_INTERVAL: Duration = Duration::from_millis(10);
 
-/// Longest time between two times that an edge says hello.
+/// Longest interval between two hellos of an edge.
 const MAX_HELLO_INTERVAL: Duration = Duration::from_millis(500);
 
-/// Largest messages of the cloud that may be received, or of which one half may be held, at once.
+/// Number of messages of the largest length that may be in reception, or of which one half may be held, at once.
 const INCOMPLETE_MESSAGES: u64 = 6;
 
-/// Arrivals that wait to be received.
+/// Largest number of arrivals that wait to be received.
 const QUEUED_ARRIVALS: usize = 64;
 
 /// Opens a virtual connection to the cloud with the address's name.
@@ -46,13 +49,13 @@ pub(crate) async fn dial(
     address: &Address,
     settings: &SessionSettings,
     dialler: &Dialler<'_>,
-) -> Result<Dialled, DialFailure> {
+) -> Result<EdgeConnection, DialFailure> {
     let id = uuid::Uuid::new_v4().simple().to_string();
     let hello = dialler.hello;
     let prefix = edge_node_prefix(hello.name.as_str(), hello.pipeline.as_str());
     let name = format!("{prefix}{}", &id[..8]);
     let node = open_node(address, &name, settings, dialler.clock).await?;
-    // However dialling ends, the others are told.
+    // However dialling ends, the guard ends the node, so that the master is informed.
     let node = NodeGuard { node, patience: settings.close_timeout() };
     let pipeline = node.resolve(&allowed(hello.pipeline.as_str()))?;
     let topics = EdgeTopics {
@@ -76,11 +79,12 @@ pub(crate) async fn dial(
         ..SessionHello::default()
     };
     let (mut response_info, mut refusals) = (opened.response_info, opened.refusals);
-    welcome(&channel, (&mut *response_info, &mut *refusals), &*opened.sessions, (&cloud, wire)).await?;
+    exchange_hellos(&channel, (&mut *response_info, &mut *refusals), &*opened.sessions, (&cloud, wire))
+        .await?;
     drop(refusals);
     let (channel, (deliveries, arrivals)) = (Arc::new(channel), mpsc::channel(QUEUED_ARRIVALS));
     let (stop, abort) = (CancellationToken::new(), CancellationToken::new());
-    let serving = Serving {
+    let serving = ConnectionTask {
         channel: Arc::clone(&channel),
         info: response_info,
         payload: Some(opened.response),
@@ -91,7 +95,11 @@ pub(crate) async fn dial(
     };
     let task = tokio::spawn(serving.run("the edge closed the connection"));
     let receiver = RosEdgeReceiver { node, arrivals, stop, abort, task: Some(task) };
-    Ok(Dialled { sender: Box::new(RosEdgeSender(channel)), receiver: Box::new(receiver), is_cloud: true })
+    Ok(EdgeConnection {
+        sender: Box::new(RosEdgeSender(channel)),
+        receiver: Box::new(receiver),
+        is_cloud: true,
+    })
 }
 
 impl From<NodeFailure> for DialFailure {
@@ -100,13 +108,13 @@ impl From<NodeFailure> for DialFailure {
     }
 }
 
-/// The edge's publishers and subscribers of a connection.
-struct Opened {
+/// Publishers and subscribers of an edge for one connection.
+struct OpenTopics {
     sessions: Box<dyn SessionPublisher>,
     request_info: Box<dyn SessionPublisher>,
     response_info: Box<dyn SessionSubscriber>,
     response: Box<dyn SessionSubscriber>,
-    /// Topic on which the cloud refuses a connection.
+    /// Topic on which the cloud refuses connections.
     refusals: Box<dyn SessionSubscriber>,
 }
 
@@ -115,12 +123,13 @@ async fn open(
     node: &dyn SessionNode,
     settings: &SessionSettings,
     receiving: SubscriberOptions,
-) -> Result<Opened, NodeFailure> {
+) -> Result<OpenTopics, NodeFailure> {
     let queue = queue_limits(settings);
     let companions = (TopicUse::Companions, TopicType::of::<MessageInfo>());
     let payloads = (TopicUse::Payloads, TopicType::any());
     let sessions = (TopicUse::Sessions, TopicType::of::<SessionHello>());
-    Ok(Opened {
+    // All topics are opened before the hello is sent, so that no answer is missed.
+    Ok(OpenTopics {
         response_info: node.subscribe(&topics.response.info, companions.clone(), receiving.clone()).await?,
         response: node.subscribe(&topics.response.payload, payloads, receiving.clone()).await?,
         refusals: node.subscribe(&refusals_topic(&topics.cloud), companions.clone(), receiving).await?,
@@ -130,7 +139,7 @@ async fn open(
 }
 
 /// Says hello until the cloud answers.
-async fn welcome(
+async fn exchange_hellos(
     channel: &Channel,
     (response_info, refusals): (&mut dyn SessionSubscriber, &mut dyn SessionSubscriber),
     sessions: &dyn SessionPublisher,
@@ -158,7 +167,7 @@ async fn welcome(
                     continue;
                 }
                 let now = channel.now();
-                channel.lock().hear_info(info, now);
+                channel.lock().receive_info(info, now);
                 let event = channel.lock().next_event();
                 match event {
                     Some(Event::Welcome) => {
@@ -180,7 +189,7 @@ async fn welcome(
     }
 }
 
-/// A node that ends when this is dropped; its registrations are removed in the background.
+/// A node that ends when this guard is dropped. Its registrations are removed in the background.
 #[derive(Debug)]
 struct NodeGuard {
     node: Arc<dyn SessionNode>,
@@ -209,7 +218,7 @@ impl Sink for EdgeSink {
 
     fn take(&mut self, _channel: &Channel, event: Event) -> Option<Self::Delivery> {
         let (arrival, reserved) = match event {
-            // The cloud repeats it when it has heard hello twice.
+            // The cloud repeats the welcome if it receives the hello twice.
             Event::Welcome | Event::Hello => return None,
             Event::Message(frames, reserved) => (Ok(EdgeArrival::Message(frames)), reserved),
             Event::Incomplete(loss) => (Ok(EdgeArrival::Incomplete(loss)), Vec::new()),
@@ -230,7 +239,7 @@ impl Sink for EdgeSink {
 struct RosEdgeSender(Arc<Channel>);
 
 impl EdgeSender for RosEdgeSender {
-    // What is lost is sent again: the deadline is of no use.
+    // The deadline is not used: the topics repeat what is lost, so that nothing is sent again here.
     fn send(&self, frames: Frames, options: SendOptions) -> Result<(), SendFailure> {
         self.0.send(&frames, options)
     }
@@ -275,7 +284,7 @@ impl EdgeReceiver for RosEdgeReceiver {
 
     fn close(mut self: Box<Self>, linger: Duration) -> BoxFuture<'static, ()> {
         Box::pin(async move {
-            // What still arrives is of no use; the task must not wait until it is received.
+            // Further arrivals are of no use, and the task must not wait until they are received.
             self.arrivals.close();
             while self.arrivals.try_recv().is_ok() {}
             self.stop.cancel();
@@ -284,7 +293,7 @@ impl EdgeReceiver for RosEdgeReceiver {
             {
                 self.abort.cancel();
             }
-            // What was published goes out before the topics end.
+            // Published messages are sent before the topics end.
             self.node.end(linger).await;
         })
     }

@@ -6,11 +6,11 @@ use peernet_ros::messages::MessageInfo;
 use crate::message::MAX_FRAMES;
 use crate::transport::Frames;
 
-/// Number of the frame that may travel as a payload message: the first part of the sample.
+/// Index of the frame that may be sent as a payload message: the first part of the sample.
 pub(super) const PAYLOAD_FRAME: usize = 2;
 
-/// Puts frames into a companion, without the one that travels as a payload message. Returns whether their lengths can be
-/// said.
+/// Packs frames into a companion, without the one that is sent as a payload message. Returns `false` if a frame is too
+/// long for its length field.
 pub(super) fn pack(info: &mut MessageInfo, frames: &[Bytes], has_payload: bool) -> bool {
     let length = |frame: &Bytes| u32::try_from(frame.len()).ok();
     let Some(lengths) = frames.iter().map(length).collect::<Option<Vec<u32>>>() else { return false };
@@ -29,7 +29,7 @@ pub(super) fn pack(info: &mut MessageInfo, frames: &[Bytes], has_payload: bool) 
     true
 }
 
-/// Why a companion and its payload are no message.
+/// Reason why a companion and its payload do not form a message.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub(super) enum FramesError {
     #[error("a message of {0} frames, more than {MAX_FRAMES}")]
@@ -40,12 +40,12 @@ pub(super) enum FramesError {
     Lengths,
 }
 
-/// Returns the bytes of all frames, as a companion says.
+/// Returns the sum of the lengths of all frames that a companion announces. Bytes.
 pub(super) fn announced_bytes(info: &MessageInfo) -> u64 {
     info.frame_lengths.iter().map(|length| u64::from(*length)).sum()
 }
 
-/// Checks what a companion says of its frames.
+/// Checks the lengths that a companion announces.
 pub(super) fn check(info: &MessageInfo, most: u64) -> Result<(), FramesError> {
     if info.frame_lengths.len() > MAX_FRAMES {
         return Err(FramesError::TooMany(info.frame_lengths.len()));
@@ -62,7 +62,7 @@ pub(super) fn check(info: &MessageInfo, most: u64) -> Result<(), FramesError> {
     if info.frames.len() as u64 == bytes - elsewhere { Ok(()) } else { Err(FramesError::Lengths) }
 }
 
-/// Returns the frames of a companion that was checked, and of its payload.
+/// Returns the frames of a checked companion and its payload.
 pub(super) fn unpack(info: &MessageInfo, payload: Option<&Bytes>) -> Result<Frames, FramesError> {
     let mut rest = info.frames.clone();
     let frame = |(at, length): (usize, &u32)| {
@@ -99,7 +99,7 @@ mod tests {
         }
 
         #[test]
-        fn no_claim_can_panic(
+        fn any_frame_lengths_are_unpacked_without_panic(
             lengths in proptest::collection::vec(any::<u32>(), 0..80),
             frames in proptest::collection::vec(any::<u8>(), 0..40),
             has_payload: bool,

@@ -1,5 +1,5 @@
-//! Interface to both versions of ROS for sessions: a node, its publishers and its subscribers. Its users do not depend on the
-//! version.
+//! Interface to both versions of ROS for sessions: a node, its publishers and its subscribers. Its users do not depend
+//! on the version.
 
 #[cfg(test)]
 pub(super) mod test_node;
@@ -23,7 +23,7 @@ use super::ros1::Ros1Node;
 use super::ros2::Ros2SessionNode;
 use crate::{Address, SessionSettings};
 
-/// Opens a node of the version that the address's scheme says.
+/// Opens a node of the version that the address's scheme selects.
 pub(super) async fn open_node(
     address: &Address,
     name: &str,
@@ -36,7 +36,7 @@ pub(super) async fn open_node(
     })
 }
 
-/// Something that could not be done, and why.
+/// Error: an operation on a node failed, for this reason.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("{0}")]
 pub(super) struct NodeFailure(pub(super) String);
@@ -53,26 +53,26 @@ impl From<EnvironmentError> for NodeFailure {
     }
 }
 
-/// Another node, of which messages arrive.
+/// Another node from which messages arrive.
 #[derive(Clone, Debug)]
 pub(super) struct RemoteNode {
-    /// Its name, which it also gives itself when it asks for a connection.
+    /// Name of the node, which it also states when it asks for a connection.
     pub(super) node: Arc<str>,
-    /// Own end of the way to it.
+    /// Address of this end of the path to it.
     pub(super) local: SocketAddr,
-    /// The end of the other node's host.
+    /// Address of the other node's host.
     pub(super) remote: SocketAddr,
 }
 
-/// A message of a topic.
+/// A message that arrived on a topic.
 #[derive(Debug)]
-pub(super) struct Received {
+pub(super) struct TopicMessage {
     /// The message as it was sent.
     pub(super) bytes: Bytes,
     pub(super) publisher: RemoteNode,
-    /// Type of the message, as `sensor_msgs/Image`.
+    /// Type of the message, such as `sensor_msgs/Image`.
     pub(super) type_name: Arc<str>,
-    /// Share of the subscriber's memory that the message takes.
+    /// Share of the subscriber's memory that the message holds.
     pub(super) memory: MessageMemory,
 }
 
@@ -83,35 +83,36 @@ pub(super) enum TopicUse {
     Sessions,
     /// Companions of messages.
     Companions,
-    /// Payloads, which other programs may want to see.
+    /// Payloads, which other programs may display.
     Payloads,
 }
 
-/// The topics of a connection that an edge wants to open.
+/// Topics of a connection that an edge wants to open.
 #[derive(Clone, Debug)]
 pub(super) struct EdgeTopics {
     /// Name of the cloud.
     pub(super) cloud: String,
     pub(super) request: TopicPair,
     pub(super) response: TopicPair,
-    /// Prefix of the names of all nodes of this pipeline.
+    /// Common prefix of the names of all nodes of this pipeline.
     pub(super) own_prefix: String,
 }
 
-/// A node of either version.
+/// A node of either version of ROS.
 pub(super) trait SessionNode: Debug + Send + Sync {
-    /// Serialisation of messages.
+    /// Returns the serialization of messages.
     fn form(&self) -> WireForm;
 
-    /// The name by which messages of this node are recognised at the other end.
+    /// Returns the name by which the other end recognizes messages of this node.
     fn name(&self) -> &str;
 
-    /// Returns the names that people gave the programs behind a node; none while they are not known.
+    /// Returns the readable names of the programs behind a node; empty if they are unknown.
     fn names(&self, node: &str) -> Vec<String> {
         vec![node.to_owned()]
     }
 
-    /// Names another node for people, as `node /viewer`: `node` is how its messages are recognised.
+    /// Returns a description of another node for people, such as `node /viewer`. `node` is the name by which its
+    /// messages are recognized.
     fn describe(&self, node: &str) -> String;
 
     /// Returns the global name of a topic or of a pipeline.
@@ -123,17 +124,18 @@ pub(super) trait SessionNode: Debug + Send + Sync {
     /// Checks that no other cloud serves a name.
     fn check_cloud_name<'a>(&'a self, cloud: &'a str) -> BoxFuture<'a, Result<(), NodeFailure>>;
 
-    /// Bytes that the sockets of this node hold before they are read; the other end sends no longer payload message. `None` where
-    /// that has no limit: then the node also knows who receives its messages, and they need not say so.
+    /// Returns the size of this node's socket buffers; the other end sends no longer payload messages. `None` if
+    /// payloads of any length arrive. In this case the node also knows which nodes receive its messages, and they need
+    /// not confirm it.
     fn receive_buffer_bytes(&self) -> Option<usize>;
 
-    /// Bytes of frames that one companion may have.
+    /// Returns the largest number of bytes of frames in one companion.
     fn max_companion_bytes(&self) -> usize;
 
-    /// Timeout of a payload whose companion has arrived, if it is not the default.
+    /// Returns the time limit for a payload whose companion has arrived; `None` for the default.
     fn payload_patience(&self) -> Option<Duration>;
 
-    /// A limit of this host that makes connections worse, such as small socket buffers, with its remedy.
+    /// Returns a limit of this host that makes connections worse, such as small socket buffers, with its remedy.
     fn caveat(&self) -> Option<&str>;
 
     fn publish<'a>(
@@ -143,7 +145,7 @@ pub(super) trait SessionNode: Debug + Send + Sync {
         queue: QueueLimits,
     ) -> BoxFuture<'a, Result<Box<dyn SessionPublisher>, NodeFailure>>;
 
-    /// Subscribes to a topic. Payloads may be of any type.
+    /// Subscribes to a topic. Payloads may have any type.
     fn subscribe<'a>(
         &'a self,
         topic: &'a str,
@@ -151,7 +153,7 @@ pub(super) trait SessionNode: Debug + Send + Sync {
         options: SubscriberOptions,
     ) -> BoxFuture<'a, Result<Box<dyn SessionSubscriber>, NodeFailure>>;
 
-    /// Ends the node, after what was published has gone out or `patience` has passed.
+    /// Ends the node after all published messages have been sent, or after `patience`.
     fn end(&self, patience: Duration) -> BoxFuture<'_, ()>;
 
     /// Ends the node at once.
@@ -160,34 +162,34 @@ pub(super) trait SessionNode: Debug + Send + Sync {
 
 /// Publishes a topic until it is dropped.
 pub(super) trait SessionPublisher: Debug + Send + Sync {
-    /// Global name of the topic.
+    /// Returns the global name of the topic.
     fn topic(&self) -> &str;
 
-    /// Publishes a message for whoever subscribes, without waiting.
+    /// Publishes a message to all subscribers. Never waits.
     fn publish(&self, message: EncodedMessage) -> Result<(), NodeFailure>;
 
-    /// Publishes messages as [`publish`](Self::publish) does, and returns what became of them for one node.
+    /// Publishes messages as [`publish`](Self::publish) does. Returns the outcome for one node.
     fn publish_to(&self, node: &str, messages: &[EncodedMessage]) -> Result<Delivery, NodeFailure>;
 
-    /// Why a node subscribes to the topic and gets nothing, with what to do.
+    /// Returns the reason why a node subscribes to the topic and receives nothing, with advice.
     fn refusal(&self, node: &str) -> Option<String>;
 }
 
 /// Receives a topic until it is dropped.
 pub(super) trait SessionSubscriber: Debug + Send {
-    /// Global name of the topic.
+    /// Returns the global name of the topic.
     fn topic(&self) -> &str;
 
-    /// Waits for the next message. Dropping the future loses nothing.
-    fn recv(&mut self) -> BoxFuture<'_, Result<Received, NodeFailure>>;
+    /// Waits for the next message. Cancel safe: dropping the future loses nothing.
+    fn recv(&mut self) -> BoxFuture<'_, Result<TopicMessage, NodeFailure>>;
 
-    /// Returns the next message if it is there.
-    fn try_recv(&mut self) -> Option<Received>;
+    /// Returns the next message if one has arrived.
+    fn try_recv(&mut self) -> Option<TopicMessage>;
 
-    /// Whether messages of a node arrive.
+    /// Returns whether messages of a node arrive.
     fn is_connected(&self, node: &str) -> bool;
 
-    /// Nodes that publish the topic as well, and whose messages never arrive here.
+    /// Returns the nodes that publish the topic as well and whose messages do not arrive here.
     fn other_publishers(&self) -> Vec<Arc<str>> {
         Vec::new()
     }
@@ -195,7 +197,7 @@ pub(super) trait SessionSubscriber: Debug + Send {
     /// Returns a view of the publishers that can be used while a message is awaited.
     fn watch(&self) -> Box<dyn PublisherChanges>;
 
-    /// Changes the bounds of messages that are received from now on.
+    /// Changes the limits of messages that are received from now on.
     fn set_message_limits(&self, max_message_bytes: usize, memory: Option<Arc<dyn MemoryLimit>>);
 }
 

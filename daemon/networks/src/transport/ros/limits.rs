@@ -1,4 +1,4 @@
-//! Bounds of the messages of a connection.
+//! Limits of the messages of a connection.
 
 use std::any::Any;
 use std::sync::Arc;
@@ -11,16 +11,16 @@ use super::interface::SessionNode;
 use crate::SessionSettings;
 use crate::transport::memory::{MemoryBudget, Reservation};
 
-/// Timeout of the other half of a message: both may be under way on a slow link.
+/// Time limit for the other half of a message. Both halves may be in transfer on a slow link.
 const PAIRING_TIMEOUT: Span = Span::from_seconds(30);
 
-/// Bytes of the messages on a topic that wait to be taken, unless it is a single longer one.
+/// Largest number of bytes of waiting messages on a topic. A single longer message is accepted.
 const WAITING_BYTES: usize = 64 * 1024;
 
-/// Bytes of a companion beside its frames.
+/// Largest size of a companion without its frames. Bytes.
 pub(super) const INFO_OVERHEAD_BYTES: usize = 4 * 1024;
 
-/// Returns the bounds of a connection.
+/// Returns the limits of a connection.
 pub(super) fn connection_limits(settings: &SessionSettings, node: &dyn SessionNode) -> ConnectionLimits {
     ConnectionLimits {
         max_message_bytes: settings.max_message_bytes,
@@ -32,22 +32,23 @@ pub(super) fn connection_limits(settings: &SessionSettings, node: &dyn SessionNo
     }
 }
 
-/// Returns the bytes of the longest message on a topic.
+/// Returns the length of the longest message on a topic. Bytes.
 pub(super) fn largest_message(settings: &SessionSettings) -> usize {
     usize::try_from(settings.max_message_bytes).unwrap_or(usize::MAX).saturating_add(INFO_OVERHEAD_BYTES)
 }
 
-/// Bounds of the messages that the peer may send.
+/// Limits of the messages that the peer may send.
 #[derive(Clone, Debug)]
 pub(super) struct ReceiveLimits {
-    /// Longest message on a topic. Bytes.
+    /// Largest message on a topic. Bytes.
     pub(super) max_message_bytes: usize,
     /// Memory that all received messages share, from their first bytes until they are handed up.
     pub(super) budget: Arc<MemoryBudget>,
 }
 
 impl ReceiveLimits {
-    /// Returns the options of a subscription: it holds few bytes before they are taken, and more stays with the publisher.
+    /// Returns the options of a subscription. It holds few bytes before they are taken; the others stay with the
+    /// publisher.
     pub(super) fn subscriber_options(
         &self,
         settings: &SessionSettings,
@@ -62,13 +63,13 @@ impl ReceiveLimits {
         }
     }
 
-    /// Returns the budget for the client of ROS.
+    /// Returns the budget for the ROS client.
     pub(super) fn memory(&self) -> Option<Arc<dyn MemoryLimit>> {
         Some(Arc::new(ReceivingMemory(Arc::clone(&self.budget))))
     }
 }
 
-/// A budget as the client of ROS asks it.
+/// A budget with the interface that the ROS client uses.
 #[derive(Debug)]
 struct ReceivingMemory(Arc<MemoryBudget>);
 
@@ -80,8 +81,8 @@ impl MemoryLimit for ReceivingMemory {
     }
 }
 
-/// Bounds of the queue of a topic that is published: it has room for every request in flight, and for the messages that open, keep
-/// and close a connection.
+/// Returns the limits of the queue of a published topic. It has room for every request in flight, and for the messages
+/// that open, keep and close a connection.
 pub(super) fn queue_limits(settings: &SessionSettings) -> QueueLimits {
     QueueLimits { messages: settings.max_in_flight as usize + 32, bytes: largest_message(settings) }
 }

@@ -1,10 +1,27 @@
-//! `ros`: messages on topics of ROS, which other programs of ROS can see.
+//! `ros`: messages on topics of ROS, which other ROS programs can see.
 //!
-//! An edge asks on the topic `/NAME/sessions` for a connection to the topics of its pipeline. Then both talk on
-//! `PIPELINE/request_info` and `PIPELINE/response_info`, whose messages have the frames of ours; the first part of a sample
-//! travels on `PIPELINE/request` or `PIPELINE/response` as a message of a type that tools know, once the other end has
-//! subscribed to it. [`connection`] and [`pairing`] have the protocol without I/O; [`channel`] and [`serving`] are one end of a
-//! connection, which [`edge`] and [`cloud`] open.
+//! An edge asks for a connection on the topic `/NAME/sessions`. A connection uses the topics of its pipeline,
+//! `PIPELINE/request_info` and `PIPELINE/response_info`. A message on them is a *companion* and carries all frames but
+//! one. The first part of a sample is the *payload*. It is sent on `PIPELINE/request` or `PIPELINE/response` as a
+//! message of a standard type, which ROS tools can display, once the other end has subscribed to that topic. Control
+//! messages have no payload, and a part whose type does not fit the topic is sent in the companion. The type of a
+//! payload topic is that of the first payload; the topic is opened in the background and nothing waits for it.
+//!
+//! [`connection`] and [`pairing`] have the protocol without I/O. [`channel`] and [`serving`] are one end of a
+//! connection, which [`edge`] and [`cloud`] open. They use nodes, publishers and subscribers through [`interface`],
+//! which [`ros1`] and [`ros2`] implement.
+//!
+//! Decisions:
+//!
+//! - A cloud accepts messages only from the node that asked for the connection. The names of topics are derived from
+//!   the pipeline's name, so that no edge can make a cloud publish on other topics.
+//! - Before a session, a companion may have 64 KiB, and the cloud does not subscribe to the payload topic.
+//! - TCPROS and reliable topics of ROS 2 repeat what is lost, so that nothing is sent again here.
+//! - The two topics of a direction have no common order, but each is in order: a later message on one proves that an
+//!   earlier partner is lost. A deadline is the last resort. A goodbye, and a message about the session itself, waits
+//!   for the payloads whose companions came before it.
+//! - If a peer leaves one topic, its last messages on the other topic are awaited for 500 ms. Then the connection ends
+//!   even if the peer has returned, because messages may have been lost.
 
 mod channel;
 mod checks;
@@ -35,11 +52,11 @@ use std::io;
 use super::AddressForm;
 use crate::Address;
 
-/// Form of addresses: the place of the master, and the name of the cloud.
+/// Form of addresses: host and port of the master, and the name of the cloud.
 pub(crate) const ADDRESS_FORM: AddressForm =
     AddressForm::Named { port: 11311, name: "peernet", in_domain: "ros2", find: version::find };
 
-/// Ports are the system's choice: there is nothing to try.
+/// Does nothing, because the system chooses the ports.
 pub(crate) fn try_bind(_address: &Address) -> io::Result<()> {
     Ok(())
 }

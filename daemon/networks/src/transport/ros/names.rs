@@ -1,21 +1,22 @@
 //! Names of nodes and topics.
 
-/// Node of the cloud with a name, without namespace.
+/// Returns the node name of a cloud, without namespace.
 pub(super) fn cloud_node(name: &str) -> String {
     format!("peernet_{name}")
 }
 
-/// Topic on which edges ask the cloud with a name for a connection.
+/// Returns the topic on which edges ask a cloud for connections.
 pub(super) fn sessions_topic(name: &str) -> String {
     format!("/{name}/sessions")
 }
 
-/// Topic on which the cloud with a name says to which edges it gives no connection.
+/// Returns the topic on which a cloud refuses connections.
 pub(super) fn refusals_topic(name: &str) -> String {
     format!("/{name}/refusals")
 }
 
-/// First part of the names of an edge's nodes for a pipeline, without namespace; the identifier of the connection follows.
+/// Returns the first part of the names of an edge's nodes for a pipeline, without namespace. The identifier of the
+/// connection follows it.
 pub(super) fn edge_node_prefix(host: &str, pipeline: &str) -> String {
     format!("peernet_{}_{}_", allowed(host), allowed(pipeline))
 }
@@ -27,7 +28,7 @@ pub(super) fn without_connection(node: &str) -> Option<&str> {
     (is_edge && identifier.bytes().all(|digit| digit.is_ascii_hexdigit())).then_some(prefix)
 }
 
-/// Returns a text with what names of ROS lack replaced by underscores.
+/// Returns the text with characters that ROS names cannot have replaced by underscores.
 pub(super) fn allowed(text: &str) -> String {
     let replace = |char: char| if char.is_ascii_alphanumeric() { char } else { '_' };
     let replaced: String = text.chars().map(replace).collect();
@@ -37,7 +38,7 @@ pub(super) fn allowed(text: &str) -> String {
     }
 }
 
-/// Last part of a global name.
+/// Returns the last part of a global name.
 pub(super) fn base_name(name: &str) -> &str {
     name.rsplit_once('/').map_or(name, |(_, base)| base)
 }
@@ -47,17 +48,17 @@ pub(super) fn base_name(name: &str) -> &str {
 pub(super) struct TopicPair {
     /// Topic of the payloads.
     pub(super) payload: String,
-    /// Topic of what travels beside them.
+    /// Topic of the companions.
     pub(super) info: String,
 }
 
 impl TopicPair {
-    /// From the edge to the cloud.
+    /// Returns the topics from the edge to the cloud.
     pub(super) fn request(pipeline: &str) -> Self {
         Self::of(pipeline, "request")
     }
 
-    /// From the cloud to the edge.
+    /// Returns the topics from the cloud to the edge.
     pub(super) fn response(pipeline: &str) -> Self {
         Self::of(pipeline, "response")
     }
@@ -73,7 +74,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn names_have_only_what_ros_allows() {
+    fn names_contain_only_allowed_characters() {
         assert_eq!(allowed("quality-control.2"), "quality_control_2");
         assert_eq!(allowed("2nd"), "p2nd");
         assert_eq!(edge_node_prefix("jetson-orin", "line"), "peernet_jetson_orin_line_");

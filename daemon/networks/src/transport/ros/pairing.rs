@@ -1,7 +1,7 @@
-//! Puts each payload together with its companion, without I/O.
+//! Joins each payload with its companion, without I/O.
 //!
-//! Both travel on topics of their own, each in order. What waits for its partner is lost for certain when a later message
-//! arrives on the partner's topic; a deadline ends the waiting where none does.
+//! Payloads and companions are on separate topics, each of which is in order. When a later message arrives on the other
+//! topic, a waiting half's partner is certainly lost. If no later message arrives, a deadline ends the wait.
 
 use std::collections::BTreeMap;
 
@@ -12,16 +12,16 @@ use peernet_ros::messages::MessageInfo;
 use crate::transport::MessageLoss;
 use crate::transport::memory::Reservation;
 
-/// Halves of messages that wait for the other half, by their stamps.
+/// Halves of messages that wait for the other half, by stamp.
 #[derive(Debug)]
 pub(super) struct Pairing {
-    waiting: BTreeMap<i64, Waiting>,
+    waiting: BTreeMap<i64, WaitingHalf>,
     max_waiting: usize,
     timeout: Span,
 }
 
 #[derive(Debug)]
-struct Waiting {
+struct WaitingHalf {
     half: Half,
     deadline: MonoTime,
     reserved: Reservation,
@@ -47,7 +47,7 @@ impl Half {
         matches!(self, Self::Info(_))
     }
 
-    /// The loss of the message that this half is of.
+    /// Returns the loss of the message that this half belongs to.
     fn loss(&self) -> MessageLoss {
         let tag = match self {
             Self::Info(info) => request_of(info),
@@ -57,7 +57,7 @@ impl Half {
     }
 }
 
-/// The request that a message belongs to.
+/// Returns the request that a message belongs to.
 pub(super) fn request_of(info: &MessageInfo) -> Option<u64> {
     (info.request != MessageInfo::NO_REQUEST).then_some(info.request)
 }
@@ -67,7 +67,7 @@ impl Pairing {
         Self { waiting: BTreeMap::new(), max_waiting, timeout }
     }
 
-    /// Takes a half that arrived. Returns the message if it is whole now.
+    /// Adds a half that arrived. Returns the message if it is complete now.
     pub(super) fn add(
         &mut self,
         stamp: i64,
@@ -88,11 +88,11 @@ impl Pairing {
                     _ => return None,
                 }
             }
-            // Sent twice with one stamp; which of them is meant nobody can tell.
+            // Two halves of the same kind have one stamp, and it is unknown which one is right.
             Some(other) => lost.push(other.half.loss()),
             None => {}
         }
-        self.waiting.insert(stamp, Waiting { half, deadline: now + self.timeout, reserved });
+        self.waiting.insert(stamp, WaitingHalf { half, deadline: now + self.timeout, reserved });
         if self.waiting.len() > self.max_waiting
             && let Some((_, oldest)) = self.waiting.pop_first()
         {
@@ -101,24 +101,24 @@ impl Pairing {
         None
     }
 
-    /// A message without a payload arrived on the companions' topic.
+    /// Notes that a message without a payload arrived on the companions' topic.
     pub(super) fn skip(&mut self, stamp: i64, lost: &mut Vec<MessageLoss>) {
         self.settle(stamp, true, lost);
     }
 
-    /// Ends the waiting of earlier halves for a partner on the topic on which a message with this stamp arrived.
+    /// Gives up the earlier halves that wait for a partner on the topic on which a message with this stamp arrived.
     fn settle(&mut self, stamp: i64, is_info: bool, lost: &mut Vec<MessageLoss>) {
-        let in_vain = |at: &i64, waiting: &mut Waiting| *at < stamp && waiting.half.is_info() != is_info;
+        let in_vain = |at: &i64, waiting: &mut WaitingHalf| *at < stamp && waiting.half.is_info() != is_info;
         lost.extend(self.waiting.extract_if(.., in_vain).map(|(_, waiting)| waiting.half.loss()));
     }
 
-    /// Ends the waiting of halves whose time is over.
+    /// Gives up the halves whose time limit has passed.
     pub(super) fn expire(&mut self, now: MonoTime, lost: &mut Vec<MessageLoss>) {
-        let is_over = |_: &i64, waiting: &mut Waiting| waiting.deadline <= now;
+        let is_over = |_: &i64, waiting: &mut WaitingHalf| waiting.deadline <= now;
         lost.extend(self.waiting.extract_if(.., is_over).map(|(_, waiting)| waiting.half.loss()));
     }
 
-    /// Whether a companion waits for its payload.
+    /// Returns whether the companion with this stamp waits for its payload.
     pub(super) fn awaits_payload(&self, stamp: i64) -> bool {
         self.waiting.get(&stamp).is_some_and(|waiting| waiting.half.is_info())
     }
@@ -130,12 +130,12 @@ impl Pairing {
         }
     }
 
-    /// Whether companions wait for their payloads.
+    /// Returns whether any companion waits for its payload.
     pub(super) fn awaits_payloads(&self) -> bool {
         self.waiting.values().any(|waiting| waiting.half.is_info())
     }
 
-    /// When the next half's time is over.
+    /// Returns the time at which the next half's time limit passes.
     pub(super) fn next_timer(&self) -> Option<MonoTime> {
         self.waiting.values().map(|waiting| waiting.deadline).min()
     }
@@ -146,13 +146,13 @@ mod tests {
     use super::*;
     use crate::transport::memory::MemoryBudget;
 
-    struct Bench {
+    struct PairingTest {
         pairing: Pairing,
         budget: std::sync::Arc<MemoryBudget>,
         lost: Vec<MessageLoss>,
     }
 
-    impl Bench {
+    impl PairingTest {
         fn new() -> Self {
             let pairing = Pairing::new(3, Span::from_seconds(1));
             Self { pairing, budget: MemoryBudget::new(100), lost: Vec::new() }
@@ -180,7 +180,7 @@ mod tests {
 
     #[test]
     fn halves_are_joined_in_either_order() {
-        let mut bench = Bench::new();
+        let mut bench = PairingTest::new();
         assert!(bench.payload(1).is_none() && bench.info(2).is_none());
         assert_eq!(bench.lost, [loss(None)], "a companion of 2 says that the one of 1 is lost");
         assert!(bench.payload(2).is_some());
@@ -193,7 +193,7 @@ mod tests {
 
     #[test]
     fn later_payload_ends_waiting_for_earlier_one() {
-        let mut bench = Bench::new();
+        let mut bench = PairingTest::new();
         assert!(bench.info(1).is_none() && bench.info(2).is_none());
         assert!(bench.payload(2).is_some());
         assert_eq!(bench.lost, [loss(Some(1))]);
@@ -201,7 +201,7 @@ mod tests {
 
     #[test]
     fn waiting_is_bounded_in_number_and_time() {
-        let mut bench = Bench::new();
+        let mut bench = PairingTest::new();
         for stamp in 1..=4 {
             assert!(bench.info(stamp).is_none());
         }

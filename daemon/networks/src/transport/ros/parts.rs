@@ -1,4 +1,4 @@
-//! Frames that come in several companions, without I/O.
+//! Frames that arrive in several companions, without I/O.
 
 use std::sync::Arc;
 
@@ -8,19 +8,19 @@ use peernet_ros::messages::{MessageInfo, Time};
 
 use crate::transport::memory::{MemoryBudget, Reservation};
 
-/// The first bytes of the frames of a message.
+/// First bytes of the frames of a message.
 #[derive(Debug)]
 pub(super) struct Parts {
     stamp: Time,
-    /// When the last of them arrived.
-    heard_at: MonoTime,
+    /// Time at which the last part arrived.
+    received_at: MonoTime,
     bytes: BytesMut,
     reserved: Reservation,
 }
 
 impl Parts {
-    /// Returns the parts with one more; those of another message are dropped. `None` if they exceed a bound: the message is not
-    /// whole then.
+    /// Returns the parts with one more. Parts of another message are dropped. `None` if they exceed a limit; the
+    /// message is then incomplete.
     pub(super) fn extended(
         parts: Option<Self>,
         (part, now): (&MessageInfo, MonoTime),
@@ -29,7 +29,7 @@ impl Parts {
     ) -> Option<Self> {
         let begin = || Self {
             stamp: part.header.stamp,
-            heard_at: now,
+            received_at: now,
             bytes: BytesMut::new(),
             reserved: Reservation::empty(budget),
         };
@@ -39,28 +39,29 @@ impl Parts {
             return None;
         }
         parts.bytes.extend_from_slice(&part.frames);
-        parts.heard_at = now;
+        parts.received_at = now;
         Some(parts)
     }
 
-    /// Whether nothing was added for so long.
+    /// Returns whether nothing was added for `patience`.
     pub(super) fn is_overdue(&self, now: MonoTime, patience: Span) -> bool {
-        now - self.heard_at >= patience
+        now - self.received_at >= patience
     }
 
-    /// Whether they are of the message that a companion is of.
+    /// Returns whether the parts belong to the message of this companion.
     pub(super) fn is_of(&self, info: &MessageInfo) -> bool {
         self.stamp == info.header.stamp
     }
 
-    /// Returns all frames of the message.
+    /// Returns all frames of the message. `last` has the remaining bytes.
     pub(super) fn joined(mut self, last: &Bytes) -> Bytes {
         self.bytes.extend_from_slice(last);
         self.bytes.freeze()
     }
 }
 
-/// Splits the frames of a message into pieces of `most` bytes; the last is for its companion itself.
+/// Splits the frames of a message into pieces of `most` bytes. The remaining bytes stay in `frames`, for the companion
+/// itself.
 pub(super) fn split(frames: &mut Bytes, most: usize) -> Vec<Bytes> {
     let mut pieces = Vec::new();
     while frames.len() > most {

@@ -1,4 +1,4 @@
-//! Payload messages: real types of ROS, so that its standard tools show what travels.
+//! Payload messages: standard types of ROS, which ROS tools can display.
 
 use bytes::Bytes;
 use peernet_ros::messages::{
@@ -16,7 +16,7 @@ pub(super) enum PayloadType {
     Bytes,
 }
 
-/// A payload message that cannot be read.
+/// Error: a payload message cannot be read.
 #[derive(Debug, thiserror::Error)]
 pub(super) enum PayloadError {
     #[error("messages of the type {0}, which carries no payload of a session")]
@@ -34,6 +34,7 @@ impl PayloadType {
     pub(super) fn of(part: &Description, length: usize) -> Self {
         match part.media {
             MediaType::Jpeg | MediaType::Png => Self::CompressedImage,
+            // Only a shape of rows, columns and channels that matches the length can be an `Image`.
             MediaType::Pixels(_) if part.shape.len() == 3 && part.shaped_bytes() == Some(length as u64) => {
                 Self::Image
             }
@@ -58,7 +59,7 @@ impl PayloadType {
     }
 }
 
-/// Returns a payload message with the header of its companion.
+/// Encodes a payload message with the header of its companion.
 pub(super) fn encode(
     form: WireForm,
     header: &Header,
@@ -89,7 +90,7 @@ pub(super) fn encode(
     }
 }
 
-/// Reads a payload message of a type: the connection and the stamp of its companion, and the payload.
+/// Decodes a payload message of a type. Returns the connection, the stamp of its companion, and the payload.
 pub(super) fn decode(
     form: WireForm,
     type_name: &str,
@@ -111,7 +112,7 @@ pub(super) fn decode(
             let label = array.layout.dim.first().and_then(|dimension| dimension.label.split_once(' '));
             let (connection, stamp) = label.ok_or(PayloadError::NoStamp)?;
             let stamp: i64 = stamp.parse().map_err(|_| PayloadError::NoStamp)?;
-            // As it would be read from a header.
+            // Converted as the stamp of a header would be, so that both are equal.
             Ok((connection.to_owned(), Time::from_nanos(stamp).as_nanos(), array.data))
         }
     }

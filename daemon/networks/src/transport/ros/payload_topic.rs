@@ -14,11 +14,15 @@ use super::interface::{NodeFailure, SessionNode, SessionPublisher, TopicUse};
 use super::payload::{self, PayloadType};
 use crate::transport::SendFailure;
 
-/// Time between two attempts to open a topic while the master is away.
+/// Interval between attempts to open a topic while the master is not reachable.
 pub(super) const MASTER_RETRY: Duration = Duration::from_secs(1);
 
-/// Payload topic of one end of a connection. The first payload decides its type, and has the connection's task open it. A payload
-/// that cannot travel on it travels in the companion of its message.
+/// Payload topic of one end of a connection. The first payload determines its type and makes the connection's task open
+/// it. A payload that cannot be sent on it is sent in the companion of its message.
+///
+/// In ROS 2 a payload is also sent in its companion until the other end has confirmed that payloads of this connection
+/// arrive on the topic. This is correct as well if types or QoS do not fit, or if the topic has a publisher of an
+/// earlier connection.
 #[derive(Debug)]
 pub(super) struct PayloadTopic {
     name: String,
@@ -31,9 +35,9 @@ pub(super) struct PayloadTopic {
 #[derive(Debug, Default)]
 struct TopicState {
     phase: TopicPhase,
-    /// A remark says that the QoS of the other end does not fit.
+    /// `true` if a remark has said that the QoS of the other end does not fit.
     has_remarked_refusal: bool,
-    /// A remark says that payloads are too long for the topic.
+    /// `true` if a remark has said that payloads are too long for the topic.
     has_remarked_size: bool,
 }
 
@@ -42,7 +46,7 @@ enum TopicPhase {
     /// No payload was sent yet.
     #[default]
     Unused,
-    /// The topic is to be opened with a type.
+    /// The topic is to be opened with this type.
     Requested(PayloadType),
     Opening,
     Open(PayloadType, Box<dyn SessionPublisher>),
@@ -71,10 +75,10 @@ impl PayloadTopic {
         &self.name
     }
 
-    /// Publishes a payload. Returns whether the peer gets it this way, so that it need not travel in the companion.
+    /// Publishes a payload. Returns whether the peer receives it this way, so that it need not be in the companion.
     ///
     /// # Errors
-    /// The queue of a peer that receives the topic is full, or the topic has ended.
+    /// If the queue for a peer that receives the topic is full, or the topic has ended.
     pub(super) fn publish(
         &self,
         node: &dyn SessionNode,
@@ -113,7 +117,7 @@ impl PayloadTopic {
             *has_remarked_refusal = true;
             remark(format!("payloads travel in their companions as well: {reason}"));
         }
-        // A value that this version of ROS cannot encode travels in the companion.
+        // A value that this version of ROS cannot encode is sent in the companion.
         let Ok(message) = payload::encode(node.form(), header, part, data) else {
             return Ok(false);
         };
@@ -125,8 +129,8 @@ impl PayloadTopic {
         }
     }
 
-    /// Waits until the topic is to be opened; returns the type that it is to have. That happens once. Dropping the future loses
-    /// nothing.
+    /// Waits until the topic is to be opened, which happens once. Returns its type. Cancel safe: dropping the future
+    /// loses nothing.
     pub(super) async fn take_request(&self) -> PayloadType {
         loop {
             {
@@ -143,7 +147,7 @@ impl PayloadTopic {
     /// Opens the topic.
     ///
     /// # Errors
-    /// The master does not answer, or refuses.
+    /// If the master does not answer or refuses.
     pub(super) async fn open(&self, node: &dyn SessionNode, kind: PayloadType) -> Result<(), NodeFailure> {
         let publisher = node.publish(&self.name, (TopicUse::Payloads, kind.topic_type()), self.queue).await?;
         self.state().phase = TopicPhase::Open(kind, publisher);
@@ -151,13 +155,13 @@ impl PayloadTopic {
     }
 }
 
-/// Returns the bytes that the sockets of both ends hold; `None` where payloads of any length arrive.
+/// Returns the smaller size of both ends' socket buffers in bytes; `None` if payloads of any length arrive.
 fn max_payload_bytes(node: &dyn SessionNode, peer: PeerState) -> Option<usize> {
     let own = node.receive_buffer_bytes()?;
     Some(peer.receive_buffer_bytes.map_or(own, |theirs| own.min(theirs as usize)))
 }
 
-/// Returns the remark on a payload that the sockets do not hold.
+/// Returns the remark about a payload that is too long for the sockets.
 fn payload_too_long(bytes: usize, most: usize, topic: &str) -> String {
     format!(
         "a payload of {bytes} bytes is longer than the {most} bytes that the sockets of both hosts hold: such payloads travel \
@@ -166,7 +170,7 @@ fn payload_too_long(bytes: usize, most: usize, topic: &str) -> String {
     )
 }
 
-/// Returns the remark on a payload topic that could not be opened.
+/// Returns the remark about a payload topic that could not be opened.
 pub(super) fn payload_topic_closed(topic: &str, error: &NodeFailure) -> String {
     format!(
         "topic {topic} could not be opened, and is tried again every {} s; payloads travel on the topic of their companions \

@@ -1,4 +1,4 @@
-//! Nodes of ROS 1.
+//! Nodes of ROS 1 for sessions.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -15,8 +15,8 @@ use peernet_ros::ros1::{
 use tokio::time::timeout;
 
 use super::interface::{
-    EdgeTopics, NodeFailure, PublisherChanges, Received, RemoteNode, SessionNode, SessionPublisher,
-    SessionSubscriber, TopicUse,
+    EdgeTopics, NodeFailure, PublisherChanges, RemoteNode, SessionNode, SessionPublisher, SessionSubscriber,
+    TopicMessage, TopicUse,
 };
 use super::names::{base_name, cloud_node, sessions_topic};
 use crate::Address;
@@ -25,7 +25,7 @@ use crate::Address;
 #[derive(Debug)]
 pub(super) struct Ros1Node {
     node: Node,
-    /// Host and port.
+    /// Host and port of the master.
     master: String,
 }
 
@@ -78,8 +78,8 @@ impl Ros1Node {
         Ok(cloud.into())
     }
 
-    /// A running node, other than the own one, that serves a name. Nodes that only watch the topic are none, and of one with
-    /// the own name the master knows the newer only.
+    /// Returns a running node, other than this one, that serves a name. Nodes that only watch the topic do not count.
+    /// If another node has this node's name, the master only knows the newer one.
     async fn other_cloud(&self, cloud: &str) -> Result<Option<String>, NodeError> {
         let state = self.node.system_state().await?;
         let own = base_name(self.node.name());
@@ -167,7 +167,7 @@ impl SessionNode for Ros1Node {
         subscribe.boxed()
     }
 
-    // The master forgets the registrations if it answers in time.
+    // The master removes the registrations if it answers in time.
     fn end(&self, patience: Duration) -> BoxFuture<'_, ()> {
         let end = async move {
             match timeout(patience, self.node.shutdown()).await {
@@ -206,7 +206,7 @@ impl SessionPublisher for Publisher {
         Ok(Delivery::Taken)
     }
 
-    // The master and the headers of connections tell before.
+    // Never refused here: the master and the headers of connections detect such problems earlier.
     fn refusal(&self, _node: &str) -> Option<String> {
         None
     }
@@ -217,12 +217,12 @@ impl SessionSubscriber for Subscriber {
         Self::topic(self)
     }
 
-    fn recv(&mut self) -> BoxFuture<'_, Result<Received, NodeFailure>> {
-        async move { Ok(Received::from(Self::recv(self).await?)) }.boxed()
+    fn recv(&mut self) -> BoxFuture<'_, Result<TopicMessage, NodeFailure>> {
+        async move { Ok(TopicMessage::from(Self::recv(self).await?)) }.boxed()
     }
 
-    fn try_recv(&mut self) -> Option<Received> {
-        Self::try_recv(self).map(Received::from)
+    fn try_recv(&mut self) -> Option<TopicMessage> {
+        Self::try_recv(self).map(TopicMessage::from)
     }
 
     fn is_connected(&self, node: &str) -> bool {
@@ -245,13 +245,13 @@ impl SessionSubscriber for Subscriber {
 }
 
 impl PublisherChanges for PublisherWatch {
-    // The inner future is made at once: it tells of changes from then on.
+    // The inner future is created at once, because it reports changes from then on.
     fn changed(&self) -> BoxFuture<'_, ()> {
         Self::changed(self).boxed()
     }
 }
 
-impl From<ReceivedMessage> for Received {
+impl From<ReceivedMessage> for TopicMessage {
     fn from(message: ReceivedMessage) -> Self {
         let type_name = Arc::clone(&message.publisher.kind.name);
         let publisher = RemoteNode::from(&*message.publisher);
@@ -265,7 +265,7 @@ impl From<&PublisherInfo> for RemoteNode {
     }
 }
 
-/// Returns the settings of ROS: the address has the master, and environment variables have the rest.
+/// Returns the settings of ROS: the master from the address, all else from environment variables.
 fn environment(address: &Address) -> Result<Environment, EnvironmentError> {
     let master = RpcUri::parse(&format!("http://{}", address.authority()))?;
     Ok(Environment { master, ..Environment::from_process()? })

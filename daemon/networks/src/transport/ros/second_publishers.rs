@@ -9,22 +9,24 @@ use tokio::time::Instant;
 use super::interface::SessionNode;
 use super::names::without_connection;
 
-/// Time in which the name of a node becomes known once its topics are.
+/// Time within which the name of a node becomes known after its topics.
 const NAME_TIMEOUT: Duration = Duration::from_secs(2);
 
-/// Largest number of second publishers that are remarked.
+/// Largest number of second publishers that are remarked on.
 const MAX_SECOND_PUBLISHERS: usize = 16;
 
-/// Nodes other than the peer that publish on a topic of the connection. Each is remarked once, by its name where that is known.
+/// Nodes other than the peer that publish on a topic of the connection. There is one remark on each, with its name if
+/// that is known.
 #[derive(Debug, Default)]
 pub(super) struct SecondPublishers {
     remarked: BTreeSet<Arc<str>>,
-    /// Those without a known name, each with its topic and the time since when.
+    /// Nodes without a known name, each with its topic and the time when it was found.
     unnamed: BTreeMap<Arc<str>, (String, Instant)>,
 }
 
 impl SecondPublishers {
-    /// Notes a node that publishes a topic of the connection between `node` and `peer`. Returns the remark on it, once.
+    /// Notes that the node `second` publishes a topic of the connection between `node` and `peer`. Returns a remark
+    /// about it, once.
     pub(super) fn note(
         &mut self,
         second: &Arc<str>,
@@ -32,12 +34,13 @@ impl SecondPublishers {
         (peer, node): (&str, &dyn SessionNode),
         now: Instant,
     ) -> Option<String> {
+        // Bounded, because every host on the network can publish the topic.
         let has_room = self.remarked.len() + self.unnamed.len() < MAX_SECOND_PUBLISHERS;
         if self.remarked.contains(second) || !has_room && !self.unnamed.contains_key(second) {
             return None;
         }
         let names = node.names(second);
-        // Its name may be known a little later than its topics.
+        // Its name may become known slightly later than its topics.
         let since = self.unnamed.get(second).map_or(now, |(_, since)| *since);
         if names.is_empty() && now - since < NAME_TIMEOUT {
             self.unnamed.entry(Arc::clone(second)).or_insert_with(|| (topic.to_owned(), since));
@@ -58,7 +61,7 @@ impl SecondPublishers {
         ))
     }
 
-    /// Returns the remarks on nodes whose names have become known, or are not awaited any longer.
+    /// Returns remarks about nodes whose names have become known or are no longer awaited.
     pub(super) fn note_names(&mut self, (peer, node): (&str, &dyn SessionNode), now: Instant) -> Vec<String> {
         let unnamed = self.unnamed.clone();
         let remark = |(second, (topic, _)): (&Arc<str>, &(String, Instant))| {

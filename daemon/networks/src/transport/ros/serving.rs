@@ -1,4 +1,4 @@
-//! The task of one end of a virtual connection: receives from its topics and keeps its time.
+//! The task of one end of a virtual connection: receives from its topics and runs its timers.
 
 use std::collections::{BTreeSet, VecDeque};
 use std::sync::Arc;
@@ -11,7 +11,7 @@ use tokio_util::sync::CancellationToken;
 
 use super::channel::Channel;
 use super::connection::Event;
-use super::interface::{NodeFailure, PublisherChanges, Received, SessionSubscriber};
+use super::interface::{NodeFailure, PublisherChanges, SessionSubscriber, TopicMessage};
 use super::limits::ReceiveLimits;
 use super::payload;
 use super::second_publishers::SecondPublishers;
@@ -21,46 +21,46 @@ pub(super) trait Sink: Send {
     /// Form in which events are handed up.
     type Delivery: Send;
 
-    /// Takes an event. Returns it in the form in which it is handed up, if it is.
+    /// Handles an event. Returns it in the form in which it is handed up, if it is.
     fn take(&mut self, channel: &Channel, event: Event) -> Option<Self::Delivery>;
 
-    /// Waits for a directive of this side.
+    /// Waits for a directive from this side.
     fn wait(&mut self, channel: &Arc<Channel>) -> impl Future<Output = Directive> + Send;
 }
 
-/// Directive of a side to the task of its connection.
+/// Directive of an edge or a cloud to the task of its connection.
 pub(super) enum Directive {
-    /// Receive payloads.
+    /// Receive payloads from this subscriber.
     Admit(Box<dyn SessionSubscriber>),
-    /// Other limits for companions.
+    /// Use these limits for companions.
     Limit(ReceiveLimits),
-    /// End the connection.
+    /// End the connection for this reason.
     End(String),
 }
 
 /// The task of one end of a connection.
-pub(super) struct Serving<S: Sink> {
+pub(super) struct ConnectionTask<S: Sink> {
     pub(super) channel: Arc<Channel>,
     pub(super) info: Box<dyn SessionSubscriber>,
     pub(super) payload: Option<Box<dyn SessionSubscriber>>,
     pub(super) sink: S,
     pub(super) deliveries: mpsc::Sender<S::Delivery>,
-    /// Ends the connection with a goodbye.
+    /// Token that ends the connection with a goodbye.
     pub(super) stop: CancellationToken,
-    /// Ends it without one.
+    /// Token that ends the connection without a goodbye.
     pub(super) abort: CancellationToken,
 }
 
 enum Step {
-    Info(Result<Received, NodeFailure>),
-    Payload(Result<Received, NodeFailure>),
+    Info(Result<TopicMessage, NodeFailure>),
+    Payload(Result<TopicMessage, NodeFailure>),
     Directive(Directive),
     /// The publishers of a topic have changed.
     Publishers,
     Other,
 }
 
-impl<S: Sink> Serving<S> {
+impl<S: Sink> ConnectionTask<S> {
     /// Runs until the connection has ended and all events were handed up.
     pub(super) async fn run(self, goodbye: &str) {
         let channel = Arc::clone(&self.channel);
@@ -86,22 +86,22 @@ impl<S: Sink> Serving<S> {
             }
             if self.channel.lock().is_closed() && waiting.is_empty() {
                 if self.answers_goodbye() && !is_closing {
-                    self.channel.say_goodbye("");
+                    self.channel.send_goodbye("");
                 }
                 return;
             }
-            // Made before looking, so that nothing that happens in between is missed.
+            // Created before the publishers are checked, so that no change in between is missed.
             let info_publishers = self.info.watch();
             let payload_publishers = self.payload.as_ref().map(|payload| payload.watch());
             let changed = changed(&*info_publishers, payload_publishers.as_deref());
-            // Also when the peer comes back to the topic: messages that were on their way may be lost.
+            // Kept even if the peer returns to the topic, because messages in transfer may have been lost.
             left = left.or_else(|| {
-                self.topic_left(&mut connected).map(|topic| (topic, Instant::now() + LEAVE_TIMEOUT))
+                self.disconnected_topic(&mut connected).map(|topic| (topic, Instant::now() + LEAVE_TIMEOUT))
             });
             if let Some((topic, until)) = &left
                 && !self.channel.lock().is_closed()
             {
-                // What it published before it left is there, with its reason perhaps.
+                // The messages that it published before it left have arrived, possibly with the reason.
                 while let Some(message) = self.info.try_recv() {
                     self.take(Step::Info(Ok(message)), &mut others);
                 }
@@ -121,15 +121,16 @@ impl<S: Sink> Serving<S> {
             let step = tokio::select! {
                 biased;
                 () = abort.cancelled() => {
-                    // A later connection may have topics of the same names and nodes, so that their end tells nothing.
+                    // A later connection may have the same topics and nodes, so that their end would prove nothing.
                     if channel.node.receive_buffer_bytes().is_some() {
-                        channel.say_goodbye("the other end has given up the connection");
+                        channel.send_goodbye("the other end has given up the connection");
                     }
                     return;
                 }
                 () = stop.cancelled(), if !is_closing && !channel.lock().is_closed() => {
-                    channel.say_goodbye(goodbye);
-                    // Where topics end without their last messages, the other end's goodbye says that it has all.
+                    channel.send_goodbye(goodbye);
+                    // In ROS 2, topics may end without their last messages. The other end's goodbye confirms that it
+                    // has all of them.
                     if channel.node.receive_buffer_bytes().is_none() || channel.peer().is_none() {
                         return;
                     }
@@ -141,12 +142,12 @@ impl<S: Sink> Serving<S> {
                         Ok(permit) => if let Some(delivery) = waiting.pop_front() {
                             permit.send(delivery);
                         },
-                        // Nobody receives any more.
+                        // Nothing receives the events any more.
                         Err(_) => waiting.clear(),
                     }
                     Step::Other
                 }
-                // What is not taken stays in the topic's queue, and then with the publisher.
+                // Messages that are not taken stay in the topic's queue, and then with the publisher.
                 message = info.recv(), if is_idle => Step::Info(message),
                 message = receive(payload), if is_idle => Step::Payload(message),
                 directive = sink.wait(channel) => Step::Directive(directive),
@@ -167,14 +168,14 @@ impl<S: Sink> Serving<S> {
         match step {
             Step::Info(Ok(message)) => {
                 if self.is_of_peer(&message, self.info.topic(), others) {
-                    self.hear_info(message);
+                    self.receive_info(message);
                 }
             }
             Step::Payload(Ok(message)) => {
                 let topic =
                     self.payload.as_ref().map_or_else(|| self.info.topic(), |payload| payload.topic());
                 if self.is_of_peer(&message, topic, others) {
-                    self.hear_payload(message);
+                    self.receive_payload(message);
                 }
             }
             Step::Info(Err(error)) | Step::Payload(Err(error)) => self.channel.lock().end(error.to_string()),
@@ -200,15 +201,15 @@ impl<S: Sink> Serving<S> {
         self.channel.node.receive_buffer_bytes().is_some() && self.channel.lock().peer().has_left
     }
 
-    /// Returns whether the last messages of a peer that leaves may still be on their way.
+    /// Returns whether the last messages of a leaving peer may still be in transfer.
     fn has_connected_topic(&self) -> bool {
         let topics = [Some(&self.info), self.payload.as_ref()];
         topics.into_iter().flatten().any(|subscriber| is_connected(&**subscriber, &self.channel))
     }
 
-    /// Returns a topic on which messages of the peer arrived until now.
-    fn topic_left(&self, connected: &mut BTreeSet<String>) -> Option<String> {
-        // Where payloads are confirmed, their topic may also be that of an earlier connection, which ends.
+    /// Returns a topic on which messages of the peer arrived until now and do not arrive any more.
+    fn disconnected_topic(&self, connected: &mut BTreeSet<String>) -> Option<String> {
+        // Where payloads are confirmed, their topic may also be that of an earlier connection that ends.
         let is_confirmed = self.channel.node.receive_buffer_bytes().is_some();
         let topics = [Some(&self.info), self.payload.as_ref().filter(|_| !is_confirmed)];
         topics.into_iter().flatten().find_map(|subscriber| {
@@ -223,8 +224,8 @@ impl<S: Sink> Serving<S> {
         })
     }
 
-    /// Returns whether a message is of the node at the other end. Others are named once.
-    fn is_of_peer(&self, message: &Received, topic: &str, others: &mut SecondPublishers) -> bool {
+    /// Returns whether a message is from the node at the other end. There is one remark on each other node.
+    fn is_of_peer(&self, message: &TopicMessage, topic: &str, others: &mut SecondPublishers) -> bool {
         let Some(peer) = self.channel.peer() else { return true };
         let node = &message.publisher.node;
         if peer.node == *node {
@@ -248,27 +249,27 @@ impl<S: Sink> Serving<S> {
         }
     }
 
-    // A message gives back its memory before the connection reserves it for the frames, which are the same bytes.
-    fn hear_info(&self, Received { bytes, memory, .. }: Received) {
+    // A message returns its memory before the connection reserves it for the frames, which are the same bytes.
+    fn receive_info(&self, TopicMessage { bytes, memory, .. }: TopicMessage) {
         drop(memory);
         let now = self.channel.now();
         let mut state = self.channel.lock();
         match MessageInfo::decode(self.channel.node.form(), bytes) {
-            // Of an earlier connection between the same nodes, or of a later one.
+            // The companion belongs to an earlier or later connection between the same nodes.
             Ok(info) if info.header.frame_id != state.id() => {}
-            Ok(info) => state.hear_info(info, now),
+            Ok(info) => state.receive_info(info, now),
             Err(error) => state.garbage(format!("a companion cannot be read: {error}")),
         }
     }
 
-    fn hear_payload(&self, Received { bytes, memory, type_name, .. }: Received) {
+    fn receive_payload(&self, TopicMessage { bytes, memory, type_name, .. }: TopicMessage) {
         drop(memory);
         let decoded = payload::decode(self.channel.node.form(), &type_name, bytes);
         let now = self.channel.now();
         let mut state = self.channel.lock();
         match decoded {
             Ok((connection, _, _)) if connection != state.id() => {}
-            Ok((_, stamp, payload)) => state.hear_payload(stamp, payload, now),
+            Ok((_, stamp, payload)) => state.receive_payload(stamp, payload, now),
             Err(error) => state.garbage(format!("a payload cannot be read: {error}")),
         }
     }
@@ -281,7 +282,7 @@ impl<S: Sink> Serving<S> {
 
     fn collect(&mut self, waiting: &mut VecDeque<S::Delivery>) {
         loop {
-            // Bound, so that the lock is free again before the event is taken.
+            // A separate statement, so that the lock is released before the event is handled.
             let event = self.channel.lock().next_event();
             let Some(event) = event else { return };
             waiting.extend(self.sink.take(&self.channel, event));
@@ -289,10 +290,11 @@ impl<S: Sink> Serving<S> {
     }
 }
 
-/// Time in which the last messages of a peer may arrive once it has left one of both topics, which have no common order.
+/// Time for which the last messages of a peer are awaited after it has left one of the two topics, which have no common
+/// order.
 const LEAVE_TIMEOUT: Duration = Duration::from_millis(500);
 
-async fn receive(subscriber: &mut Option<Box<dyn SessionSubscriber>>) -> Result<Received, NodeFailure> {
+async fn receive(subscriber: &mut Option<Box<dyn SessionSubscriber>>) -> Result<TopicMessage, NodeFailure> {
     match subscriber {
         Some(subscriber) => subscriber.recv().await,
         None => std::future::pending().await,

@@ -1,4 +1,4 @@
-//! The cloud's address where only its name is known.
+//! The address of a cloud of which only the name is known.
 
 use std::ffi::OsString;
 
@@ -9,19 +9,19 @@ use peernet_ros::topics::{RosVersion, VersionError};
 use super::names::allowed;
 use crate::transport::UnknownAddress;
 
-/// Returns the address of the cloud with a name. The version is the one given, or else that of the environment. In ROS 1 the
-/// master is that of `ROS_MASTER_URI`, in ROS 2 the domain that of `ROS_DOMAIN_ID`.
+/// Returns the address of the cloud with this name. The version is `version` or that of the environment. In ROS 1 the
+/// master is that of `ROS_MASTER_URI`, in ROS 2 the domain is that of `ROS_DOMAIN_ID`.
 pub(super) fn find(name: &str, version: Option<u64>) -> Result<String, UnknownAddress> {
-    find_by(name, version, |name| std::env::var(name).ok())
+    find_with(name, version, |name| std::env::var(name).ok())
 }
 
-fn find_by(
+fn find_with(
     name: &str,
     version: Option<u64>,
     variable: impl Fn(&str) -> Option<String>,
 ) -> Result<String, UnknownAddress> {
     let name = allowed(name);
-    if chosen(version, &variable)? == RosVersion::Ros2 {
+    if requested_version(version, &variable)? == RosVersion::Ros2 {
         let settings = Ros2Settings::default().with_environment(variable);
         let settings = settings.map_err(|error| UnknownAddress(error.to_string()))?;
         return Ok(format!("ros2://{}/{name}", settings.domain_id.unwrap_or_default()));
@@ -33,12 +33,12 @@ fn find_by(
     Ok(format!("ros1://{host}:{}/{name}", master.port()))
 }
 
-/// The version that is asked for; ROS 1 where nothing says which.
-fn chosen(
+/// Returns the requested version; ROS 1 if nothing says which.
+fn requested_version(
     given: Option<u64>,
     variable: impl Fn(&str) -> Option<String>,
 ) -> Result<RosVersion, UnknownAddress> {
-    // A number that no byte holds is no version either.
+    // A number that does not fit into a byte is not a version.
     let given = given.map(|number| RosVersion::try_from(u8::try_from(number).unwrap_or(u8::MAX)));
     let given = given.transpose().map_err(|error| UnknownAddress(format!("ros_version: {error}")))?;
     match RosVersion::resolve(given, variable) {
@@ -52,7 +52,7 @@ mod tests {
     use super::*;
 
     fn found(version: Option<u64>, variables: &[(&str, &str)]) -> Result<String, UnknownAddress> {
-        find_by("jetson-orin", version, |name| {
+        find_with("jetson-orin", version, |name| {
             variables.iter().find(|(key, _)| *key == name).map(|(_, value)| (*value).to_owned())
         })
     }
@@ -73,7 +73,7 @@ mod tests {
     }
 
     #[test]
-    fn what_cannot_be_used_is_named() {
+    fn unusable_settings_are_named() {
         for number in [3, 300] {
             let error = found(Some(number), &[]).expect_err("no such version").to_string();
             assert!(error.contains("ros_version"), "{error}");

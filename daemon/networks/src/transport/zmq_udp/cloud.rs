@@ -21,7 +21,7 @@ use crate::transport::datagram::endpoint::Delivery;
 use crate::transport::datagram::endpoint::{Endpoint, EndpointLimits, Route};
 use crate::transport::datagram::sending::Batch;
 use crate::transport::{
-    Arrival, BindFailure, Bound, CloudReceiver, CloudSender, ConnectionId, Frames, Peer, SendFailure,
+    Arrival, BindFailure, BoundPort, CloudReceiver, CloudSender, ConnectionId, Frames, Peer, SendFailure,
     SendOptions,
 };
 use crate::{Address, SessionSettings};
@@ -37,7 +37,7 @@ pub(crate) async fn bind(
     settings: &SessionSettings,
     ports: NonZeroUsize,
     _clock: &SharedClock,
-) -> Result<Bound, BindFailure> {
+) -> Result<BoundPort, BindFailure> {
     let found = tokio::net::lookup_host(address.authority()).await;
     let found = found.map_err(|error| BindFailure::Other(error.to_string()))?.next();
     let at = found.ok_or_else(|| BindFailure::Other("the name has no address".into()))?;
@@ -52,6 +52,7 @@ pub(crate) async fn bind(
         hello_timeout: Span::from(settings.hello_timeout()),
         terms: own_terms(settings, &socket),
     };
+    // Two random UUIDs have 244 random bits.
     let mut secret = [0; 32];
     secret[..16].copy_from_slice(uuid::Uuid::new_v4().as_bytes());
     secret[16..].copy_from_slice(uuid::Uuid::new_v4().as_bytes());
@@ -59,7 +60,7 @@ pub(crate) async fn bind(
     let (port, arrivals) = Port::serve(socket, machine, Instant::now());
     let sender = Box::new(UdpCloudSender(Arc::clone(&port)));
     let address = address.at_ip(bound.ip(), bound.port());
-    Ok(Bound { address, caveat, sender, receiver: Box::new(UdpCloudReceiver { port, arrivals }) })
+    Ok(BoundPort { address, caveat, sender, receiver: Box::new(UdpCloudReceiver { port, arrivals }) })
 }
 
 fn failure(error: &io::Error) -> BindFailure {
@@ -85,7 +86,7 @@ impl Machine for CloudEnd {
         self.endpoint.receive(source, local, body, now);
     }
 
-    // Anybody may make the system say so; who is gone is noticed by silence.
+    // Ignored, because anyone can forge such reports. A peer that is gone is noticed by its silence.
     fn refused(&mut self) {}
 
     fn tick(&mut self, now: MonoTime) {
@@ -113,7 +114,7 @@ impl Machine for CloudEnd {
         self.endpoint.abandon();
     }
 
-    fn is_over(&self) -> bool {
+    fn is_finished(&self) -> bool {
         self.is_closing && self.endpoint.is_empty()
     }
 }
@@ -162,7 +163,7 @@ impl CloudReceiver for UdpCloudReceiver {
 
     fn close(mut self: Box<Self>, linger: Duration) -> BoxFuture<'static, ()> {
         Box::pin(async move {
-            // What still arrives is of no use; the task must not wait until it is received.
+            // Further arrivals are of no use, and the task must not wait until they are received.
             self.arrivals.close();
             while self.arrivals.try_recv().is_ok() {}
             self.port.close(linger).await;

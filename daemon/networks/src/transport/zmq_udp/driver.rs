@@ -1,4 +1,4 @@
-//! The task of a socket: moves datagrams between it and the state machine of its connections.
+//! The task of a socket, which moves datagrams between the socket and the state machine of its connections.
 
 use std::collections::VecDeque;
 use std::fmt;
@@ -17,15 +17,15 @@ use super::socket::{ReceiveBuffers, UdpPort};
 use crate::transport::datagram::endpoint::Route;
 use crate::transport::datagram::sending::Batch;
 
-/// Most arrivals that wait to be received.
+/// Largest number of arrivals that wait to be received.
 const MAX_WAITING: usize = 1_024;
 
-/// Batches that are read before something is sent again.
-const READS: usize = 8;
+/// Number of batches that are read before something is sent again.
+const READS_PER_TURN: usize = 8;
 
-/// The shortest and the longest sleep of the task.
-const SOON: Span = Span::from_millis(1);
-const FAR: Span = Span::from_seconds(3_600);
+/// Shortest and longest sleep of the task.
+const MIN_SLEEP: Span = Span::from_millis(1);
+const MAX_SLEEP: Span = Span::from_seconds(3_600);
 
 /// The state machine of a socket.
 pub(super) trait Machine: Send + fmt::Debug + 'static {
@@ -33,18 +33,18 @@ pub(super) trait Machine: Send + fmt::Debug + 'static {
     type Delivery: Send + 'static;
 
     fn receive(&mut self, source: SocketAddr, local: Option<IpAddr>, body: &[u8], now: MonoTime);
-    /// The system reports a closed port at the destination.
+    /// Notes that the system reports a closed port at the destination.
     fn refused(&mut self);
     fn tick(&mut self, now: MonoTime);
     fn next_timer(&self, now: MonoTime) -> Option<MonoTime>;
     fn fill(&mut self, out: &mut Vec<u8>, most: usize, now: MonoTime) -> Option<(Route, Batch)>;
     fn next_delivery(&mut self) -> Option<Self::Delivery>;
-    /// Begins to say goodbye.
+    /// Starts to say goodbye.
     fn close(&mut self, now: MonoTime);
     /// Says goodbye once.
     fn abandon(&mut self);
-    /// Whether nothing is left to do.
-    fn is_over(&self) -> bool;
+    /// Returns whether nothing is left to do.
+    fn is_finished(&self) -> bool;
 }
 
 /// State that senders share with the task.
@@ -54,9 +54,9 @@ pub(super) struct Port<M> {
     state: Mutex<State<M>>,
     /// Wakes the task.
     wake: Notify,
-    /// Cancelled by whoever wants the task to end at once.
+    /// Token that ends the task at once.
     pub(super) abort: CancellationToken,
-    /// Cancelled by the task when it ends.
+    /// Token that the task cancels when it ends.
     pub(super) ended: CancellationToken,
     start: Instant,
 }
@@ -65,14 +65,14 @@ pub(super) struct Port<M> {
 struct State<M> {
     machine: M,
     out: Vec<u8>,
-    /// Destination of the datagrams in `out` that the socket did not take.
+    /// Route of the datagrams in `out` that the socket has not accepted.
     blocked: Option<(Route, Batch)>,
-    /// Until when the task sleeps if nothing wakes it.
+    /// Time until which the task sleeps if nothing wakes it.
     asleep_until: MonoTime,
 }
 
 impl<M: Machine> Port<M> {
-    /// Begins to serve a socket. Time is counted from `start`.
+    /// Starts to serve a socket. The machine's time is counted from `start`.
     pub(super) fn serve(
         socket: UdpPort,
         machine: M,
@@ -96,7 +96,7 @@ impl<M: Machine> Port<M> {
         (port, receiver)
     }
 
-    /// The time of the machine.
+    /// Converts an instant to the machine's time.
     pub(super) fn time(&self, at: Instant) -> MonoTime {
         time_since(self.start, at)
     }
@@ -105,13 +105,13 @@ impl<M: Machine> Port<M> {
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Does something with the machine and sends what can leave.
+    /// Calls `act` with the machine and sends what may be sent then.
     pub(super) fn with<T>(&self, act: impl FnOnce(&mut M, MonoTime) -> T) -> T {
         let mut state = self.lock();
         let now = self.time(Instant::now());
         let result = act(&mut state.machine, now);
         self.flush(&mut state);
-        // The task sends the rest, and tells of the end. Waking it for nothing would cost more than the message.
+        // The task sends the rest and reports the end. An unnecessary wake-up would cost more than the message.
         let next = state.machine.next_timer(now);
         if state.blocked.is_some() || next.is_none_or(|next| next < state.asleep_until) {
             self.wake.notify_one();
@@ -119,7 +119,7 @@ impl<M: Machine> Port<M> {
         result
     }
 
-    /// Says goodbye to all, no longer than `linger`.
+    /// Says goodbye to all peers and waits at most `linger`.
     pub(super) async fn close(&self, linger: Duration) {
         self.with(|machine, now| machine.close(now));
         self.wake.notify_one();
@@ -129,7 +129,7 @@ impl<M: Machine> Port<M> {
         }
     }
 
-    /// Sends until nothing can leave or the socket takes no more.
+    /// Sends until nothing may be sent or the socket accepts no more.
     fn flush(&self, state: &mut State<M>) {
         let State { machine, out, blocked, .. } = state;
         loop {
@@ -143,7 +143,7 @@ impl<M: Machine> Port<M> {
                 }
             };
             let mut sent = self.socket.try_send(route, out, batch);
-            // Perhaps an address that is not this machine's any more: the system takes another.
+            // The source address may not belong to this machine any more; the system then chooses another one.
             if let Err(error) = &sent
                 && route.from.is_some()
                 && !matches!(error.kind(), io::ErrorKind::WouldBlock | io::ErrorKind::ConnectionRefused)
@@ -160,7 +160,7 @@ impl<M: Machine> Port<M> {
                     if error.kind() == io::ErrorKind::ConnectionRefused {
                         machine.refused();
                     }
-                    // Datagrams may be lost anyway; a path that never carries them ends by silence.
+                    // Datagrams may be lost anyway, and a path that never carries them ends the connection by silence.
                     tracing::debug!(%error, to = %route.to, "datagrams were not sent");
                 }
             }
@@ -180,13 +180,17 @@ impl<M: Machine> Port<M> {
                     waiting.push_back(delivery);
                 }
                 let now = self.time(Instant::now());
-                // No earlier than the timers of the runtime can tell apart, and no later than an hour.
-                let next = state.machine.next_timer(now).unwrap_or(now + FAR).clamp(now + SOON, now + FAR);
+                // At least the resolution of the runtime's timers, at most an hour.
+                let next = state
+                    .machine
+                    .next_timer(now)
+                    .unwrap_or(now + MAX_SLEEP)
+                    .clamp(now + MIN_SLEEP, now + MAX_SLEEP);
                 state.asleep_until = next;
                 (
                     self.start + (next - MonoTime::default()).to_duration(),
                     state.blocked.is_some(),
-                    state.machine.is_over(),
+                    state.machine.is_finished(),
                 )
             };
             while !waiting.is_empty()
@@ -200,7 +204,7 @@ impl<M: Machine> Port<M> {
             }
             tokio::select! {
                 () = self.abort.cancelled() => break,
-                // What is not taken stays in the kernel, which drops what has no room there.
+                // Datagrams that are not read stay in the kernel, which drops those for which it has no room.
                 result = self.socket.readable(), if waiting.is_empty() && !is_over => {
                     if let Err(error) = result {
                         tracing::debug!(%error, "a socket told of an error");
@@ -215,7 +219,7 @@ impl<M: Machine> Port<M> {
                     Ok(permit) => if let Some(delivery) = waiting.pop_front() {
                         permit.send(delivery);
                     },
-                    // Nobody receives any more.
+                    // Nothing receives the arrivals any more.
                     Err(_) => waiting.clear(),
                 },
                 () = self.wake.notified() => {}
@@ -232,11 +236,11 @@ impl<M: Machine> Port<M> {
 
     fn read(&self, buffers: &mut ReceiveBuffers) {
         let mut state = self.lock();
-        for _ in 0..READS {
+        for _ in 0..READS_PER_TURN {
             let now = self.time(Instant::now());
             let machine = &mut state.machine;
             let received = self.socket.try_receive(buffers, |source, local, datagram| {
-                // Of another group, or of another program.
+                // An empty body counts as garbage: the datagram is of another group or another program.
                 let body = radio::body(datagram).unwrap_or_default();
                 machine.receive(source, local, body, now);
             });
@@ -250,7 +254,7 @@ impl<M: Machine> Port<M> {
     }
 }
 
-/// The time of a machine whose time began at `start`.
+/// Returns the time of a machine whose time started at `start`.
 pub(super) fn time_since(start: Instant, at: Instant) -> MonoTime {
     MonoTime::default() + Span::from(at.saturating_duration_since(start))
 }

@@ -19,18 +19,18 @@ use super::{connection_limits, own_terms, reassembly_limits, socket_bytes};
 use crate::statistics::{ConnectionAddresses, TransportStatistics};
 use crate::transport::datagram::connection::{Connection, Event};
 use crate::transport::datagram::endpoint::Route;
-use crate::transport::datagram::handshake::{Dialled as Answer, Dialling, PathTooSmall};
+use crate::transport::datagram::handshake::{DialState, HandshakeOutcome, PathTooSmall};
 use crate::transport::datagram::packet::{Packet, Role, Terms};
 use crate::transport::datagram::packet_writer::PacketWriter;
 use crate::transport::datagram::sending::Batch;
 use crate::transport::memory::{MemoryBudget, Reservation};
 use crate::transport::{
-    DialFailure, Dialled, Dialler, Disconnected, EdgeArrival, EdgeReceiver, EdgeSender, Frames, SendFailure,
-    SendOptions,
+    DialFailure, Dialler, Disconnected, EdgeArrival, EdgeConnection, EdgeReceiver, EdgeSender, Frames,
+    SendFailure, SendOptions,
 };
 use crate::{Address, SessionSettings};
 
-/// Largest unfinished messages of the cloud that are held at once.
+/// Number of unfinished messages of the largest length that may be held at once.
 const UNFINISHED_MESSAGES: u64 = 4;
 
 /// Opens a virtual connection to a cloud's port.
@@ -38,12 +38,13 @@ pub(crate) async fn dial(
     address: &Address,
     settings: &SessionSettings,
     _dialler: &Dialler<'_>,
-) -> Result<Dialled, DialFailure> {
+) -> Result<EdgeConnection, DialFailure> {
     let found = tokio::net::lookup_host(address.authority()).await;
     let found = found.map_err(|error| unreachable(&error))?.next();
     let peer = found.ok_or_else(|| DialFailure::Unreachable("the name has no address".into()))?;
     let socket = UdpPort::bind(SocketAddr::new(any_address(peer), 0), socket_bytes(settings));
     let socket = socket.map_err(|error| unreachable(&error))?;
+    // A closed port of the cloud then ends the connection at once and not by silence.
     socket.report_errors().map_err(|error| unreachable(&error))?;
     let start = Instant::now();
     let (id, terms, remark) = open(&socket, peer, own_terms(settings, &socket), start).await?;
@@ -62,14 +63,15 @@ pub(crate) async fn dial(
     let machine = EdgeEnd { peer, id, connection, remark, garbage, token, asked: None };
     let (port, arrivals) = Port::serve(socket, machine, start);
     let sender = Box::new(UdpEdgeSender(Arc::clone(&port)));
-    Ok(Dialled { sender, receiver: Box::new(UdpEdgeReceiver { port, arrivals }), is_cloud: true })
+    Ok(EdgeConnection { sender, receiver: Box::new(UdpEdgeReceiver { port, arrivals }), is_cloud: true })
 }
 
 fn unreachable(error: &io::Error) -> DialFailure {
     DialFailure::Unreachable(error.to_string().to_lowercase())
 }
 
-/// Shakes hands until the cloud has opened a connection. Returns its number, the terms, and what makes it worse than it could be.
+/// Runs the handshake until the cloud has opened a connection. Returns its number, its terms, and a remark if the path
+/// is worse than configured.
 async fn open(
     socket: &UdpPort,
     peer: SocketAddr,
@@ -77,7 +79,7 @@ async fn open(
     start: Instant,
 ) -> Result<(u64, Terms, Option<String>), DialFailure> {
     let (nonce, _) = uuid::Uuid::new_v4().as_u64_pair();
-    let mut dialling = Dialling::new(nonce, 0, terms, PREFIX.len(), time_since(start, Instant::now()));
+    let mut dialling = DialState::new(nonce, 0, terms, PREFIX.len(), time_since(start, Instant::now()));
     let mut buffers = ReceiveBuffers::new();
     let (route, mut out) = (Route { to: peer, from: None }, Vec::new());
     loop {
@@ -88,10 +90,10 @@ async fn open(
         if dialling.fill(&mut out, now).map_err(too_small)? {
             let batch = Batch { segment: out.len(), count: 1 };
             match socket.try_send(route, &out, batch) {
-                // It is sent again if it does not arrive.
+                // The handshake repeats a packet that does not arrive.
                 Ok(()) => {}
                 Err(error) if error.kind() == io::ErrorKind::WouldBlock => {}
-                // Longer than the interface takes, whose MTU the system knows.
+                // The datagram is longer than the MTU of the interface.
                 Err(error) if error.raw_os_error() == Some(Errno::EMSGSIZE as i32) => {
                     dialling.shorten(now).map_err(too_small)?;
                 }
@@ -118,8 +120,10 @@ async fn open(
             Err(error) => return Err(unreachable(&error)),
         }
         match answer {
-            Some(Answer::Opened { connection, terms }) => return Ok((connection, terms, dialling.remark())),
-            Some(Answer::Refused) => {
+            Some(HandshakeOutcome::Opened { connection, terms }) => {
+                return Ok((connection, terms, dialling.remark()));
+            }
+            Some(HandshakeOutcome::Refused) => {
                 return Err(DialFailure::Refused(
                     "it has too many connections already; close some, or raise the limit of open files (LimitNOFILE) there".into(),
                 ));
@@ -135,26 +139,27 @@ struct EdgeEnd {
     peer: SocketAddr,
     id: u64,
     connection: Connection,
-    /// Remark on the opening, until it is passed on.
+    /// Remark on the opening, until it is handed up.
     remark: Option<String>,
     garbage: VecDeque<String>,
-    /// Proves that who repeats it receives what is sent to its address.
+    /// Token that proves that a sender who repeats it receives what is sent to its address.
     token: u64,
-    /// Another address that claims to be the cloud's, while the question to it waits to be sent, and when it was asked.
+    /// Another address that claims to be the cloud's, the time when it was noticed, and whether the token still has to
+    /// be sent to it.
     asked: Option<(SocketAddr, MonoTime, bool)>,
 }
 
-/// Shortest time between two questions to another address.
+/// Shortest time between two tokens to other addresses.
 const PATH_PAUSE: Span = Span::from_millis(100);
 
-/// Most descriptions of garbage that wait to be passed on.
+/// Largest number of descriptions of garbage that wait to be handed up.
 const MAX_GARBAGE: usize = 64;
 
 impl Machine for EdgeEnd {
     type Delivery = (Result<EdgeArrival, Disconnected>, Option<Reservation>);
 
     fn receive(&mut self, source: SocketAddr, _local: Option<IpAddr>, body: &[u8], now: MonoTime) {
-        // A RADIO socket sends from a port of its own.
+        // Only the IP addresses are compared, because the sending port of a RADIO socket is arbitrary.
         let is_elsewhere = source.ip() != self.peer.ip();
         match Packet::read(Role::Edge, body) {
             Ok(Packet::PathConfirmed { connection, token })
@@ -163,7 +168,8 @@ impl Machine for EdgeEnd {
                 self.peer = SocketAddr::new(source.ip(), self.peer.port());
                 tracing::info!(peer = %self.peer, "the cloud has another address");
             }
-            // Who knows the connection may be the cloud: it is asked, and nothing that it says counts before.
+            // The sender knows the connection and may be the cloud. It gets a token, and its packets are ignored until
+            // it returns the token.
             Ok(packet) if is_elsewhere && packet.connection() == Some(self.id) => {
                 if self.asked.is_none_or(|(_, at, _)| now - at >= PATH_PAUSE) {
                     self.asked = Some((SocketAddr::new(source.ip(), self.peer.port()), now, true));
@@ -171,7 +177,7 @@ impl Machine for EdgeEnd {
             }
             _ if is_elsewhere => {}
             Ok(packet) if packet.connection() == Some(self.id) => self.connection.receive(packet, now),
-            // An answer to the handshake that was sent twice, or what was meant for an earlier socket at this port.
+            // A duplicated answer of the handshake, or a packet for an earlier socket at this port.
             Ok(_) => {}
             Err(error) if self.garbage.len() < MAX_GARBAGE => self.garbage.push_back(error.to_string()),
             Err(_) => {}
@@ -228,7 +234,7 @@ impl Machine for EdgeEnd {
         }
     }
 
-    fn is_over(&self) -> bool {
+    fn is_finished(&self) -> bool {
         self.connection.is_closed()
     }
 }
@@ -286,7 +292,7 @@ impl EdgeReceiver for UdpEdgeReceiver {
 
     fn close(mut self: Box<Self>, linger: Duration) -> BoxFuture<'static, ()> {
         Box::pin(async move {
-            // What still arrives is of no use; the task must not wait until it is received.
+            // Further arrivals are of no use, and the task must not wait until they are received.
             self.arrivals.close();
             while self.arrivals.try_recv().is_ok() {}
             self.port.close(linger).await;

@@ -1,8 +1,12 @@
 //! `zmq-udp`: datagrams in the framing of libzmq's RADIO and DISH sockets, over UDP.
 //!
-//! The protocol between the two ends is [`datagram`](super::datagram); here are the framing ([`radio`]), the socket
-//! ([`socket`]) and the task that serves it ([`driver`]). Both ends have one socket. A peer made of libzmq's sockets
-//! has two, and says in its hello at which port its DISH listens.
+//! The protocol between the two ends is [`datagram`](super::datagram). This module has the framing ([`radio`]), the
+//! socket ([`socket`]) and the task that serves it ([`driver`]). A sending task writes to the socket at once if the
+//! window allows it.
+//!
+//! libzmq's UDP engine has no handshake, reads at most 8,192 bytes and does not report addresses to its users. The
+//! protocol is therefore in the body. Each of our ends has one socket. A peer made of libzmq's sockets has two, and its
+//! hello names the port of its DISH.
 
 mod cloud;
 mod driver;
@@ -29,10 +33,10 @@ use crate::message::MAX_FRAMES;
 /// Form of addresses.
 pub(crate) const ADDRESS_FORM: AddressForm = AddressForm::HostPort;
 
-/// It works everywhere.
+/// This network works on every host.
 pub(crate) const HOST_CHECKS: HostChecks = HostChecks::NONE;
 
-/// Bytes of the lengths of a message's frames.
+/// Length of the table of frame lengths in a message. Bytes.
 const FRAME_TABLE_BYTES: u32 = 2 + 4 * MAX_FRAMES as u32;
 
 fn largest_message(settings: &SessionSettings) -> u32 {

@@ -1,12 +1,12 @@
-//! The framing of libzmq's RADIO and DISH sockets over UDP: the length of the group, the group, the body.
+//! The framing of libzmq's RADIO and DISH sockets over UDP: length of the group, group, body.
 
-/// The group of all datagrams, with its length before it.
+/// The group of all datagrams, preceded by its length.
 pub(super) const PREFIX: &[u8] = b"\x07peernet";
 
-/// The largest datagram that libzmq sends and receives (`MAX_UDP_MSG`). Bytes.
+/// Largest datagram that libzmq sends and receives (`MAX_UDP_MSG`). Bytes.
 pub(super) const MAX_DATAGRAM_BYTES: u16 = 8_192;
 
-/// The body of a datagram; `None` when it is of another group, or of none.
+/// Returns the body of a datagram; `None` if it is of another group or has none.
 pub(super) fn body(datagram: &[u8]) -> Option<&[u8]> {
     datagram.strip_prefix(PREFIX)
 }

@@ -11,23 +11,23 @@ use tokio::net::UdpSocket;
 use crate::transport::datagram::endpoint::Route;
 use crate::transport::datagram::sending::Batch;
 
-/// Buffers that one system call fills.
+/// Number of buffers that one system call fills.
 const BUFFERS: usize = 8;
 
-/// Bytes of each: the kernel joins datagrams of one sender up to 64 KiB.
+/// Size of each buffer. The kernel joins datagrams of one sender up to 64 KiB. Bytes.
 const BUFFER_BYTES: usize = 64 * 1024;
 
-/// A socket.
+/// A bound UDP socket.
 pub(super) struct UdpPort {
     socket: UdpSocket,
     state: UdpSocketState,
     address: SocketAddr,
-    /// Bytes of the kernel's receive buffer, its own overhead included.
+    /// Size of the kernel's receive buffer, including the kernel's overhead. Bytes.
     receive_buffer: usize,
     caveat: Option<String>,
 }
 
-/// Memory for what is received.
+/// Memory for received datagrams.
 pub(super) struct ReceiveBuffers(Vec<u8>);
 
 impl ReceiveBuffers {
@@ -42,17 +42,17 @@ impl std::fmt::Debug for UdpPort {
     }
 }
 
-/// The address of this host from which datagrams go to a peer now. Sends nothing.
+/// Returns the address of this host from which datagrams to a peer are sent at present. Sends nothing.
 ///
 /// # Errors
-/// When there is no route to the peer.
+/// If there is no route to the peer.
 pub(super) fn source_address(peer: SocketAddr) -> io::Result<IpAddr> {
     let socket = std::net::UdpSocket::bind((any_address(peer), 0))?;
     socket.connect(peer)?;
     Ok(socket.local_addr()?.ip())
 }
 
-/// Stands for all addresses of this host, of the kind that the peer has.
+/// Returns the unspecified address of the peer's address family.
 pub(super) const fn any_address(peer: SocketAddr) -> IpAddr {
     match peer {
         SocketAddr::V4(_) => IpAddr::V4(Ipv4Addr::UNSPECIFIED),
@@ -61,10 +61,10 @@ pub(super) const fn any_address(peer: SocketAddr) -> IpAddr {
 }
 
 impl UdpPort {
-    /// Binds a socket at an address of this machine, with buffers of `buffer_bytes` if the system allows.
+    /// Binds a socket to an address of this machine, with buffers of `buffer_bytes` if the system allows it.
     ///
     /// # Errors
-    /// When the port is taken or the address is not this machine's.
+    /// If the port is in use or the address does not belong to this machine.
     pub(super) fn bind(address: SocketAddr, buffer_bytes: usize) -> io::Result<Self> {
         let socket = Socket::new(Domain::for_address(address), Type::DGRAM, None)?;
         socket.bind(&address.into())?;
@@ -74,7 +74,7 @@ impl UdpPort {
         let options = SockRef::from(&socket);
         options.set_recv_buffer_size(buffer_bytes)?;
         options.set_send_buffer_size(buffer_bytes)?;
-        // Linux sets twice what is asked for, as its own overhead counts (socket(7)).
+        // Linux sets twice the requested size, because it counts its own overhead (socket(7)).
         let receive_buffer = options.recv_buffer_size()?;
         let address = socket.local_addr()?;
         let buffers =
@@ -93,15 +93,15 @@ impl UdpPort {
         Ok(Self { socket, state, address, receive_buffer, caveat })
     }
 
-    /// Asks the system to report closed ports at destinations.
+    /// Makes the system report closed ports at destinations.
     ///
     /// # Errors
-    /// When the system refuses.
+    /// If the system refuses.
     pub(super) fn report_errors(&self) -> io::Result<()> {
         self.state.enable_transport_errors((&self.socket).into())
     }
 
-    /// Returns the address that it is bound to, with the real port.
+    /// Returns the bound address, with the actual port.
     pub(super) const fn address(&self) -> SocketAddr {
         self.address
     }
@@ -111,21 +111,21 @@ impl UdpPort {
         self.caveat.as_deref()
     }
 
-    /// Bytes that may be on their way to it: a quarter of the kernel's buffer, in which small datagrams take up to
-    /// four times their size.
+    /// Returns the number of bytes that may be in flight to this socket: a quarter of the kernel's buffer, in which
+    /// small datagrams take up to four times their size.
     pub(super) fn window(&self) -> u32 {
         u32::try_from(self.receive_buffer / 4).unwrap_or(u32::MAX)
     }
 
-    /// Datagrams of equal length that one system call sends.
+    /// Returns the largest number of datagrams of equal length that one system call sends.
     pub(super) fn max_segments(&self) -> usize {
         self.state.max_gso_segments()
     }
 
-    /// Sends datagrams that follow each other in `contents`, without waiting.
+    /// Sends the datagrams that are stored one after the other in `contents`. Never waits.
     ///
     /// # Errors
-    /// `WouldBlock` when the socket takes nothing more now.
+    /// `WouldBlock` if the socket accepts nothing more at present.
     pub(super) fn try_send(&self, route: Route, contents: &[u8], batch: Batch) -> io::Result<()> {
         let transmit = Transmit {
             destination: route.to,
@@ -137,11 +137,11 @@ impl UdpPort {
         self.socket.try_io(Interest::WRITABLE, || self.state.try_send((&self.socket).into(), &transmit))
     }
 
-    /// Receives what is there, without waiting: calls `each` for every datagram, with where it came from and the
-    /// address of this machine that it came to.
+    /// Receives the datagrams that have arrived and calls `each` for every one, with its source and the address of this
+    /// machine at which it arrived. Never waits.
     ///
     /// # Errors
-    /// `WouldBlock` when nothing is there; else what an earlier datagram met on its way.
+    /// `WouldBlock` if no datagram has arrived. Other errors concern a datagram that was sent before.
     pub(super) fn try_receive(
         &self,
         buffers: &mut ReceiveBuffers,
@@ -158,7 +158,7 @@ impl UdpPort {
             if meta.len == 0 {
                 each(meta.addr, meta.dst_ip, &[]);
             }
-            // Several of one sender come as one, all but the last of equal length.
+            // The kernel joins datagrams of one sender, all but the last of equal length.
             for datagram in buffer[..meta.len].chunks(meta.stride.max(1)) {
                 each(meta.addr, meta.dst_ip, datagram);
             }
@@ -166,21 +166,21 @@ impl UdpPort {
         Ok(())
     }
 
-    /// Waits until something may be there.
+    /// Waits until a datagram may have arrived.
     ///
     /// # Errors
-    /// When the system reports a closed port at a destination.
+    /// If the system reports a closed port at a destination.
     pub(super) async fn readable(&self) -> io::Result<()> {
         let ready = self.socket.ready(Interest::READABLE | Interest::ERROR).await?;
         if !ready.is_error() {
             return Ok(());
         }
         let mut refusal = None;
-        // All of them: the socket counts as in error until none is left.
+        // All errors are read, because the socket counts as in error until none is left.
         let drained: io::Result<()> = self.socket.try_io(Interest::ERROR, || {
-            while let Some(told) = self.state.recv_transport_error((&self.socket).into())? {
-                let error = io::Error::from_raw_os_error(told.raw_errno);
-                // Routes come back; a port that is closed does not by itself.
+            while let Some(reported) = self.state.recv_transport_error((&self.socket).into())? {
+                let error = io::Error::from_raw_os_error(reported.raw_errno);
+                // Missing routes are ignored, because they may come back. A closed port does not open by itself.
                 refusal =
                     refusal.take().or((error.kind() == io::ErrorKind::ConnectionRefused).then_some(error));
             }

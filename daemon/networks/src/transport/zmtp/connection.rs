@@ -1,4 +1,4 @@
-//! The half of a connection that many threads share: sending, and how far it has come.
+//! The part of a connection that many threads share: sending, and the connection's phase.
 
 use std::collections::VecDeque;
 use std::fmt;
@@ -17,10 +17,10 @@ use crate::statistics::ConnectionAddresses;
 use crate::transport::memory::{MemoryBudget, Reservation};
 use crate::transport::{AddressGroup, ConnectionId, Frames, SendFailure};
 
-/// Most slices that one write gathers.
+/// Largest number of slices that one write gathers.
 const MAX_SLICES: usize = 64;
 
-/// How far a connection has come. Only [`advance`](ZmtpConnection::advance) changes it.
+/// Phase of a connection. Only [`advance`](ZmtpConnection::advance) changes it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 #[repr(u8)]
 pub(super) enum Phase {
@@ -28,16 +28,16 @@ pub(super) enum Phase {
     Unadmitted,
     Greeted,
     Admitted,
-    /// The listener closes: what is queued goes out.
+    /// The listener closes; queued messages are still sent.
     Closing,
-    /// It made room for another.
+    /// The connection made room for another one.
     Replaced,
 }
 
 const PHASES: [Phase; 6] =
     [Phase::Handshake, Phase::Unadmitted, Phase::Greeted, Phase::Admitted, Phase::Closing, Phase::Replaced];
 
-/// One connection, as senders see it.
+/// A connection, with the interface that senders use.
 pub(super) struct ZmtpConnection {
     pub(super) id: ConnectionId,
     pub(super) address: SocketAddr,
@@ -45,7 +45,7 @@ pub(super) struct ZmtpConnection {
     pub(super) writer: OwnedWriteHalf,
     codec: Mutex<Codec>,
     phase: AtomicU8,
-    /// Tells the connection's task that there is something new: a phase, or output that the kernel did not take.
+    /// Wakes the connection's task for a new phase, or for output that the kernel did not accept.
     pub(super) wake: Notify,
     max_queued_messages: usize,
     max_queued_bytes: usize,
@@ -53,11 +53,11 @@ pub(super) struct ZmtpConnection {
     _place: OwnedSemaphorePermit,
 }
 
-/// The library's state machine, and what it has queued.
+/// The library's state machine, and its queue.
 #[derive(Debug)]
 pub(super) struct Codec {
     pub(super) zmtp: Connection,
-    /// Where each queued message ends in the stream of all bytes ever queued.
+    /// End of each queued message in the stream of all bytes ever queued.
     ends: VecDeque<u64>,
     written: u64,
     reserved: Reservation,
@@ -102,7 +102,7 @@ impl ZmtpConnection {
         }
     }
 
-    /// Both ends; `None` when the socket is gone.
+    /// Returns the addresses of both ends; `None` if the socket is gone.
     pub(super) fn addresses(&self) -> Option<ConnectionAddresses> {
         let local = self.writer.local_addr().ok()?;
         Some(ConnectionAddresses { local, remote: self.address })
@@ -116,7 +116,7 @@ impl ZmtpConnection {
         PHASES[usize::from(self.phase.load(Ordering::Acquire))]
     }
 
-    /// Moves on to a phase. Nothing leads out of the last two, and only an unadmitted connection is greeted.
+    /// Changes the phase. The last two phases are final, and only an unadmitted connection becomes greeted.
     pub(super) fn advance(&self, to: Phase) {
         let allowed = |from: u8| {
             let from = PHASES[usize::from(from)];
@@ -133,8 +133,8 @@ impl ZmtpConnection {
         }
     }
 
-    /// Hands a message to the network without waiting: to the kernel where nothing is queued before it, else to
-    /// the queue, which the connection's task empties.
+    /// Hands a message to the network. Never waits. The message goes to the kernel if nothing is queued before it, else
+    /// to the queue, which the connection's task sends.
     pub(super) fn try_send(&self, frames: Frames) -> Result<(), SendFailure> {
         let gone = |reason: &dyn fmt::Display| SendFailure::Gone(reason.to_string());
         if self.phase() >= Phase::Closing {
@@ -144,6 +144,7 @@ impl ZmtpConnection {
         let message = Message::multipart_payloads(frames.into_iter().map(Payload::from_bytes));
         let mut codec = self.codec();
         let queued = codec.zmtp.pending_transmit_size();
+        // An empty queue accepts every message, whatever its size.
         if queued > 0
             && (queued.saturating_add(bytes) > self.max_queued_bytes
                 || codec.ends.len() >= self.max_queued_messages)
@@ -157,7 +158,7 @@ impl ZmtpConnection {
         let end = codec.written + codec.zmtp.pending_transmit_size() as u64;
         codec.ends.push_back(end);
         if queued > 0 {
-            // The task writes it after what is queued.
+            // The connection's task writes it after the queued messages.
             return Ok(());
         }
         match self.write(&mut codec) {
@@ -170,10 +171,10 @@ impl ZmtpConnection {
         }
     }
 
-    /// Writes what is queued until the kernel takes no more. Returns whether nothing is left.
+    /// Writes queued bytes until the kernel accepts no more. Returns whether nothing is left.
     ///
     /// # Errors
-    /// When the connection is broken.
+    /// If the connection is broken.
     pub(super) fn write(&self, codec: &mut Codec) -> io::Result<bool> {
         while codec.zmtp.has_pending_transmit() {
             let result = self.writer.try_write_vectored(&codec.zmtp.transmit_chunks_capped(MAX_SLICES));
@@ -203,7 +204,7 @@ impl Codec {
         }
     }
 
-    /// Reserves memory for so many queued bytes.
+    /// Reserves memory for `queued` queued bytes.
     fn reserve(&mut self, queued: usize) -> io::Result<()> {
         let full = |_| io::Error::new(io::ErrorKind::OutOfMemory, "peers leave too much unread");
         self.reserved.set(&self.budget, queued as u64).map_err(full)

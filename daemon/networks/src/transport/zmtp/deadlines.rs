@@ -1,4 +1,4 @@
-//! How long a connection may take for what, without I/O.
+//! Deadlines of a connection, without I/O.
 
 use tokio::time::Instant;
 
@@ -6,23 +6,23 @@ use super::connection::Phase;
 use super::limits::{HANDSHAKE_TIMEOUT, ListenerLimits};
 use super::rejections::Rejection;
 
-/// The deadlines of one connection: of the phase that it is in, and of its silence.
+/// The deadlines of one connection: of its phase, and of its silence.
 pub(super) struct Deadlines {
     limits: ListenerLimits,
     phase: Phase,
     phase_began: Instant,
-    /// Whether bytes came since the last [`check`](Self::check).
+    /// `true` if bytes arrived since the last [`check`](Self::check).
     pub(super) has_received: bool,
     last_received: Instant,
 }
 
-/// What is due.
+/// Action that a deadline demands.
 #[derive(Debug, PartialEq, Eq)]
-pub(super) enum Due {
+pub(super) enum DueAction {
     Nothing,
-    /// A heartbeat: the peer is silent.
+    /// Send a heartbeat, because the peer is silent.
     Ping,
-    /// The end of the connection, and why.
+    /// End the connection, for this reason.
     End(Rejection, String),
 }
 
@@ -32,41 +32,41 @@ impl Deadlines {
         Self { limits, phase: Phase::Handshake, phase_began: now, has_received: false, last_received: now }
     }
 
-    /// The phase whose deadline is kept.
+    /// Returns the phase whose deadline is watched.
     pub(super) const fn phase(&self) -> Phase {
         self.phase
     }
 
-    /// Begins the deadline of a new phase.
+    /// Starts the deadline of a new phase.
     pub(super) const fn enter(&mut self, phase: Phase, now: Instant) {
         (self.phase, self.phase_began) = (phase, now);
     }
 
-    /// Returns what is due now.
-    pub(super) fn check(&mut self, now: Instant) -> Due {
+    /// Returns the action that is due now.
+    pub(super) fn check(&mut self, now: Instant) -> DueAction {
         if std::mem::take(&mut self.has_received) {
             self.last_received = now;
         }
         let in_phase = now - self.phase_began;
         if self.phase == Phase::Handshake {
             if in_phase < HANDSHAKE_TIMEOUT {
-                return Due::Nothing;
+                return DueAction::Nothing;
             }
-            return Due::End(Rejection::Handshake, "no ZMTP handshake in time".into());
+            return DueAction::End(Rejection::Handshake, "no ZMTP handshake in time".into());
         }
         if self.phase == Phase::Unadmitted && in_phase >= self.limits.hello_timeout {
             let text = format!("no hello was accepted within {} ms", self.limits.hello_timeout.as_millis());
-            return Due::End(Rejection::NoHello, text);
+            return DueAction::End(Rejection::NoHello, text);
         }
         let silence = now - self.last_received;
         if silence >= self.limits.heartbeat_timeout {
             let text = format!("the peer sent nothing for {} ms", silence.as_millis());
-            return Due::End(Rejection::Silent, text);
+            return DueAction::End(Rejection::Silent, text);
         }
-        if silence >= self.limits.heartbeat_interval { Due::Ping } else { Due::Nothing }
+        if silence >= self.limits.heartbeat_interval { DueAction::Ping } else { DueAction::Nothing }
     }
 
-    /// Returns when to check next.
+    /// Returns the time of the next check.
     pub(super) fn next(&self, now: Instant) -> Instant {
         let heartbeat = now + self.limits.heartbeat_interval;
         match self.phase {
@@ -101,11 +101,11 @@ mod tests {
         let start = Instant::now();
         let after = |seconds| start + Duration::from_secs(seconds);
         let mut deadlines = Deadlines::new(&limits(), start);
-        assert_eq!((deadlines.check(after(1)), deadlines.next(after(1))), (Due::Nothing, after(2)));
-        assert!(matches!(deadlines.check(after(2)), Due::End(Rejection::Handshake, _)));
+        assert_eq!((deadlines.check(after(1)), deadlines.next(after(1))), (DueAction::Nothing, after(2)));
+        assert!(matches!(deadlines.check(after(2)), DueAction::End(Rejection::Handshake, _)));
         deadlines.enter(Phase::Unadmitted, after(1));
-        assert_eq!((deadlines.check(after(5)), deadlines.next(after(5))), (Due::Ping, after(6)));
-        assert!(matches!(deadlines.check(after(6)), Due::End(Rejection::NoHello, _)));
+        assert_eq!((deadlines.check(after(5)), deadlines.next(after(5))), (DueAction::Ping, after(6)));
+        assert!(matches!(deadlines.check(after(6)), DueAction::End(Rejection::NoHello, _)));
     }
 
     #[test]
@@ -115,8 +115,8 @@ mod tests {
         let mut deadlines = Deadlines::new(&limits(), start);
         deadlines.enter(Phase::Admitted, start);
         deadlines.has_received = true;
-        assert_eq!(deadlines.check(after(100)), Due::Nothing);
-        assert_eq!(deadlines.check(after(101)), Due::Ping);
-        assert!(matches!(deadlines.check(after(110)), Due::End(Rejection::Silent, _)));
+        assert_eq!(deadlines.check(after(100)), DueAction::Nothing);
+        assert_eq!(deadlines.check(after(101)), DueAction::Ping);
+        assert!(matches!(deadlines.check(after(110)), DueAction::End(Rejection::Silent, _)));
     }
 }

@@ -1,4 +1,4 @@
-//! The task of one connection: reads, keeps deadlines, and writes what senders could not.
+//! The task of one connection: reads, watches deadlines, and writes what senders could not write.
 
 use std::collections::VecDeque;
 use std::pin::Pin;
@@ -15,7 +15,7 @@ use tokio::sync::mpsc;
 use tokio::time::{Instant, Sleep, sleep_until};
 
 use super::connection::{Phase, ZmtpConnection};
-use super::deadlines::{Deadlines, Due};
+use super::deadlines::{Deadlines, DueAction};
 use super::framer::{Allowance, Framer, Piece, Stage, Violation};
 use super::limits::ListenerLimits;
 use super::listener::Delivery;
@@ -23,18 +23,18 @@ use super::rejections::Rejection;
 use crate::transport::memory::{MemoryBudget, Reservation};
 use crate::transport::{Arrival, Frames, Peer};
 
-/// Bytes that one read takes at most while no long frame is expected; they are copied into frames of their own, so
-/// that an idle connection holds no buffer.
+/// Largest number of bytes of one read while no long frame is expected. They are copied into frames, so that an idle
+/// connection holds no buffer.
 const READ_BYTES: usize = 16 * 1024;
 
-/// Bytes of PONGs that may wait to be written before reading pauses: a peer that only sends PINGs and reads nothing
-/// gets no further.
+/// Number of bytes of waiting PONGs above which reading pauses. A peer that sends PINGs and reads nothing is thereby
+/// stopped.
 const MAX_QUEUED_PONG_BYTES: usize = 16 * 1024;
 
-/// How long a peer may take to close its end, after everything was sent to it.
+/// Time limit for a peer to close its end after everything was sent to it.
 const CLOSE_TIMEOUT: Duration = Duration::from_millis(200);
 
-/// Why a connection ended.
+/// Reason for the end of a connection.
 #[derive(Debug)]
 pub(super) enum ConnectionEnd {
     /// The peer closed the connection, or the connection broke.
@@ -52,14 +52,14 @@ pub(super) struct Driver {
     deadlines: Deadlines,
     arrivals: mpsc::Sender<Delivery>,
     messages: VecDeque<(Message, Reservation)>,
-    /// Whether a message was handed out.
+    /// `true` if a message was handed up.
     pub(super) has_delivered: bool,
-    /// Whether the handshake succeeded.
+    /// `true` if the handshake succeeded.
     pub(super) is_ready: bool,
     has_output: bool,
 }
 
-/// Bytes from the peer, cut into pieces that the library decodes.
+/// Bytes from the peer, split into pieces that the library decodes.
 struct Input {
     reader: OwnedReadHalf,
     framer: Framer,
@@ -101,7 +101,7 @@ impl Driver {
         }
     }
 
-    /// Runs until the connection ends. Messages that arrived before the end have been handed out then.
+    /// Runs until the connection ends. All messages that arrived before have then been handed up.
     pub(super) async fn run(&mut self) -> ConnectionEnd {
         let mut timer = std::pin::pin!(sleep_until(Instant::now()));
         loop {
@@ -123,7 +123,7 @@ impl Driver {
                 () = timer.as_mut() => Wake::Timer,
             };
             match event {
-                Wake::Read(Read::Bytes) => {
+                Wake::Read(ReadOutcome::Bytes) => {
                     self.deadlines.has_received = true;
                     if let Err((reason, text)) = self.decode() {
                         return ConnectionEnd::Rejected(reason, text);
@@ -132,8 +132,8 @@ impl Driver {
                         return ConnectionEnd::Closed;
                     }
                 }
-                Wake::Read(Read::End(reason)) => return ConnectionEnd::Peer(reason),
-                Wake::Read(Read::Violation((reason, text))) => {
+                Wake::Read(ReadOutcome::End(reason)) => return ConnectionEnd::Peer(reason),
+                Wake::Read(ReadOutcome::Violation((reason, text))) => {
                     // Messages that were complete before the violation are still delivered.
                     if self.decode().is_ok() {
                         self.deliver().await;
@@ -153,12 +153,13 @@ impl Driver {
         }
     }
 
-    /// Whether queued PONGs must be written before more is read.
+    /// Returns whether queued PONGs must be written before more is read.
     fn is_blocked(&self) -> bool {
         self.has_output && self.connection.codec().zmtp.pending_pong_size() > MAX_QUEUED_PONG_BYTES
     }
 
-    /// Applies the phase of the connection if another thread has changed it. Returns the end that the phase demands.
+    /// Applies the phase of the connection if another thread has changed it. Returns the end that the phase demands, if
+    /// any.
     fn apply_phase(&mut self, timer: Pin<&mut Sleep>) -> Option<ConnectionEnd> {
         let phase = self.connection.phase();
         if phase == self.deadlines.phase() {
@@ -188,7 +189,7 @@ impl Driver {
         }
     }
 
-    /// Lets the library decode the pieces, and collects whole messages.
+    /// Lets the library decode the pieces, and collects complete messages.
     fn decode(&mut self) -> Result<(), Violation> {
         let connection = Arc::clone(&self.connection);
         let mut codec = connection.codec();
@@ -214,7 +215,8 @@ impl Driver {
         Ok(())
     }
 
-    /// Hands complete messages to the listener; waits while its queue is full. Returns `false` once the listener is gone.
+    /// Hands complete messages to the listener, and waits while its queue is full. Returns `false` if the listener is
+    /// gone.
     async fn deliver(&mut self) -> bool {
         while let Some((message, reserved)) = self.messages.pop_front() {
             let frames: Frames = message.iter().collect();
@@ -228,21 +230,21 @@ impl Driver {
         true
     }
 
-    /// Sends a PING or ends the connection, if that is due.
+    /// Sends a PING or ends the connection if that is due.
     fn check_deadlines(&mut self) -> Option<ConnectionEnd> {
         match self.deadlines.check(Instant::now()) {
-            Due::Nothing => None,
-            Due::Ping => {
+            DueAction::Nothing => None,
+            DueAction::Ping => {
                 self.ping();
                 None
             }
-            Due::End(reason, text) => Some(ConnectionEnd::Rejected(reason, text)),
+            DueAction::End(reason, text) => Some(ConnectionEnd::Rejected(reason, text)),
         }
     }
 
     fn ping(&mut self) {
         let mut codec = self.connection.codec();
-        // Peers of ZMTP 3.0 do not know heartbeats; a queue that does not drain needs no further PING.
+        // Peers of ZMTP 3.0 do not know heartbeats, and a queue that is not empty needs no further PING.
         if codec.zmtp.peer_minor() == 0 || codec.zmtp.has_pending_transmit() {
             return;
         }
@@ -254,7 +256,7 @@ impl Driver {
         self.has_output = true;
     }
 
-    /// Sends what is queued, no longer than until `deadline`, and lets the peer close.
+    /// Sends queued bytes until `deadline` at most, and lets the peer close the connection.
     pub(super) async fn finish(&mut self, deadline: Instant) {
         let connection = Arc::clone(&self.connection);
         let flush = async {
@@ -268,9 +270,9 @@ impl Driver {
                 }
             }
         };
-        // What is not out by then is lost, as it would be with the connection.
+        // Bytes that are not sent by then are lost with the connection.
         let _late = tokio::time::timeout_at(deadline, flush).await;
-        // A socket that is closed with unread bytes resets the connection, and the peer loses what it has not read.
+        // Closing a socket with unread bytes would reset the connection, and the peer would lose what it has not read.
         shut_down_writing(&self.input.reader);
         let mut scratch = vec![0; READ_BYTES];
         let drain = async { while matches!(self.input.reader.read(&mut scratch).await, Ok(1..)) {} };
@@ -279,7 +281,7 @@ impl Driver {
 }
 
 fn shut_down_writing(reader: &OwnedReadHalf) {
-    // The peer may have closed already.
+    // Fails if the peer has already closed the connection.
     let _closed = socket2::SockRef::from(reader.as_ref()).shutdown(std::net::Shutdown::Write);
 }
 
@@ -294,25 +296,25 @@ fn violation(error: &omq_proto::Error, is_ready: bool) -> Violation {
 
 /// Event that the task of a connection waited for.
 enum Wake {
-    Read(Read),
+    Read(ReadOutcome),
     Notified,
     Writable(bool),
     Timer,
 }
 
 /// Result of one read.
-enum Read {
+enum ReadOutcome {
     Bytes,
     End(String),
     Violation(Violation),
 }
 
 impl Input {
-    /// Reads once, into the buffer of a long frame or into pieces. Dropping the future loses nothing.
-    async fn read(&mut self, connection: &ZmtpConnection) -> Read {
+    /// Reads once, into the buffer of a long frame or into pieces. Cancel safe: dropping the future loses nothing.
+    async fn read(&mut self, connection: &ZmtpConnection) -> ReadOutcome {
         let Self { reader, framer, allowance, pieces } = self;
         std::future::poll_fn(|cx| {
-            // At each poll: what follows an acceptance may be here before this task is told of it.
+            // Read at each poll, because bytes that follow an acceptance may arrive before this task is woken for it.
             allowance.stage = stage(connection.phase());
             poll_read(cx, reader, framer, allowance, pieces)
         })
@@ -334,9 +336,9 @@ fn poll_read(
     framer: &mut Framer,
     allowance: &Allowance,
     pieces: &mut Vec<Piece>,
-) -> Poll<Read> {
+) -> Poll<ReadOutcome> {
     let (read, result) = match framer.direct_buffer(allowance) {
-        Err(violation) => return Poll::Ready(Read::Violation(violation)),
+        Err(violation) => return Poll::Ready(ReadOutcome::Violation(violation)),
         Ok(Some(mut buffer)) => {
             debug_assert!(buffer.has_remaining_mut());
             let read = std::pin::pin!(reader.read_buf(&mut buffer)).poll(cx);
@@ -351,9 +353,9 @@ fn poll_read(
         }
     };
     Poll::Ready(match (read, result) {
-        (Ok(0), _) => Read::End("the peer closed the connection".into()),
-        (Err(error), _) => Read::End(error.to_string()),
-        (_, Err(violation)) => Read::Violation(violation),
-        (Ok(_), Ok(())) => Read::Bytes,
+        (Ok(0), _) => ReadOutcome::End("the peer closed the connection".into()),
+        (Err(error), _) => ReadOutcome::End(error.to_string()),
+        (_, Err(violation)) => ReadOutcome::Violation(violation),
+        (Ok(_), Ok(())) => ReadOutcome::Bytes,
     })
 }

@@ -1,6 +1,7 @@
-//! Splits the bytes of one connection into ZMTP frames, within limits. No I/O.
+//! Splits the bytes of one connection into ZMTP frames, within limits and without I/O.
 //!
-//! The codec of the library only ever gets whole frames: everything unfinished is held, and counted, here.
+//! The library's codec only gets whole frames. Everything unfinished is held and counted here. Memory is reserved as
+//! bytes arrive and not as a peer claims.
 
 use std::sync::Arc;
 
@@ -11,38 +12,39 @@ use super::limits::{FRAME_OVERHEAD_BYTES, MAX_HANDSHAKE_BYTES, MAX_UNADMITTED_BY
 use super::rejections::Rejection;
 use crate::transport::memory::{MemoryBudget, Reservation};
 
-/// Bytes of the greeting that a ZMTP connection begins with (RFC 23).
+/// Length of the greeting of a ZMTP connection (RFC 23 of ZeroMQ). Bytes.
 const GREETING_BYTES: usize = 64;
 
-/// Bits of a frame's first byte (RFC 23).
+/// Bits of a frame's first byte (RFC 23 of ZeroMQ).
 const MORE: u8 = 0x01;
 const LONG: u8 = 0x02;
 const COMMAND: u8 = 0x04;
 
-/// Bytes reserved at once for a frame that has just begun, as far as it claims so many.
+/// Largest number of bytes that are reserved at the start of a frame, before and after admission.
 const FIRST_BYTES_UNADMITTED: usize = 4 * 1024;
 const FIRST_BYTES: usize = 64 * 1024;
 
-/// The same on a connection that already sent frames of this length: a stream of images needs no growing buffers.
+/// Largest number of bytes that are reserved at the start of a frame on a connection that has already sent frames of
+/// this length. A stream of images then does not need growing buffers.
 const MOST_FIRST_BYTES: usize = 2 * 1024 * 1024;
 
-/// Rests of frames from this length on are read from the kernel straight into the frame's own buffer.
+/// Smallest remainder of a frame that is read from the kernel straight into the frame's buffer. Bytes.
 const DIRECT_READ_BYTES: usize = 8 * 1024;
 
-/// The most that one such read takes: while the kernel copies more, it takes in nothing, and the sender waits.
+/// Largest number of bytes of one such read. While the kernel copies, it receives nothing, and the sender waits.
 const MOST_DIRECT_READ_BYTES: usize = 64 * 1024;
 
-/// What a connection may send at the moment.
+/// Limits on what a connection may send at present.
 #[derive(Debug)]
 pub(super) struct Allowance {
     pub(super) stage: Stage,
-    /// Largest message of an admitted connection.
+    /// Largest message of an admitted connection. Bytes.
     pub(super) max_message_bytes: usize,
     pub(super) unadmitted: Arc<MemoryBudget>,
     pub(super) admitted: Arc<MemoryBudget>,
 }
 
-/// How far a connection has come, as far as it matters for what it may send.
+/// Stage of a connection that determines its limits.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Stage {
     Handshake,
@@ -50,32 +52,32 @@ pub(super) enum Stage {
     Admitted,
 }
 
-/// Why the connection must be closed.
+/// Reason why the connection must be closed.
 pub(super) type Violation = (Rejection, String);
 
 /// Bytes for the codec.
 #[derive(Debug)]
 pub(super) struct Piece {
     pub(super) bytes: Bytes,
-    /// Present when a message ends with these bytes: the memory that it takes.
+    /// Reservation of a message's memory, if a message ends with these bytes.
     pub(super) message: Option<Reservation>,
 }
 
-/// The frames of one connection.
+/// Splits the bytes of one connection into frames.
 #[derive(Debug)]
 pub(super) struct Framer {
     state: State,
-    /// Bytes of the unfinished message's frames that are whole.
+    /// Bytes of the complete frames of the unfinished message.
     finished_bytes: usize,
-    /// Covers the unfinished message, its unfinished frame included.
+    /// Memory of the unfinished message, including its unfinished frame.
     reserved: Reservation,
-    /// Largest frame that was ever completed here.
+    /// Length of the largest frame that was completed on this connection.
     largest_frame: usize,
 }
 
 #[derive(Debug)]
 enum State {
-    /// So many bytes of the greeting are missing.
+    /// Number of missing bytes of the greeting.
     Greeting(usize),
     Header {
         bytes: [u8; 9],
@@ -105,10 +107,11 @@ impl Framer {
         self.reserved.bytes()
     }
 
-    /// Where the rest of a long frame is to be read to, if one is expected. [`filled`](Self::filled) follows.
+    /// Returns the buffer into which the remainder of a long frame is to be read, if one is expected.
+    /// [`filled`](Self::filled) is to be called afterwards.
     ///
     /// # Errors
-    /// When there is no memory for it.
+    /// If there is no memory for the frame.
     pub(super) fn direct_buffer(
         &mut self,
         allowance: &Allowance,
@@ -125,15 +128,15 @@ impl Framer {
         Ok(Some(buffer.limit(room.min(MOST_DIRECT_READ_BYTES))))
     }
 
-    /// Bytes were read into the [direct buffer](Self::direct_buffer).
+    /// Handles bytes that were read into the [direct buffer](Self::direct_buffer).
     pub(super) fn filled(&mut self, allowance: &Allowance, out: &mut Vec<Piece>) -> Result<(), Violation> {
         self.complete_body(allowance, out)
     }
 
-    /// Bytes were read.
+    /// Handles bytes that were read.
     ///
     /// # Errors
-    /// When they are more than the connection may send now.
+    /// If they are more than the connection may send at present.
     pub(super) fn input(
         &mut self,
         mut chunk: &[u8],
@@ -192,7 +195,7 @@ impl Framer {
         out: &mut Vec<Piece>,
     ) -> Result<(), Violation> {
         let (flags, length) = self.check(header, allowance)?;
-        // The codec checks the flags before anything is reserved.
+        // The codec checks the flags before memory is reserved.
         out.push(Piece { bytes: Bytes::copy_from_slice(header), message: None });
         let first = match allowance.stage {
             Stage::Admitted => FIRST_BYTES.max(self.largest_frame.min(MOST_FIRST_BYTES)),
@@ -204,7 +207,8 @@ impl Framer {
         self.complete_body(allowance, out)
     }
 
-    /// Flags and length of a frame, of which at least the header is there, if the connection may send it now.
+    /// Returns the flags and the length of a frame, of which at least the header has arrived, if the connection may
+    /// send it at present.
     fn check(&self, frame: &[u8], allowance: &Allowance) -> Result<(u8, usize), Violation> {
         let (flags, length) = (frame[0], frame_length(frame));
         let size = self.finished_bytes.saturating_add(length).saturating_add(FRAME_OVERHEAD_BYTES);
@@ -219,7 +223,7 @@ impl Framer {
                 );
                 return Err((Rejection::LargeBeforeHello, text));
             }
-            // The codec names the exact limit, with the overhead of each frame.
+            // The codec reports the exact limit, with the overhead of each frame.
             Stage::Admitted if length > allowance.max_message_bytes => {
                 let text = format!("it claims {length} bytes; {} are allowed", allowance.max_message_bytes);
                 return Err((Rejection::TooLarge, text));
@@ -242,7 +246,7 @@ impl Framer {
         Ok(())
     }
 
-    /// Counts a frame that is whole. Returns the memory of the message that ends with it.
+    /// Counts a complete frame. Returns the memory of the message if it ends with this frame.
     fn complete_frame(
         &mut self,
         flags: u8,
@@ -260,14 +264,14 @@ impl Framer {
     }
 }
 
-/// The length that a frame claims, of which at least the header is there.
+/// Returns the length that a frame claims, of which at least the header has arrived.
 fn frame_length(frame: &[u8]) -> usize {
     let long = |bytes: &[u8]| bytes.iter().fold(0, |length, byte| length << 8 | u64::from(*byte));
     let claimed = long(&frame[1..header_length(frame[0])]);
     usize::try_from(claimed).unwrap_or(usize::MAX)
 }
 
-/// Whether the first frame of a chunk is there as a whole.
+/// Returns whether the first frame of a chunk is complete.
 fn is_whole_frame(chunk: &[u8]) -> bool {
     let header = header_length(chunk[0]);
     chunk.len() >= header && chunk.len() - header >= frame_length(chunk)
@@ -277,7 +281,7 @@ const fn header_length(flags: u8) -> usize {
     if flags & LONG == 0 { 2 } else { 9 }
 }
 
-/// Makes room for `capacity` bytes of a frame, beside the message's finished frames.
+/// Makes room for `capacity` bytes of a frame, in addition to the message's complete frames.
 fn grow(
     buffer: &mut Vec<u8>,
     capacity: usize,

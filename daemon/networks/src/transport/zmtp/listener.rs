@@ -1,4 +1,4 @@
-//! A listening port: accepts connections within limits, and hands out what they send.
+//! A listening port: accepts connections within limits, and returns what they send.
 
 use std::io;
 use std::net::SocketAddr;
@@ -17,21 +17,21 @@ use super::connection::{Phase, ZmtpConnection};
 use super::driver::{Budgets, ConnectionEnd, Driver};
 use super::limits::{ListenerLimits, MAX_ALL_UNADMITTED_BYTES};
 use super::rejections::{Rejection, RejectionCounts};
-use super::table::{ConnectionTable, Inserted};
+use super::table::{ConnectionTable, InsertedConnection};
 use crate::statistics::ConnectionAddresses;
 use crate::transport::memory::{MemoryBudget, Reservation};
 use crate::transport::{AddressGroup, Arrival, BindFailure, ConnectionId, Frames, SendFailure};
 
-/// Messages of all connections that may wait to be received; each is covered by a reservation until then.
+/// Largest number of messages of all connections that wait to be received. Their memory is reserved until then.
 const MAX_WAITING: usize = 1_024;
 
-/// Sockets that may still be closing while as many connections as allowed are open.
+/// Number of sockets that may still be closing while the largest number of connections is open.
 const CLOSING_PLACES: usize = 16;
 
-/// Connections that the kernel may complete before they are accepted.
+/// Number of connections that the kernel may complete before they are accepted.
 const BACKLOG: i32 = 1_024;
 
-/// Pause after an accept that failed for want of descriptors or memory.
+/// Pause after an accept that failed for lack of descriptors or memory.
 const SHORTAGE_PAUSE: Duration = Duration::from_millis(100);
 
 /// The receiving end of a listening port. Dropping it closes the port and all connections.
@@ -42,7 +42,7 @@ pub struct ZmtpListener {
     shared: Arc<ListenerState>,
 }
 
-/// The sending end; cheap to clone.
+/// The sending end of a listening port. Cheap to clone.
 #[derive(Clone, Debug)]
 pub struct ZmtpSender {
     shared: Arc<ListenerState>,
@@ -56,11 +56,11 @@ struct ListenerState {
     rejections: Arc<RejectionCounts>,
     stop: CancellationToken,
     tasks: TaskTracker,
-    /// When connections that close may no longer send; set before `stop` is cancelled.
+    /// Deadline for closing connections to send their queues. Set before `stop` is cancelled.
     close_deadline: Mutex<Option<Instant>>,
 }
 
-/// Something that arrived, and the memory it takes until it is received.
+/// An arrival, and the reservation of its memory until it is received.
 #[derive(Debug)]
 pub(super) struct Delivery {
     pub(super) arrival: Arrival,
@@ -68,10 +68,10 @@ pub(super) struct Delivery {
 }
 
 impl ZmtpListener {
-    /// Listens at an address; port 0 lets the system choose one.
+    /// Listens on an address. With port 0 the system chooses a port.
     ///
     /// # Errors
-    /// When the port is taken or the address is not this machine's.
+    /// If the port is in use or the address does not belong to this machine.
     pub async fn bind(authority: &str, limits: ListenerLimits) -> Result<Self, BindFailure> {
         let listener = listen(authority).await.map_err(|error| bind_failure(&error))?;
         let address = listener.local_addr().map_err(|error| bind_failure(&error))?;
@@ -94,31 +94,32 @@ impl ZmtpListener {
         Ok(Self { address, arrivals, shared })
     }
 
-    /// Where it listens, with the real port.
+    /// Returns the address of the port, with the actual port number.
     pub const fn address(&self) -> SocketAddr {
         self.address
     }
 
-    /// The sending end.
+    /// Returns the sending end.
     pub fn sender(&self) -> ZmtpSender {
         ZmtpSender { shared: Arc::clone(&self.shared) }
     }
 
-    /// How many connections were turned away, by reason.
+    /// Returns the counts of rejected connections by reason.
     pub fn rejections(&self) -> Arc<RejectionCounts> {
         Arc::clone(&self.shared.rejections)
     }
 
-    /// What arrives next; `None` when the port is closed. Dropping the future loses nothing.
+    /// Waits for the next arrival. `None` means that the port is closed. Cancel safe: dropping the future loses
+    /// nothing.
     pub async fn receive(&mut self) -> Option<Arrival> {
         self.arrivals.recv().await.map(|delivery| delivery.arrival)
     }
 
-    /// Closes the port and all connections, after what was sent has gone out or `linger` has passed.
+    /// Closes the port and all connections after all messages have been sent, or after `linger`.
     pub async fn close(mut self, linger: Duration) {
         let deadline = Instant::now() + linger;
         *self.shared.close_deadline.lock().unwrap_or_else(PoisonError::into_inner) = Some(deadline);
-        // Whoever waits to hand something over goes on to close.
+        // Unblocks tasks that wait for room in the queue, so that they can close.
         self.arrivals.close();
         while self.arrivals.try_recv().is_ok() {}
         self.shared.close();
@@ -133,31 +134,31 @@ impl Drop for ZmtpListener {
 }
 
 impl ZmtpSender {
-    /// Hands over a whole message without waiting.
+    /// Hands over a whole message. Never waits.
     ///
     /// # Errors
-    /// When the peer reads too slowly, or its connection is gone.
+    /// If the peer reads too slowly, or its connection is gone.
     pub fn try_send(&self, connection: ConnectionId, frames: Frames) -> Result<(), SendFailure> {
         let connection = self.shared.table.get(connection);
         connection.ok_or_else(|| SendFailure::Gone("the peer is gone".into()))?.try_send(frames)
     }
 
-    /// Returns both ends of a connection; `None` when it is over.
+    /// Returns the addresses of both ends of a connection; `None` if it is over.
     pub(crate) fn addresses(&self, connection: ConnectionId) -> Option<ConnectionAddresses> {
         self.shared.table.get(connection)?.addresses()
     }
 
-    /// The connection's hello has come and is being decided on; its deadline is met.
+    /// Notes that the connection has sent a hello that is being decided. Its deadline is met.
     pub fn greet(&self, connection: ConnectionId) {
         self.shared.table.greet(connection);
     }
 
-    /// The connection's hello was accepted: it may send large messages.
+    /// Notes that the connection's hello was accepted. It may send large messages.
     pub fn admit(&self, connection: ConnectionId) {
         self.shared.table.admit(connection);
     }
 
-    /// Nothing admits the connection any more: a new hello must come in time.
+    /// Notes that the connection is not admitted any more. A new hello must arrive in time.
     pub fn demote(&self, connection: ConnectionId) {
         self.shared.table.demote(connection);
     }
@@ -204,7 +205,7 @@ async fn accept(listener: TcpListener, shared: Arc<ListenerState>, arrivals: mps
     while let Some(accepted) = shared.stop.run_until_cancelled(next(&listener, &places)).await {
         let (stream, address, place) = match accepted {
             Ok(accepted) => accepted,
-            Err(error) if has_given_up(&error) => continue,
+            Err(error) if is_aborted_by_peer(&error) => continue,
             Err(error) => {
                 shared.rejections.record(Rejection::TooMany, None, &format!("cannot accept: {error}"));
                 tokio::time::sleep(SHORTAGE_PAUSE).await;
@@ -221,11 +222,11 @@ async fn accept(listener: TcpListener, shared: Arc<ListenerState>, arrivals: mps
             Arc::new(ZmtpConnection::new(id, address, writer, place, &shared.limits, output))
         };
         match shared.table.insert(AddressGroup::of(address), make) {
-            Ok(Inserted { connection, replaced }) => {
+            Ok(InsertedConnection { connection, replaced }) => {
                 for other in replaced {
                     other.advance(Phase::Replaced);
                 }
-                // Closing may have looked at all connections just before.
+                // Closing may have gone through all connections just before this one was added.
                 if shared.stop.is_cancelled() {
                     connection.advance(Phase::Closing);
                 }
@@ -241,7 +242,7 @@ async fn accept(listener: TcpListener, shared: Arc<ListenerState>, arrivals: mps
     }
 }
 
-/// The next connection and its place among those that may be open.
+/// Waits for the next connection. Returns it with its place among the open ones.
 async fn next(
     listener: &TcpListener,
     places: &Arc<Semaphore>,
@@ -251,13 +252,14 @@ async fn next(
     Ok((stream, address, place))
 }
 
-/// Whether the other side gave up before it was accepted.
-fn has_given_up(error: &io::Error) -> bool {
+/// Returns whether the other side gave up before it was accepted.
+fn is_aborted_by_peer(error: &io::Error) -> bool {
     use io::ErrorKind::{ConnectionAborted, ConnectionRefused, ConnectionReset};
     matches!(error.kind(), ConnectionAborted | ConnectionRefused | ConnectionReset)
 }
 
 fn prepare(stream: &TcpStream, limits: &ListenerLimits) -> io::Result<()> {
+    // A small message must not wait for the acknowledgement of the one before.
     stream.set_nodelay(true)?;
     SockRef::from(stream).set_tcp_user_timeout(Some(limits.heartbeat_timeout))
 }
@@ -283,14 +285,16 @@ async fn serve(mut driver: Driver, shared: Arc<ListenerState>, arrivals: mpsc::S
             "the connection was closed here".into()
         }
     };
-    // Before anybody learns of it: the socket closes with the last of these, and nothing can be sent any more.
+    // Removed before the end is reported, because the socket closes with the last reference, and nothing can be sent
+    // afterwards.
     shared.table.remove(id);
     drop(driver);
     let arrival = match (has_delivered, is_ready) {
         (true, _) => Arrival::Gone(id, reason),
         (false, false) => Arrival::Garbage(Some(address), reason),
+        // The layer above does not know a connection without a message.
         (false, true) => return,
     };
-    // Closed only while everything ends.
+    // Fails only while the listener is closing.
     let _ended = arrivals.send(Delivery { arrival, _reserved: None }).await;
 }

@@ -1,16 +1,20 @@
-//! The listening side of ZMTP over TCP, with limits on what anybody may cost.
+//! The listening side of ZMTP over TCP, with limits per connection, per address and for all connections.
 //!
-//! The codec is the library's ([`omq_proto`], ZMTP 3.1); sockets and memory are handled here, because the library's
-//! own sockets buffer whatever a stranger claims. A connection is in one of these states:
+//! The codec is the library's ([`omq_proto`], ZMTP 3.1). Sockets, deadlines and memory are handled here, because the
+//! library's own listening socket buffers whatever a stranger claims, has no deadline for a hello and no limit per
+//! address. A connection is in one of these states; the layer above admits it when it accepts a session or a host, and
+//! demotes it when that ends:
 //!
 //! | state | until | unfinished input | ended by |
 //! | --- | --- | --- | --- |
-//! | handshake | greeting and READY have come | 8 KiB | 2 s, a newer connection |
-//! | unadmitted | the upper layer accepts a hello | 64 KiB | the hello timeout, a newer connection |
-//! | admitted | the session or host behind it is gone | the listener's budget | silence |
+//! | handshake | greeting and READY have arrived | 8 KiB | 2 s, a newer connection |
+//! | unadmitted | the layer above accepts a hello | 64 KiB | the hello timeout, a newer connection |
+//! | admitted | its session or host has gone | the listener's budget | silence |
 //!
-//! [`limits`] has the numbers, [`framer`] counts bytes, [`table`] counts connections, [`deadlines`] keeps time,
-//! [`driver`] is the task of one.
+//! [`limits`] has the numbers, [`framer`] counts bytes, [`table`] counts connections and decides which one makes room
+//! for another, [`deadlines`] watches times, [`driver`] is the task of a connection.
+//!
+//! Routing ids that peers choose are refused, because a session belongs to one connection.
 
 mod connection;
 mod deadlines;

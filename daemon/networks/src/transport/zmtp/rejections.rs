@@ -1,4 +1,4 @@
-//! Connections that were turned away or closed for breaking a limit: counted by reason, logged once and then as counts.
+//! Connections that were refused or closed because of a limit: counted by reason, and logged at a limited rate.
 
 use std::net::SocketAddr;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -7,31 +7,31 @@ use std::time::Duration;
 
 use tokio::time::Instant;
 
-/// How often a reason is logged at most.
+/// Shortest interval between two log lines with the same reason.
 const LOG_INTERVAL: Duration = Duration::from_secs(60);
 
-/// Why a connection was turned away or closed by the listener.
+/// Reason why the listener refused or closed a connection.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Rejection {
-    /// As many connections were open as are allowed.
+    /// The largest number of connections was open.
     TooMany,
-    /// As many connections of its address were open as are allowed.
+    /// The largest number of connections of its address was open.
     TooManyOfAddress,
-    /// It had not been admitted when a newer connection needed its place.
+    /// The connection was not admitted, and a newer one needed its place.
     Replaced,
-    /// It did not complete the ZMTP handshake, or not in time.
+    /// The connection did not complete the ZMTP handshake in time.
     Handshake,
-    /// It sent no hello that was accepted in time.
+    /// The connection sent no hello in time that was accepted.
     NoHello,
-    /// It sent or claimed more than is allowed before its hello was accepted.
+    /// The connection sent or claimed more than is allowed before its hello was accepted.
     LargeBeforeHello,
-    /// It sent or claimed a message larger than is allowed.
+    /// The connection sent or claimed a message that is larger than allowed.
     TooLarge,
-    /// There was no memory left for its unfinished message.
+    /// There was no memory for its unfinished message.
     NoMemory,
-    /// It sent nothing for longer than the heartbeat allows.
+    /// The connection sent nothing for longer than the heartbeat timeout.
     Silent,
-    /// It broke the protocol after the handshake.
+    /// The connection violated the protocol after the handshake.
     Protocol,
 }
 
@@ -50,7 +50,7 @@ impl Rejection {
         Self::Protocol,
     ];
 
-    /// Its name in metrics.
+    /// Returns the name of the reason in metrics.
     pub const fn name(self) -> &'static str {
         match self {
             Self::TooMany => "too_many",
@@ -67,13 +67,13 @@ impl Rejection {
     }
 }
 
-/// How often each reason occurred at one listener.
+/// Number of occurrences of each reason at one listener.
 #[derive(Debug)]
 pub struct RejectionCounts {
-    /// The listener, for log lines.
+    /// Address of the listener, for log lines.
     port: String,
     counts: [AtomicU64; Rejection::ALL.len()],
-    /// When each reason was last logged, and the count then.
+    /// Time of the last log line of each reason, and the count at that time.
     logged: Mutex<[Option<(Instant, u64)>; Rejection::ALL.len()]>,
 }
 
@@ -82,12 +82,12 @@ impl RejectionCounts {
         Self { port, counts: Default::default(), logged: Mutex::new([None; Rejection::ALL.len()]) }
     }
 
-    /// How often a reason occurred since the listener was bound.
+    /// Returns how often a reason has occurred since the listener was bound.
     pub fn count(&self, reason: Rejection) -> u64 {
         self.counts[reason as usize].load(Ordering::Relaxed)
     }
 
-    /// Counts a connection and logs it, unless that reason was logged in the last minute.
+    /// Counts a connection, and logs it unless that reason was logged in the last minute.
     pub(super) fn record(&self, reason: Rejection, from: Option<SocketAddr>, detail: &str) {
         let count = self.counts[reason as usize].fetch_add(1, Ordering::Relaxed) + 1;
         let now = Instant::now();

@@ -1,4 +1,4 @@
-//! The open connections of a listener, and who makes room for whom.
+//! The open connections of a listener, and the decision which one makes room for another.
 
 use std::collections::{BTreeSet, HashMap};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -19,14 +19,14 @@ pub(super) struct ConnectionTable {
 struct Entries {
     next: u64,
     open: HashMap<ConnectionId, Arc<ZmtpConnection>>,
-    /// Those that are not admitted, oldest first: ids only grow.
+    /// Connections that are not admitted, oldest first, because ids increase.
     unadmitted: BTreeSet<ConnectionId>,
-    groups: HashMap<AddressGroup, Count>,
+    groups: HashMap<AddressGroup, ConnectionCount>,
 }
 
-/// Connections of one address.
+/// Number of connections of one address.
 #[derive(Clone, Copy, Debug, Default)]
-struct Count {
+struct ConnectionCount {
     open: usize,
     unadmitted: usize,
 }
@@ -48,16 +48,16 @@ impl ConnectionTable {
         self.entries().open.values().cloned().collect()
     }
 
-    /// Takes in a new connection. Where a limit is reached, a connection that is not admitted yet makes room: the
-    /// oldest of the same address, or else of the address that has most of them.
+    /// Adds a new connection. If a limit is reached, a connection that is not admitted makes room: the oldest of the
+    /// same address, or else of the address with the most connections that are not admitted.
     ///
     /// # Errors
-    /// When only admitted connections stand in the way.
+    /// If all connections that could make room are admitted.
     pub(super) fn insert(
         &self,
         group: AddressGroup,
         make: impl FnOnce(ConnectionId) -> Arc<ZmtpConnection>,
-    ) -> Result<Inserted, Rejection> {
+    ) -> Result<InsertedConnection, Rejection> {
         let mut entries = self.entries();
         let mut replaced = Vec::new();
         let of_group = entries.groups.get(&group).copied().unwrap_or_default();
@@ -82,10 +82,10 @@ impl ConnectionTable {
         let count = entries.groups.entry(group).or_default();
         count.open += 1;
         count.unadmitted += 1;
-        Ok(Inserted { connection, replaced })
+        Ok(InsertedConnection { connection, replaced })
     }
 
-    /// The hello has come and is being decided on: its deadline is met.
+    /// Notes that the hello of a connection is being decided. Its deadline is met.
     pub(super) fn greet(&self, id: ConnectionId) {
         if let Some(connection) = self.get(id) {
             connection.advance(Phase::Greeted);
@@ -93,15 +93,15 @@ impl ConnectionTable {
     }
 
     pub(super) fn admit(&self, id: ConnectionId) {
-        self.move_to(id, Phase::Admitted);
+        self.set_phase(id, Phase::Admitted);
     }
 
-    /// The session or hello that admitted the connection is over: the next must come in time.
+    /// Notes that the session or hello that admitted the connection is over. The next hello must arrive in time.
     pub(super) fn demote(&self, id: ConnectionId) {
-        self.move_to(id, Phase::Unadmitted);
+        self.set_phase(id, Phase::Unadmitted);
     }
 
-    fn move_to(&self, id: ConnectionId, phase: Phase) {
+    fn set_phase(&self, id: ConnectionId, phase: Phase) {
         let mut entries = self.entries();
         let Some(connection) = entries.open.get(&id).cloned() else { return };
         connection.advance(phase);
@@ -118,9 +118,9 @@ impl ConnectionTable {
     }
 }
 
-/// A connection that was taken in, and those that made room for it.
+/// A connection that was added, and those that made room for it.
 #[derive(Debug)]
-pub(super) struct Inserted {
+pub(super) struct InsertedConnection {
     pub(super) connection: Arc<ZmtpConnection>,
     pub(super) replaced: Vec<Arc<ZmtpConnection>>,
 }

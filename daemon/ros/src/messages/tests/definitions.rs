@@ -1,4 +1,4 @@
-//! MD5 sums, computed from the definitions' texts in the way of genmsg.
+//! Tests of MD5 sums, which are computed from the definitions' texts in the way of genmsg.
 
 use md5::{Digest, Md5};
 
@@ -7,8 +7,8 @@ use crate::messages::{
     StringMessage, UInt8MultiArray,
 };
 
-/// Constants first and then fields, each in order; a field of another message type has that type's sum in place of its
-/// name, without the brackets of an array.
+/// Returns the MD5 sum of a definition. The text has constants first and then fields, each in order. In place of the
+/// name of another message type it has that type's sum, without the brackets of an array.
 fn sum(definition: &MessageDefinition) -> String {
     let (constants, fields): (Vec<&str>, Vec<&str>) =
         definition.text.lines().partition(|line| line.contains('='));
@@ -28,7 +28,7 @@ fn sum(definition: &MessageDefinition) -> String {
 }
 
 #[test]
-fn sums_are_those_of_the_definitions() {
+fn md5_sums_match_the_definitions() {
     let all = [
         &Header::DEFINITION,
         StringMessage::DEFINITION,

@@ -1,4 +1,4 @@
-//! The bytes of messages, written out.
+//! Tests of the exact bytes of messages.
 
 use bytes::Bytes;
 

@@ -15,7 +15,7 @@ prop_compose! {
     }
 }
 
-/// Lengths on both sides of the size from which on bytes are referred to.
+/// Returns bytes of lengths around the limit from which on they are referred to.
 fn blobs() -> impl Strategy<Value = bytes::Bytes> {
     prop_oneof![0_usize..40, 4090_usize..4100]
         .prop_flat_map(|length| proptest::collection::vec(any::<u8>(), length))

@@ -1,4 +1,4 @@
-//! Damaged messages are refused or read as other messages, and never more.
+//! Tests with damaged messages: they are refused or read as other messages without further effects.
 
 use bytes::Bytes;
 use proptest::prelude::*;
@@ -9,7 +9,7 @@ use crate::messages::{
     CompressedImage, Image, Imu, Message, PointCloud2, StringMessage, UInt8MultiArray, WireForm,
 };
 
-/// Decodes as every type; whatever is accepted encodes again.
+/// Decodes the bytes as every type, and encodes every accepted message again.
 fn decode_all(form: WireForm, bytes: &Bytes) {
     fn decode<M: Message>(form: WireForm, bytes: &Bytes) {
         if let Ok(message) = M::decode(form, bytes.clone()) {
@@ -56,12 +56,12 @@ fn encoded() -> impl Strategy<Value = (WireForm, Vec<u8>)> {
 
 proptest! {
     #[test]
-    fn any_bytes_are_survived(form in forms(), bytes in proptest::collection::vec(any::<u8>(), 0..300)) {
+    fn any_bytes_are_read_without_panic(form in forms(), bytes in proptest::collection::vec(any::<u8>(), 0..300)) {
         decode_all(form, &bytes.into());
     }
 
     #[test]
-    fn damaged_messages_are_survived(
+    fn damaged_messages_are_read_without_panic(
         (form, bytes) in encoded(),
         changes in proptest::collection::vec((any::<Index>(), any::<u8>()), 0..6),
         length: Option<Index>,

@@ -1,4 +1,4 @@
-//! Round trips: decoding returns the value that was encoded, in both wire forms.
+//! Tests of round trips: decoding returns the encoded value in both wire forms.
 
 use std::fmt::Debug;
 
@@ -17,7 +17,7 @@ fn pass_through<M: Message>(message: &M, form: WireForm) -> M {
     M::decode(form, bytes).unwrap()
 }
 
-/// Compares in both forms; `without_seq` removes what ROS 2 does not carry.
+/// Compares in both forms; `without_seq` removes the field that ROS 2 does not have.
 fn check<M: Message + PartialEq + Debug>(message: M, without_seq: impl FnOnce(M) -> M) {
     assert_eq!(pass_through(&message, WireForm::Ros1), message);
     let read = pass_through(&message, WireForm::Cdr);
@@ -30,38 +30,38 @@ fn plain(header: Header) -> Header {
 
 proptest! {
     #[test]
-    fn header_survives(message in headers()) {
+    fn header_decodes_to_encoded_value(message in headers()) {
         check(message, plain);
     }
 
     #[test]
-    fn string_survives(data in "[^\0]{0,100}") {
+    fn string_decodes_to_encoded_value(data in "[^\0]{0,100}") {
         check(StringMessage { data }, |message| message);
     }
 
     #[test]
-    fn byte_array_survives(label in "[^\0]{0,9}", size: u32, stride: u32, data_offset: u32, data in blobs()) {
+    fn byte_array_decodes_to_encoded_value(label in "[^\0]{0,9}", size: u32, stride: u32, data_offset: u32, data in blobs()) {
         let layout = MultiArrayLayout { dim: vec![MultiArrayDimension { label, size, stride }], data_offset };
         check(UInt8MultiArray { layout, data }, |message| message);
     }
 
     #[test]
-    fn image_survives(message in images()) {
+    fn image_decodes_to_encoded_value(message in images()) {
         check(message, |mut m| { m.header = plain(m.header); m });
     }
 
     #[test]
-    fn compressed_image_survives(message in compressed_images()) {
+    fn compressed_image_decodes_to_encoded_value(message in compressed_images()) {
         check(message, |mut m| { m.header = plain(m.header); m });
     }
 
     #[test]
-    fn imu_survives(message in imus()) {
+    fn imu_decodes_to_encoded_value(message in imus()) {
         check(message, |mut m| { m.header = plain(m.header); m });
     }
 
     #[test]
-    fn point_cloud_survives(message in point_clouds()) {
+    fn point_cloud_decodes_to_encoded_value(message in point_clouds()) {
         check(message, |mut m| { m.header = plain(m.header); m });
     }
 }

@@ -1,4 +1,4 @@
-//! Frames: a length of four bytes, little-endian, and as many bytes as it says.
+//! Frames of TCPROS: a length of four bytes, little-endian, and that many bytes.
 
 use std::mem;
 
@@ -8,43 +8,43 @@ use thiserror::Error;
 
 use crate::ros1::memory::{MessageLimits, MessageMemory};
 
-/// Bytes of the length before each frame.
+/// Length of the prefix of each frame. Bytes.
 const PREFIX_BYTES: usize = 4;
 
-/// Room for reading while no long frame is expected.
+/// Room for reading while no long frame is expected. Bytes.
 const READ_BYTES: usize = 64 * 1024;
 
-/// Most address space for a frame, as a multiple of the bytes that have arrived of it. Room that is not written yet takes
+/// Largest address space for a frame, as a multiple of the bytes that have arrived. Room that is not written yet takes
 /// no memory, and every growth of a buffer may copy it.
 const MAX_GROWTH: usize = 16;
 
-/// A frame that cannot be received.
+/// Error: a frame cannot be received.
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
 pub enum FrameError {
-    /// It is longer than allowed.
+    /// The frame is longer than allowed.
     #[error("the peer announces a frame of {length} bytes; the longest allowed has {max}")]
     TooLong {
-        /// Announced length in bytes.
+        /// Announced length. Bytes.
         length: usize,
-        /// Longest allowed length in bytes.
+        /// Longest allowed length. Bytes.
         max: usize,
     },
-    /// It finds no room beside the frames that others are sending.
+    /// The frame finds no room among the frames that others are sending.
     #[error("a frame of {length} bytes finds no room: all that arrive at once share a limit")]
     NoMemory {
-        /// Announced length in bytes.
+        /// Announced length. Bytes.
         length: usize,
     },
 }
 
-/// Bytes that arrived on a connection, split into frames.
+/// Splits the bytes that arrive on a connection into frames.
 ///
 /// A frame refers to the bytes as they were read. A long frame is read into a separate buffer.
 #[derive(Debug)]
 pub struct FrameBuffer {
     bytes: BytesMut,
     limits: MessageLimits,
-    /// Memory that a long frame takes from its first bytes on.
+    /// Memory of a long frame, reserved from its first bytes on.
     memory: MessageMemory,
 }
 
@@ -55,34 +55,34 @@ impl FrameBuffer {
         Self { bytes: BytesMut::new(), limits, memory: MessageMemory::default() }
     }
 
-    /// Changes the bounds of the frames that are not complete.
+    /// Changes the limits of frames that are not complete.
     pub(in crate::ros1) fn set_limits(&mut self, limits: &MessageLimits) {
         self.limits.clone_from(limits);
     }
 
     /// Returns the length of the frame that has begun.
-    fn announced(&self) -> Option<usize> {
+    fn frame_length(&self) -> Option<usize> {
         let prefix = self.bytes.get(..PREFIX_BYTES)?;
         let length = u32::from_le_bytes(prefix.try_into().unwrap_or_default());
         Some(usize::try_from(length).unwrap_or(usize::MAX))
     }
 
-    /// Returns where to append what is read next, with room for at least one byte.
+    /// Returns the buffer for the next bytes, with room for at least one byte.
     ///
     /// # Errors
-    /// There is no memory for more of a long frame. The connection cannot go on.
+    /// If there is no memory for more of a long frame. The connection must then be closed.
     pub fn input(&mut self) -> Result<Limit<&mut BytesMut>, FrameError> {
-        let length = self.announced().unwrap_or(0).min(self.limits.max_bytes);
+        let length = self.frame_length().unwrap_or(0).min(self.limits.max_bytes);
         let (arrived, frame) = (self.bytes.len(), PREFIX_BYTES + length);
         let missing = frame.saturating_sub(arrived).max(1);
         if self.bytes.capacity() - arrived < missing.min(READ_BYTES) {
-            // A long frame gets room for itself alone, so that no bytes of the next one share its buffer.
+            // A long frame gets room only for itself, so that no bytes of the next frame share its buffer.
             let growth = (arrived * MAX_GROWTH).max(READ_BYTES);
             self.bytes.reserve(missing.clamp(READ_BYTES, growth));
         }
         let mut room = self.bytes.capacity() - arrived;
         if frame > READ_BYTES {
-            // Twice what has arrived: a claimed length takes nothing from others.
+            // At most twice what has arrived, so that a claimed length takes no memory from others.
             let allowed = frame.min((2 * arrived).max(READ_BYTES));
             if !self.memory.grow(allowed, self.limits.memory.as_ref()) {
                 return Err(FrameError::NoMemory { length });
@@ -92,12 +92,12 @@ impl FrameBuffer {
         Ok((&mut self.bytes).limit(room))
     }
 
-    /// Returns the next frame, without its length, if it is complete, and the memory that it takes.
+    /// Returns the next frame without its length, and its memory, if it is complete.
     ///
     /// # Errors
-    /// The next frame is longer than allowed, or there is no memory for it. The connection cannot go on.
+    /// If the next frame is longer than allowed, or there is no memory for it. The connection must then be closed.
     pub fn next_frame(&mut self) -> Result<Option<(Bytes, MessageMemory)>, FrameError> {
-        let Some(length) = self.announced() else { return Ok(None) };
+        let Some(length) = self.frame_length() else { return Ok(None) };
         if length > self.limits.max_bytes {
             return Err(FrameError::TooLong { length, max: self.limits.max_bytes });
         }
@@ -112,7 +112,7 @@ impl FrameBuffer {
         Ok(Some((self.bytes.split_to(length).freeze(), memory)))
     }
 
-    /// Returns whether a frame has begun that is not complete.
+    /// Returns whether a frame has begun and is not complete.
     pub fn has_partial_frame(&self) -> bool {
         !self.bytes.is_empty()
     }

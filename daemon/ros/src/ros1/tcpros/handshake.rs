@@ -1,4 +1,4 @@
-//! The checks of publisher and subscriber when they connect.
+//! Checks of publisher and subscriber when they connect.
 
 use std::sync::Arc;
 
@@ -7,17 +7,17 @@ use thiserror::Error;
 use super::{ConnectionHeader, HeaderError};
 use crate::messages::Message;
 
-/// Stands for any type or sum.
+/// Wildcard for any type or sum.
 const ANY: &str = "*";
 
-/// A message type as connection headers name it.
+/// A message type as named in connection headers.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct TopicType {
     /// Package and name, or `*`.
     pub name: Arc<str>,
     /// MD5 sum, or `*`.
     pub md5: Arc<str>,
-    /// Full text of the definition, or nothing.
+    /// Full text of the definition; may be empty.
     pub definition: Arc<str>,
 }
 
@@ -32,7 +32,7 @@ impl TopicType {
         }
     }
 
-    /// Returns the type that every other one matches, for subscribers that take messages as bytes.
+    /// Returns the wildcard type, which every type matches, for subscribers that receive messages as bytes.
     pub fn any() -> Self {
         Self { name: ANY.into(), md5: ANY.into(), definition: "".into() }
     }
@@ -42,7 +42,7 @@ impl TopicType {
         &*self.md5 == ANY
     }
 
-    /// Returns whether messages of both types are the same. The sum decides; where it is `*`, the name does.
+    /// Returns whether messages of both types are the same. The sum decides; if it is `*`, the name does.
     fn matches(&self, name: &str, md5: &str) -> bool {
         let is_same = |ours: &str, theirs: &str| ours == theirs || ours == ANY || theirs == ANY;
         is_same(&self.md5, md5) && is_same(&self.name, name)
@@ -53,13 +53,13 @@ impl TopicType {
     }
 }
 
-/// Why publisher and subscriber do not exchange messages.
+/// Reason why publisher and subscriber do not exchange messages.
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
 pub enum HandshakeError {
-    /// Not a header, or one without a field.
+    /// The header is invalid or lacks a field.
     #[error(transparent)]
     Header(#[from] HeaderError),
-    /// The subscriber asks for another topic than this node publishes.
+    /// The subscriber asks for a topic that this node does not publish.
     #[error("topic {topic} is not published by node {node}")]
     UnknownTopic {
         /// Topic that was asked for.
@@ -67,7 +67,7 @@ pub enum HandshakeError {
         /// Name of the node that was asked.
         node: String,
     },
-    /// Both sides have different types.
+    /// The two sides have different types.
     #[error(
         "topic {topic} has two message types: {ours} here, {theirs} at node {peer}; \
          let both use the same definition of the type"
@@ -92,7 +92,7 @@ pub enum HandshakeError {
     },
 }
 
-/// A topic that a node publishes, as it answers subscribers.
+/// A topic that a node publishes, with the answer to subscribers.
 #[derive(Clone, Debug)]
 pub struct Publication {
     /// Name of the node.
@@ -101,7 +101,7 @@ pub struct Publication {
     pub topic: Arc<str>,
     /// Type of the messages.
     pub kind: TopicType,
-    /// Whether a new subscriber gets the last message at once.
+    /// `true` if a new subscriber gets the last message at once.
     pub is_latching: bool,
 }
 
@@ -109,12 +109,13 @@ impl Publication {
     /// Returns the header that answers a subscriber's, and the subscriber's name.
     ///
     /// # Errors
-    /// The subscriber wants something else. It gets [`ConnectionHeader::error`] with the text.
+    /// If the subscriber asks for something else. It must be sent [`ConnectionHeader::error`] with the text of the
+    /// error.
     pub fn answer(&self, request: &ConnectionHeader) -> Result<(ConnectionHeader, Arc<str>), HandshakeError> {
         let topic = request.require("topic")?;
         let md5 = request.require("md5sum")?;
         let peer = request.get("callerid").unwrap_or("without a name");
-        // Some clients leave the type out where the sum is a wildcard.
+        // Some clients omit the type if the sum is a wildcard.
         let name = request.get("type").unwrap_or(ANY);
         if topic != &*self.topic {
             return Err(HandshakeError::UnknownTopic { topic: topic.into(), node: self.node.to_string() });
@@ -139,7 +140,7 @@ impl Publication {
     }
 }
 
-/// A topic that a node subscribes to, as it asks publishers.
+/// A topic that a node subscribes to, with the request to publishers.
 #[derive(Clone, Debug)]
 pub struct Subscription {
     /// Name of the node.
@@ -163,10 +164,10 @@ impl Subscription {
         ])
     }
 
-    /// Checks the publisher's answer and returns the publisher's name and type.
+    /// Checks the publisher's answer. Returns the publisher's name and type.
     ///
     /// # Errors
-    /// The publisher refuses, or publishes another type.
+    /// If the publisher refuses or publishes another type.
     pub fn accept(&self, answer: &ConnectionHeader) -> Result<(Arc<str>, TopicType), HandshakeError> {
         let topic = || self.topic.to_string();
         if let Some(reason) = answer.get("error") {

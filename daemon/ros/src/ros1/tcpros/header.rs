@@ -10,22 +10,22 @@ use super::MAX_HEADER_BYTES;
 /// Largest number of fields of a header. Clients send fewer than ten.
 const MAX_FIELDS: usize = 100;
 
-/// Bytes that are not a connection header.
+/// Error: bytes are not a connection header.
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
 pub enum HeaderError {
-    /// A field's length goes beyond the header.
+    /// A field extends beyond the header.
     #[error("a field of the connection header ends after the header")]
     TooShort,
-    /// A field without `=`.
+    /// A field has no `=`.
     #[error("a field of the connection header has no '='")]
     NoSeparator,
-    /// Too many fields.
+    /// The header has too many fields.
     #[error("the connection header has more than {MAX_FIELDS} fields")]
     TooManyFields,
-    /// A field that is not text.
+    /// A field is not UTF-8.
     #[error("a field of the connection header is not UTF-8")]
     NotUtf8,
-    /// A field that is needed.
+    /// A required field is missing.
     #[error("the connection header lacks the field {name}")]
     Missing {
         /// Name of the field.
@@ -40,7 +40,7 @@ pub struct ConnectionHeader {
 }
 
 impl ConnectionHeader {
-    /// Returns a header that says why a connection is refused.
+    /// Returns a header with the reason for refusing a connection.
     pub fn error(reason: &str) -> Self {
         Self::from_fields([("error", reason)])
     }
@@ -56,18 +56,18 @@ impl ConnectionHeader {
         self.fields.get(name).map(String::as_str)
     }
 
-    /// Returns the value of a field that must be there.
+    /// Returns the value of a required field.
     ///
     /// # Errors
-    /// The field is missing.
+    /// If the field is missing.
     pub fn require(&self, name: &'static str) -> Result<&str, HeaderError> {
         self.get(name).ok_or(HeaderError::Missing { name })
     }
 
-    /// Reads the fields of a frame; of two with one name the last counts.
+    /// Reads the fields of a frame. Of two fields with the same name the last one is used.
     ///
     /// # Errors
-    /// The bytes are not a header.
+    /// If the bytes are not a header.
     pub fn decode(mut frame: &[u8]) -> Result<Self, HeaderError> {
         let mut fields = BTreeMap::new();
         let mut count = 0;
@@ -87,10 +87,10 @@ impl ConnectionHeader {
         Ok(Self { fields })
     }
 
-    /// Returns the bytes of the header with its length before them.
+    /// Returns the bytes of the header, preceded by its length.
     ///
-    /// A header that peers would refuse for its length is sent without the definition of the message type, which is not
-    /// needed to exchange messages.
+    /// A header that is too long for peers is sent without the definition of the message type, which is not needed to
+    /// exchange messages.
     pub fn encode(&self) -> Bytes {
         let size = |fields: &[(&String, &String)]| -> usize {
             fields.iter().map(|(name, value)| 4 + name.len() + 1 + value.len()).sum()

@@ -1,4 +1,4 @@
-//! TCPROS without I/O: connection headers, what both sides check in them, and the frames of messages.
+//! TCPROS without I/O: connection headers, their checks on both sides, and the frames of messages.
 
 mod framing;
 mod handshake;
@@ -10,5 +10,5 @@ pub use framing::{FrameBuffer, FrameError};
 pub use handshake::{HandshakeError, Publication, Subscription, TopicType};
 pub use header::{ConnectionHeader, HeaderError};
 
-/// Longest connection header that is read. The longest part of it is the definition of the message type.
+/// Longest accepted connection header. Its longest part is the definition of the message type. Bytes.
 pub const MAX_HEADER_BYTES: usize = 256 * 1024;

@@ -19,7 +19,7 @@ fn subscription(kind: TopicType) -> Subscription {
     Subscription { node: "/sub".into(), topic: "/t".into(), kind }
 }
 
-/// Passes a header through its bytes.
+/// Returns a header after encoding and decoding it.
 fn sent(header: &ConnectionHeader) -> ConnectionHeader {
     ConnectionHeader::decode(&header.encode()[4..]).unwrap()
 }
@@ -83,7 +83,7 @@ fn value_keeps_later_separators() {
 }
 
 #[test]
-fn definition_that_is_too_long_is_left_out() {
+fn too_long_definition_is_omitted() {
     let long = "x".repeat(MAX_HEADER_BYTES);
     let header = sent(&ConnectionHeader::from_fields([("message_definition", &*long), ("topic", "/t")]));
     assert_eq!(header, ConnectionHeader::from_fields([("topic", "/t")]));
@@ -100,7 +100,7 @@ fn claimed_length_reserves_little() {
 }
 
 #[test]
-fn frame_that_is_too_long_is_refused() {
+fn too_long_frame_is_refused() {
     let mut buffer = FrameBuffer::new(10);
     buffer.input().unwrap().put_slice(&11_u32.to_le_bytes());
     assert_eq!(buffer.next_frame().unwrap_err(), FrameError::TooLong { length: 11, max: 10 });
@@ -114,7 +114,7 @@ fn frames_share_memory_by_what_has_arrived() {
         buffer.set_limits(&MessageLimits { max_bytes: 64 * 1024 * 1024, memory: limit.option() });
         buffer
     };
-    // All claim much and send little.
+    // All claim long frames and send few bytes.
     let mut claiming: Vec<FrameBuffer> = (0..8).map(|_| new()).collect();
     for buffer in &mut claiming {
         buffer.input().unwrap().put_slice(&50_000_000_u32.to_le_bytes());
@@ -136,7 +136,7 @@ fn frames_share_memory_by_what_has_arrived() {
     assert_eq!((frame.len(), limit.taken()), (200_000, claimed + 200_004));
     drop(memory);
     assert_eq!(limit.taken(), claimed);
-    // One sends what it claims, until the limit is reached.
+    // One of them sends what it claims, until the limit is reached.
     let refused = loop {
         match claiming[0].input() {
             Ok(mut input) => {
@@ -153,18 +153,18 @@ fn frames_share_memory_by_what_has_arrived() {
 
 proptest! {
     #[test]
-    fn any_header_is_survived(bytes in proptest::collection::vec(any::<u8>(), 0..200)) {
+    fn any_header_is_read_without_panic(bytes in proptest::collection::vec(any::<u8>(), 0..200)) {
         let _ = ConnectionHeader::decode(&bytes);
     }
 
     #[test]
-    fn header_survives(fields in proptest::collection::btree_map("[a-z0-9_]{0,9}", ".{0,30}", 0..9)) {
+    fn header_decodes_to_encoded_value(fields in proptest::collection::btree_map("[a-z0-9_]{0,9}", ".{0,30}", 0..9)) {
         let header = ConnectionHeader::from_fields(fields.iter().map(|(name, value)| (&**name, &**value)));
         prop_assert_eq!(sent(&header), header);
     }
 
     #[test]
-    fn frames_survive_any_division(
+    fn frames_are_read_from_any_chunks(
         frames in proptest::collection::vec(proptest::collection::vec(any::<u8>(), 0..300), 0..8),
         long in 0_usize..200_000,
         reads in proptest::collection::vec(1_usize..90_000, 1..9),
@@ -180,7 +180,7 @@ proptest! {
         let mut found = Vec::new();
         let (mut rest, mut reads) = (&stream[..], reads.iter().cycle());
         while !rest.is_empty() {
-            // As a socket does: no more than fits.
+            // At most as many bytes as fit, like a socket.
             let mut input = buffer.input().unwrap();
             let room = input.remaining_mut();
             prop_assert!(room > 0);

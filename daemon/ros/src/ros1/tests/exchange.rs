@@ -1,4 +1,4 @@
-//! Messages between publishers and subscribers.
+//! Tests of messages between publishers and subscribers.
 
 use bytes::Bytes;
 

@@ -1,4 +1,4 @@
-//! Peers that are missing, slow, restarted or wrong.
+//! Tests with peers that are missing, slow, restarted or wrong.
 
 use bytes::Bytes;
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
@@ -18,7 +18,7 @@ fn message(length: usize) -> Bytes {
 
 #[tokio::test]
 async fn missing_master_is_named() {
-    // Bound and not listening: connections are refused.
+    // Bound and not listening, so that connections are refused.
     let socket = tokio::net::TcpSocket::new_v4().unwrap();
     socket.bind("127.0.0.1:0".parse().unwrap()).unwrap();
     let uri = format!("http://{}", socket.local_addr().unwrap());
@@ -47,7 +47,7 @@ async fn restarted_master_learns_all_topics() {
     let is_known =
         |master: &TestMaster| master.publishers("/t") == ["/a"] && master.subscribers("/t") == ["/b"];
     within(master.wait_until(is_known)).await;
-    // The old connection goes on, and a new subscriber finds the publisher.
+    // The old connection remains, and a new subscriber finds the publisher.
     publisher.publish(message(6)).unwrap();
     assert_eq!(within(subscriber.recv()).await.unwrap().bytes.len(), 6);
     assert_eq!(subscriber.counts().connections, 1);
@@ -84,7 +84,7 @@ async fn type_mismatch_is_refused_with_both_types() {
     assert!(publisher.subscribers().is_empty());
 }
 
-/// A subscriber that connects and reads nothing.
+/// Returns the connection of a subscriber that reads nothing.
 async fn silent_subscriber(publisher_node: &Node, master: &TestMaster) -> TcpStream {
     let shared = publisher_node.shared();
     assert_eq!(master.publishers("/t"), [publisher_node.name()]);
@@ -109,7 +109,7 @@ async fn full_queue_drops_and_counts() {
     assert!(dropped > 10, "{counts:?}");
     assert_eq!((counts.offered, counts.dropped, counts.waiting), (50, dropped as u64, 4));
     assert_eq!(counts.offered, counts.sent + counts.dropped + counts.lost + counts.waiting);
-    // The subscriber goes: what waited is lost, and still counted.
+    // When the subscriber disconnects, the waiting messages are lost and counted.
     drop(stream);
     within(async {
         while publisher.counts().waiting > 0 {
@@ -185,7 +185,7 @@ async fn newest_messages_replace_oldest_and_are_counted() {
 }
 
 #[tokio::test]
-async fn only_expected_publisher_is_listened_to() {
+async fn unexpected_publisher_is_ignored_with_reason() {
     let master = TestMaster::start().await;
     let (a, b, c) = (node(&master, "a").await, node(&master, "b").await, node(&master, "c").await);
     let kind = TopicType::of::<StringMessage>();
@@ -244,7 +244,7 @@ async fn node_with_taken_name_ends() {
     let error = within(old.ended()).await;
     assert!(error.to_string().contains("has registered with the same name"), "{error}");
     assert!(matches!(publisher.publish(message(1)), Err(NodeError::Closed { .. })));
-    // The new node's registration stays.
+    // The new node's registration remains.
     drop((publisher, old));
     assert_eq!(master.publishers("/t"), ["/a"]);
 }
@@ -296,7 +296,7 @@ async fn garbage_at_both_ports_leaves_the_node_working() {
             &long_line,
         ] {
             let mut stream = TcpStream::connect(("127.0.0.1", port)).await.unwrap();
-            // It may be refused before all of it was sent.
+            // The connection may be closed before everything was sent.
             let _ = stream.write_all(garbage.as_bytes()).await;
             let _ = stream.shutdown().await;
             let _ = within(stream.read_to_end(&mut Vec::new())).await;

@@ -1,4 +1,4 @@
-//! A master for tests: topics only, as the protocol describes it.
+//! A master for tests that supports topics only.
 
 use std::collections::BTreeMap;
 use std::net::SocketAddr;
@@ -23,7 +23,7 @@ struct State {
     nodes: BTreeMap<String, String>,
 }
 
-/// A master on a separate port.
+/// A master on its own port.
 #[derive(Debug)]
 pub(super) struct TestMaster {
     address: SocketAddr,
@@ -51,14 +51,14 @@ impl TestMaster {
         format!("http://{}", self.address)
     }
 
-    /// Stops the server and forgets everything.
+    /// Stops the server and removes all registrations.
     pub(super) async fn kill(&mut self) {
         self.stop.cancel();
         self.server.take().expect("it runs").await.unwrap();
         *self.state.lock().unwrap() = State::default();
     }
 
-    /// Starts the server on the port that it had before.
+    /// Starts the server on its previous port.
     pub(super) fn resume(&mut self) {
         let socket = TcpSocket::new_v4().unwrap();
         socket.set_reuseaddr(true).unwrap();
@@ -94,7 +94,7 @@ impl TestMaster {
         self.state().nodes.get(node).cloned()
     }
 
-    /// Waits until a condition holds; it is looked at after each call.
+    /// Waits until a condition holds, which is checked after each call.
     pub(super) async fn wait_until(&self, condition: impl Fn(&Self) -> bool) {
         let mut changes = self.changes.subscribe();
         while !condition(self) {
@@ -120,7 +120,7 @@ fn answer(state: &mut State, call: &Call) -> Response {
             register(state, node, uri);
             let nodes = state.publishers.entry((*topic).to_owned()).or_default();
             nodes.insert((*node).to_owned(), (*uri).to_owned());
-            tell_subscribers(state, topic);
+            notify_subscribers(state, topic);
             success(uris(state.subscribers.get(*topic)))
         }
         ("registerSubscriber", [node, topic, _, uri]) => {
@@ -131,7 +131,7 @@ fn answer(state: &mut State, call: &Call) -> Response {
         }
         ("unregisterPublisher", [node, topic, uri]) => {
             let removed = remove(&mut state.publishers, topic, node, uri);
-            tell_subscribers(state, topic);
+            notify_subscribers(state, topic);
             success(i64::from(removed))
         }
         ("unregisterSubscriber", [node, topic, uri]) => {
@@ -164,7 +164,7 @@ fn answer(state: &mut State, call: &Call) -> Response {
     }
 }
 
-/// Removes a registration that has this URI, and returns whether there was one.
+/// Removes a registration with this URI. Returns whether there was one.
 fn remove(topics: &mut Topics, topic: &str, node: &str, uri: &str) -> bool {
     match topics.get_mut(topic) {
         Some(nodes) if nodes.get(node).is_some_and(|known| known == uri) => nodes.remove(node).is_some(),
@@ -172,24 +172,24 @@ fn remove(topics: &mut Topics, topic: &str, node: &str, uri: &str) -> bool {
     }
 }
 
-/// Notes a node's URI, and ends an older node with its name.
+/// Stores a node's URI, and ends an older node with its name.
 fn register(state: &mut State, node: &str, uri: &str) {
     let older = state.nodes.insert(node.to_owned(), uri.to_owned());
     if let Some(older) = older.filter(|older| older != uri) {
         let reason = format!("[{node}] Reason: new node registered with same name");
-        tell(&older, "shutdown", vec!["/master".into(), reason.into()]);
+        call_node(&older, "shutdown", vec!["/master".into(), reason.into()]);
     }
 }
 
-fn tell_subscribers(state: &State, topic: &str) {
+fn notify_subscribers(state: &State, topic: &str) {
     let publishers = uris(state.publishers.get(topic));
     for uri in state.subscribers.get(topic).into_iter().flat_map(BTreeMap::values) {
-        tell(uri, "publisherUpdate", vec!["/master".into(), topic.into(), publishers.clone()]);
+        call_node(uri, "publisherUpdate", vec!["/master".into(), topic.into(), publishers.clone()]);
     }
 }
 
-/// Calls a node. A failure is the node's end.
-fn tell(uri: &str, method: &'static str, params: Vec<Value>) {
+/// Calls a node. A failure means that the node has ended.
+fn call_node(uri: &str, method: &'static str, params: Vec<Value>) {
     let uri = RpcUri::parse(uri).unwrap();
     tokio::spawn(async move { rpc::call(&uri, method, params).await.map(drop) });
 }

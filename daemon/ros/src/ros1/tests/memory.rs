@@ -1,4 +1,4 @@
-//! Publishers that claim long messages.
+//! Tests with publishers that claim long messages.
 
 use std::any::Any;
 use std::sync::Arc;
@@ -17,7 +17,7 @@ use crate::ros1::tcpros::{ConnectionHeader, Publication};
 use crate::ros1::xmlrpc::{Response, Value};
 use crate::ros1::{MemoryLimit, PublisherOptions, RpcUri, SubscriberOptions, TopicType};
 
-/// A number of bytes that messages share.
+/// A limit of bytes that messages share.
 #[derive(Clone, Debug)]
 pub(in crate::ros1) struct TestLimit {
     taken: Arc<AtomicUsize>,
@@ -54,7 +54,7 @@ impl Drop for Part {
     }
 }
 
-/// Registers a publisher that is no node of ours, and returns the connection of its first subscriber.
+/// Registers a publisher that is not one of our nodes. Returns the connection of its first subscriber.
 async fn foreign_publisher(master: &TestMaster, name: &str, stop: &CancellationToken) -> TcpStream {
     let publication = Publication {
         node: name.into(),

@@ -15,7 +15,7 @@ use self::master::TestMaster;
 pub(in crate::ros1) use self::memory::TestLimit;
 use super::{Environment, Node, RpcUri};
 
-/// Longest time that a test waits for what must happen.
+/// Longest wait for anything that must happen.
 const PATIENCE: Duration = Duration::from_secs(30);
 
 fn clock() -> SharedClock {

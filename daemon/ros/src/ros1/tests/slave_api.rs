@@ -1,4 +1,4 @@
-//! Calls of other nodes and tools to a node.
+//! Tests of calls from other nodes and tools to a node.
 
 use super::{TestMaster, node, within};
 use crate::messages::StringMessage;
@@ -79,16 +79,16 @@ async fn node_shuts_down_when_asked() {
 }
 
 #[tokio::test]
-async fn node_whose_name_nobody_else_has_goes_on() {
+async fn node_with_unique_name_ignores_shutdown_call() {
     let master = TestMaster::start().await;
     let a = node(&master, "a").await;
     let publisher =
         a.publish("t", TopicType::of::<StringMessage>(), PublisherOptions::default()).await.unwrap();
-    // Meant for a node that ended, whose port this one has.
+    // The call is meant for a node that ended and whose port this node has.
     let reason = "[/camera] Reason: new node registered with same name";
     ask(&a, "shutdown", vec!["/master".into(), reason.into()]).await.unwrap();
 
-    // The registration of a node that ended: the master tells this one to end.
+    // The registration of a node that has ended makes the master ask this one to end.
     let ended = node(&master, "a").await;
     let late = ["/a", "/u", "std_msgs/String", ended.uri()].map(Value::from);
     ended.shutdown().await.unwrap();
@@ -101,7 +101,7 @@ async fn node_whose_name_nobody_else_has_goes_on() {
 }
 
 #[tokio::test]
-async fn running_node_is_one_that_has_the_topic() {
+async fn running_nodes_are_those_with_the_topic() {
     let master = TestMaster::start().await;
     let (a, b) = (node(&master, "a").await, node(&master, "b").await);
     let kind = TopicType::of::<StringMessage>();
@@ -110,7 +110,7 @@ async fn running_node_is_one_that_has_the_topic() {
     let nodes = ["/a".to_owned(), "/none".to_owned()];
     assert_eq!(b.running_publishers("/t", &nodes).await.unwrap(), ["/a"]);
     assert_eq!(b.running_subscribers("/u", &nodes).await.unwrap(), ["/a"]);
-    // What answers at the port of a node that ended is another node, with other topics.
+    // At the port of a node that ended, another node with other topics answers.
     assert!(b.running_publishers("/u", &nodes).await.unwrap().is_empty());
     drop(publisher);
     assert!(b.running_publishers("/t", &nodes).await.unwrap().is_empty());

@@ -1,4 +1,4 @@
-//! Calls and responses from XML. Sizes, depth and numbers are bounded, and document types are refused.
+//! Parser of calls and responses. Sizes, depth and numbers are bounded, and document types are refused.
 
 use quick_xml::Reader;
 use quick_xml::events::{BytesRef, Event};
@@ -6,39 +6,40 @@ use thiserror::Error;
 
 use super::{Call, Response, Value};
 
-/// Values within values. ROS needs five: the system state is lists of names in pairs in lists in an answer.
+/// Largest nesting depth of values. ROS needs five: the system state is lists of names in pairs in lists in an answer.
 const MAX_DEPTH: usize = 16;
 
-/// Values of one document. The largest answer is the system state of a large robot: a few thousand names.
+/// Largest number of values in a document. The largest answer is the system state of a large robot, a few thousand
+/// names.
 const MAX_VALUES: usize = 100_000;
 
-/// A text that is not a call or response.
+/// Error: a text is not a call or response.
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
 pub enum ParseError {
-    /// It is not XML.
+    /// The text is not XML.
     #[error("the XML is malformed: {reason}")]
     Malformed {
         /// Reason.
         reason: String,
     },
-    /// It has a document type, which can define entities.
+    /// The text has a document type, which can define entities.
     #[error("the XML has a document type, which XML-RPC has no use for")]
     DocumentType,
-    /// An entity that XML does not define itself.
+    /// The text refers to an entity that XML does not define itself.
     #[error("the XML refers to the unknown entity {name:?}")]
     UnknownEntity {
         /// Name of the entity.
         name: String,
     },
-    /// Another element or text than XML-RPC has there.
+    /// The text has another element or text than XML-RPC expects there.
     #[error("expected {expected} in the XML-RPC message, found {found}")]
     Unexpected {
-        /// The element or text that should be there.
+        /// Expected element or text.
         expected: &'static str,
-        /// The element or text that is there.
+        /// Element or text that was found.
         found: String,
     },
-    /// A value that is not of its type.
+    /// A value does not fit its type.
     #[error("{text:?} is not a value of the XML-RPC type {kind}")]
     Value {
         /// The type.
@@ -46,18 +47,18 @@ pub enum ParseError {
         /// The text.
         text: String,
     },
-    /// Values within values within values.
+    /// Values are nested too deeply.
     #[error("the XML-RPC message has more than {MAX_DEPTH} values within each other")]
     TooDeep,
-    /// Too many values.
+    /// There are too many values.
     #[error("the XML-RPC message has more than {MAX_VALUES} values")]
     TooManyValues,
 }
 
-/// Reads a call.
+/// Parses a call.
 ///
 /// # Errors
-/// The text is not one: [`ParseError`].
+/// If the text is not a call: [`ParseError`].
 pub fn parse_call(xml: &[u8]) -> Result<Call, ParseError> {
     let mut parser = Parser::new(utf8(xml)?);
     parser.open("methodCall")?;
@@ -74,10 +75,10 @@ pub fn parse_call(xml: &[u8]) -> Result<Call, ParseError> {
     Ok(Call { method, params })
 }
 
-/// Reads a response.
+/// Parses a response.
 ///
 /// # Errors
-/// The text is not one: [`ParseError`].
+/// If the text is not a response: [`ParseError`].
 pub fn parse_response(xml: &[u8]) -> Result<Response, ParseError> {
     let mut parser = Parser::new(utf8(xml)?);
     parser.open("methodResponse")?;
@@ -149,7 +150,7 @@ impl<'a> Parser<'a> {
         Self { reader, depth: 0, values: 0 }
     }
 
-    /// Returns the next token; a text comes in one or several pieces.
+    /// Returns the next token. A text may come in several pieces.
     fn next(&mut self) -> Result<Token, ParseError> {
         loop {
             let event = self.reader.read_event().map_err(malformed)?;
@@ -161,7 +162,7 @@ impl<'a> Parser<'a> {
                 Event::GeneralRef(reference) => Token::Text(resolve(&reference)?),
                 Event::DocType(_) => return Err(ParseError::DocumentType),
                 Event::Eof => Token::End,
-                // Elements without content come as a start and an end.
+                // Elements without content are reported as a start and an end.
                 Event::Empty(_) | Event::Comment(_) | Event::Decl(_) | Event::PI(_) => continue,
             });
         }
@@ -181,7 +182,7 @@ impl<'a> Parser<'a> {
         if self.open_or_close(expected)? { Ok(()) } else { Err(Token::Close.is_not(expected)) }
     }
 
-    /// Returns whether the expected element begins; otherwise the element around it has ended.
+    /// Returns `true` if the expected element begins, `false` if the element around it has ended.
     fn open_or_close(&mut self, expected: &'static str) -> Result<bool, ParseError> {
         match self.markup()? {
             Token::Open(name) if name == expected => Ok(true),
@@ -197,7 +198,7 @@ impl<'a> Parser<'a> {
         }
     }
 
-    /// Takes what may follow the last element that was read: ends of elements, and then the end.
+    /// Reads the rest of the document: ends of elements, and then the end.
     fn end(&mut self) -> Result<(), ParseError> {
         loop {
             match self.markup()? {
@@ -237,7 +238,7 @@ impl<'a> Parser<'a> {
         if self.depth > MAX_DEPTH {
             return Err(ParseError::TooDeep);
         }
-        // A value without a type is a string; with a type only white space is around it.
+        // A value without a type is a string. If there is a type, only white space may surround it.
         let mut text = String::new();
         let value = loop {
             match self.next()? {
@@ -310,7 +311,7 @@ fn utf8(bytes: &[u8]) -> Result<&str, ParseError> {
     std::str::from_utf8(bytes).map_err(malformed)
 }
 
-/// Returns what a reference such as `&amp;` or `&#13;` stands for.
+/// Returns the character that a reference such as `&amp;` or `&#13;` denotes.
 fn resolve(reference: &BytesRef<'_>) -> Result<String, ParseError> {
     if let Some(character) = reference.resolve_char_ref().map_err(malformed)? {
         return Ok(character.to_string());

@@ -1,10 +1,10 @@
-//! Tests of the texts of XML-RPC.
+//! Tests of parsing and writing XML-RPC.
 
 use proptest::prelude::*;
 
 use super::{Call, ParseError, Response, Value, parse_call, parse_response, write_call, write_response};
 
-/// Texts without the characters that XML cannot have.
+/// Returns texts without the characters that XML cannot contain.
 fn texts() -> impl Strategy<Value = String> {
     "[\t\n\r -~äß€]{0,12}"
 }
@@ -26,20 +26,20 @@ fn values() -> impl Strategy<Value = Value> {
 
 proptest! {
     #[test]
-    fn call_survives(method in "[a-zA-Z.]{1,12}", params in proptest::collection::vec(values(), 0..4)) {
+    fn call_decodes_to_encoded_value(method in "[a-zA-Z.]{1,12}", params in proptest::collection::vec(values(), 0..4)) {
         let call = Call { method, params };
         prop_assert_eq!(parse_call(write_call(&call).as_bytes()).unwrap(), call);
     }
 
     #[test]
-    fn response_survives(value in values(), code in -9_i64..9, text in texts()) {
+    fn response_decodes_to_encoded_value(value in values(), code in -9_i64..9, text in texts()) {
         for response in [Response::Success(value), Response::Fault { code, text }] {
             prop_assert_eq!(parse_response(write_response(&response).as_bytes()).unwrap(), response);
         }
     }
 
     #[test]
-    fn damaged_call_is_survived(
+    fn damaged_call_is_read_without_panic(
         params in proptest::collection::vec(values(), 0..4),
         changes in proptest::collection::vec((any::<prop::sample::Index>(), any::<u8>()), 1..6),
     ) {
@@ -55,7 +55,7 @@ proptest! {
 
 #[test]
 fn python_response_is_read() {
-    // What Python's xmlrpc writes.
+    // A response as Python's xmlrpc writes it.
     let xml = "<?xml version='1.0'?>\n<methodResponse>\n<params>\n<param>\n<value><array><data>\n\
                <value><int>1</int></value>\n<value><string>a &lt; b</string></value>\n\
                <value><boolean>1</boolean></value>\n</data></array></value>\n</param>\n</params>\n</methodResponse>\n";

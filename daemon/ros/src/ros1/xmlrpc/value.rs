@@ -1,19 +1,19 @@
-//! Values, calls and responses.
+//! Values, calls and responses of XML-RPC.
 
 /// A value of XML-RPC.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Value {
-    /// `int`, `i4` or `i8`. Written as `int`, and beyond 32 bits as the nearest `int`.
+    /// `int`, `i4` or `i8`. Written as `int`; a number beyond 32 bits becomes the nearest `int`.
     Int(i64),
     /// `boolean`.
     Bool(bool),
     /// `double`.
     Double(f64),
-    /// `string`. Also `dateTime.iso8601` and `base64` as they were written: ROS has them in parameters only.
+    /// `string`. Also `dateTime.iso8601` and `base64` as they were written, which ROS only uses in parameters.
     Text(String),
     /// `array`.
     Array(Vec<Value>),
-    /// `struct`, in the order of the text.
+    /// `struct`, with its members in the order of the text.
     Struct(Vec<(String, Value)>),
 }
 
@@ -85,11 +85,11 @@ pub struct Call {
 /// The answer to a call.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Response {
-    /// The method's result.
+    /// The result of the method.
     Success(Value),
     /// The call failed before or in the method.
     Fault {
-        /// Number of the failure; its meaning is the server's.
+        /// Number of the failure. Its meaning depends on the server.
         code: i64,
         /// Reason.
         text: String,

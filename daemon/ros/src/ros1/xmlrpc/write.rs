@@ -1,4 +1,4 @@
-//! Calls and responses as XML.
+//! Writes calls and responses as XML.
 
 use std::fmt::Write;
 
@@ -80,8 +80,8 @@ fn write_value(xml: &mut String, value: &Value) {
     xml.push_str("</value>");
 }
 
-/// Escapes what is markup, and the carriage return, which readers would turn into a line feed. A character that XML cannot
-/// have becomes U+FFFD.
+/// Escapes markup, and the carriage return, which readers would turn into a line feed. A character that XML cannot
+/// contain becomes U+FFFD.
 fn write_text(xml: &mut String, text: &str) {
     for character in text.chars() {
         match character {

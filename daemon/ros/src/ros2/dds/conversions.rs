@@ -9,19 +9,19 @@ use crate::ros2::{Durability, EndpointId, EndpointRole, QosProfile, Refusal, Rel
 
 const NANOS_PER_SECOND: i64 = 1_000_000_000;
 
-/// Messages that may be unacknowledged, whatever the depth: with few, a fast publisher waits for acknowledgments all the
-/// time. Their bytes are limited by the publisher.
-const LEAST_UNACKNOWLEDGED: i32 = 1_024;
+/// Smallest limit of unacknowledged messages, whatever the depth. With few messages, a fast publisher would wait for
+/// acknowledgments all the time. The publisher limits their bytes.
+const MIN_UNACKNOWLEDGED: i32 = 1_024;
 
-/// Messages that may be received and unread, whatever the depth.
-const LEAST_UNREAD: i32 = 8;
+/// Smallest limit of received and unread messages, whatever the depth.
+const MIN_UNREAD: i32 = 8;
 
 pub(super) fn endpoint_id(guid: GUID) -> EndpointId {
     EndpointId(guid.to_bytes())
 }
 
-/// Returns the policies that an endpoint with a checked profile has.
-pub(super) fn policies(role: EndpointRole, qos: &QosProfile) -> QosPolicies {
+/// Returns the policies of an endpoint with a checked profile.
+pub(super) fn qos_policies(role: EndpointRole, qos: &QosProfile) -> QosPolicies {
     let depth = i32::try_from(qos.depth).unwrap_or(i32::MAX);
     let reliability = match qos.reliability {
         Reliability::Reliable => {
@@ -33,11 +33,11 @@ pub(super) fn policies(role: EndpointRole, qos: &QosProfile) -> QosPolicies {
         Durability::Volatile => policy::Durability::Volatile,
         Durability::TransientLocal => policy::Durability::TransientLocal,
     };
-    // Without limits rustdds keeps 64 received messages and up to 8,192 unacknowledged ones, which at 1 MB each is
-    // more memory than the depth lets anybody expect.
+    // Without limits rustdds keeps 64 received messages and up to 8,192 unacknowledged ones. At 1 MB each, this is far
+    // more memory than the depth suggests.
     let most = match role {
-        EndpointRole::Publisher => depth.max(LEAST_UNACKNOWLEDGED),
-        EndpointRole::Subscription => depth.max(LEAST_UNREAD),
+        EndpointRole::Publisher => depth.max(MIN_UNACKNOWLEDGED),
+        EndpointRole::Subscription => depth.max(MIN_UNREAD),
     };
     let limits = ResourceLimits { max_samples: most, max_instances: 1, max_samples_per_instance: most };
     let mut builder = QosPolicyBuilder::new()
@@ -55,7 +55,7 @@ fn seconds(seconds: f64) -> Duration {
     Duration::from_frac_seconds(seconds)
 }
 
-/// Returns why two endpoints do not fit.
+/// Returns the reason why two endpoints do not match.
 pub(super) fn incompatibility(offered: &QosPolicies, requested: &QosPolicies) -> Refusal {
     let failed = offered.compliance_failure_wrt(requested);
     let describe = |qos: &QosPolicies| match failed {
@@ -80,24 +80,24 @@ pub(super) fn incompatibility(offered: &QosPolicies, requested: &QosPolicies) ->
     }
 }
 
-/// Returns the RTPS form of a time: seconds and binary fractions of one since 1970; what lies outside of 1970 to 2106
-/// becomes the nearest time inside.
+/// Converts a time to its RTPS form: seconds and binary fractions of a second since 1970. A time outside 1970 to 2106
+/// becomes the nearest one inside.
 pub(super) fn timestamp(time: WallTime) -> Timestamp {
     let nanos = time.unix_nanos().max(0);
-    // The two highest values of the seconds' range are reserved.
+    // The two highest values of the seconds are reserved.
     let seconds = u64::try_from(nanos / NANOS_PER_SECOND).unwrap_or(0).min(u64::from(u32::MAX - 1));
     let rest = u64::try_from(nanos % NANOS_PER_SECOND).unwrap_or(0);
     Timestamp::from_ticks((seconds << 32) | ((rest << 32) / NANOS_PER_SECOND.unsigned_abs()))
 }
 
-/// Returns the time of an RTPS timestamp, unless it stands for none.
+/// Converts an RTPS timestamp; `None` for the values that mean no time.
 pub(super) fn wall_time(timestamp: Timestamp) -> Option<WallTime> {
     if [Timestamp::INVALID, Timestamp::INFINITE, Timestamp::ZERO].contains(&timestamp) {
         return None;
     }
     let ticks = timestamp.to_ticks();
     let fraction = ticks & u64::from(u32::MAX);
-    // Rounded to the nearest nanosecond, which gives back what `timestamp` was made from.
+    // Rounded to the nearest nanosecond, which inverts `timestamp`.
     let nanos = (fraction * NANOS_PER_SECOND.unsigned_abs() + (1 << 31)) >> 32;
     let seconds = i64::try_from(ticks >> 32).unwrap_or(0);
     Some(WallTime::from_unix_nanos(seconds * NANOS_PER_SECOND + i64::try_from(nanos).unwrap_or(0)))
@@ -108,7 +108,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn times_survive_the_wire_to_the_nanosecond() {
+    fn times_are_exact_to_the_nanosecond() {
         for nanos in
             [1, 999_999_999, 1_700_000_000_123_456_789, 1_795_000_000_000_000_001, 4_000_000_000_999_999_999]
         {
@@ -122,8 +122,8 @@ mod tests {
 
     #[test]
     fn incompatibility_names_policy_and_both_values() {
-        let requested = policies(EndpointRole::Subscription, &QosProfile::default());
-        let offered = policies(
+        let requested = qos_policies(EndpointRole::Subscription, &QosProfile::default());
+        let offered = qos_policies(
             EndpointRole::Publisher,
             &QosProfile { reliability: Reliability::BestEffort, ..QosProfile::default() },
         );

@@ -1,4 +1,4 @@
-//! What publishers and subscriptions have in common.
+//! Common parts of publishers and subscriptions.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -9,7 +9,7 @@ use super::node::NodeState;
 use crate::ros2::error::NoPeer;
 use crate::ros2::{EndpointId, EndpointRole, PeerTable, Ros2Error};
 
-/// One of our endpoints, which ends with its value.
+/// One of our endpoints. It leaves the node list when it is dropped.
 pub(super) struct Endpoint {
     pub(super) id: EndpointId,
     pub(super) role: EndpointRole,
@@ -25,15 +25,16 @@ impl Endpoint {
     ///
     /// # Errors
     ///
-    /// [`Ros2Error::NoPeer`] after the time, [`Ros2Error::ShutDown`] when the node is shut down meanwhile.
+    /// [`Ros2Error::NoPeer`] if there is none within `patience`, [`Ros2Error::ShutDown`] if the node is shut down
+    /// meanwhile.
     pub(super) async fn await_peer(&self, patience: Duration) -> Result<(), Ros2Error> {
         let mut peers = self.peers.clone();
         let matched = peers.wait_for(|peers| !peers.matched.is_empty());
         let in_time = tokio::time::timeout(patience, matched);
         match self.node.closed.run_until_cancelled(in_time).await {
             Some(Ok(Ok(_))) => Ok(()),
-            Some(Err(_elapsed)) => Err(Ros2Error::NoPeer(Box::new(self.absence(patience)))),
-            // The sender lives as long as the endpoint is registered, which is as long as it exists.
+            Some(Err(_elapsed)) => Err(Ros2Error::NoPeer(Box::new(self.missing_peer(patience)))),
+            // The sender exists as long as the endpoint is registered, which is as long as the endpoint exists.
             None | Some(Ok(Err(_))) => Err(self.shut_down()),
         }
     }
@@ -42,7 +43,7 @@ impl Endpoint {
         Ros2Error::ShutDown { topic: self.topic.clone() }
     }
 
-    fn absence(&self, waited: Duration) -> NoPeer {
+    fn missing_peer(&self, waited: Duration) -> NoPeer {
         let discovery = self.node.discovery();
         let name = |id| discovery.node_of(id).map(str::to_owned);
         let refused = self.peers.borrow().refused.iter().map(|(id, why)| (name(*id), why.clone())).collect();

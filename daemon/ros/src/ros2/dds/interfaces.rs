@@ -1,4 +1,4 @@
-//! The network interfaces that a node uses, and the buffers of its sockets.
+//! Network interfaces that a node uses, and the buffers of its sockets.
 
 use std::io;
 use std::net::{IpAddr, Ipv4Addr};
@@ -14,7 +14,7 @@ use crate::ros2::{Ros2Error, SocketBufferWarning};
 pub(super) struct Interfaces {
     /// The addresses; empty for all interfaces.
     pub(super) addresses: Vec<IpAddr>,
-    /// The choice in words, as `lo (127.0.0.1)`.
+    /// Description of the choice, such as `lo (127.0.0.1)`.
     pub(super) description: String,
 }
 
@@ -23,7 +23,8 @@ impl Interfaces {
     ///
     /// # Errors
     ///
-    /// [`Ros2Error::UnknownInterface`] for one that does not exist, [`Ros2Error::Interfaces`] when the kernel lists none.
+    /// [`Ros2Error::UnknownInterface`] if one does not exist, [`Ros2Error::Interfaces`] if the kernel does not list
+    /// them.
     pub(super) fn find(names: &[String]) -> Result<Self, Ros2Error> {
         Ok(Self::find_among(names, &existing().map_err(Ros2Error::Interfaces)?)?)
     }
@@ -37,7 +38,7 @@ impl Interfaces {
         Ok(Self { addresses, description: list(&chosen) })
     }
 
-    /// Whether participants of the same host are to be found over the loopback interface.
+    /// Returns whether participants of the same host are found over the loopback interface.
     pub(super) fn have_loopback(&self) -> bool {
         self.addresses.is_empty() || self.addresses.iter().any(IpAddr::is_loopback)
     }
@@ -47,7 +48,7 @@ impl Interfaces {
 ///
 /// # Errors
 ///
-/// The kernel does not list them.
+/// If the kernel does not list them.
 pub(super) fn own_addresses() -> io::Result<Vec<IpAddr>> {
     let address = |interface: InterfaceAddress| {
         let address = interface.address?;
@@ -57,18 +58,19 @@ pub(super) fn own_addresses() -> io::Result<Vec<IpAddr>> {
     Ok(getifaddrs()?.filter_map(address).collect())
 }
 
-/// Compares the socket buffers that the kernel grants with those that are needed.
+/// Compares the sizes of socket buffers that the kernel grants with the needed size.
 ///
-/// A socket is asked instead of `/proc/sys/net/core`, which network namespaces of older kernels do not show.
+/// The sizes are read from a socket and not from `/proc/sys/net/core`, which network namespaces of older kernels do not
+/// show.
 ///
 /// # Errors
 ///
-/// No UDP socket can be made.
+/// If no UDP socket can be created.
 pub(super) fn check_socket_buffers(needed: usize) -> io::Result<Vec<SocketBufferWarning>> {
     let socket = Socket::new(Domain::IPV4, Type::DGRAM, None)?;
     socket.set_recv_buffer_size(needed)?;
     socket.set_send_buffer_size(needed)?;
-    // Linux reports twice what it grants, because it counts its own bookkeeping.
+    // Linux reports twice the granted size, because it counts its own overhead.
     let granted = [
         (SocketBufferWarning::RECEIVING, socket.recv_buffer_size()? / 2),
         ("net.core.wmem_max", socket.send_buffer_size()? / 2),
@@ -96,7 +98,7 @@ mod tests {
     }
 
     #[test]
-    fn too_small_buffers_are_told_with_the_remedy() {
+    fn too_small_buffers_are_reported_with_advice() {
         assert_eq!(check_socket_buffers(16 << 10).expect("a socket"), []);
         let warnings = check_socket_buffers(1 << 30).expect("a socket");
         let text = warnings[0].to_string();

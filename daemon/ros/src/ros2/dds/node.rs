@@ -13,7 +13,7 @@ use rustdds::{
 use tokio::task::JoinHandle;
 use tokio_util::sync::CancellationToken;
 
-use super::conversions::{endpoint_id, incompatibility, policies};
+use super::conversions::{endpoint_id, incompatibility, qos_policies};
 use super::endpoint::Endpoint;
 use super::interfaces::{Interfaces, check_socket_buffers};
 use super::publisher::Ros2Publisher;
@@ -30,7 +30,7 @@ use crate::ros2::{
 
 /// A node of ROS 2.
 ///
-/// Has four threads of `rustdds`. Its publishers and subscriptions end with it.
+/// It has four threads of `rustdds`. Its publishers and subscriptions end with it.
 pub struct Ros2Node {
     settings: Ros2Settings,
     socket_buffer_warnings: Vec<SocketBufferWarning>,
@@ -44,11 +44,11 @@ pub(super) struct Parts {
     publisher: Publisher,
     subscriber: Subscriber,
     discovery: JoinHandle<()>,
-    /// Reads the node list.
+    /// Task that reads the node list.
     listing: JoinHandle<()>,
 }
 
-/// What the endpoints of a node share.
+/// State that the endpoints of a node share.
 pub(super) struct NodeState {
     pub(super) id: ParticipantId,
     pub(super) domain_id: u16,
@@ -60,7 +60,7 @@ pub(super) struct NodeState {
 
 type ListReader = SimpleDataReader<RawMessage, RawAdapter>;
 
-/// Participants whose entries of the node list may be received and not yet read.
+/// Largest number of participants whose entries of the node list are received and not yet read.
 const LISTED_PARTICIPANTS: u32 = 1_024;
 
 struct NodeList {
@@ -69,11 +69,11 @@ struct NodeList {
 }
 
 impl Ros2Node {
-    /// Joins a DDS domain and appears in the node list of ROS 2.
+    /// Joins a DDS domain and adds itself to the node list of ROS 2.
     ///
     /// # Errors
     ///
-    /// Settings or environment variables that are not valid, or a domain that cannot be joined.
+    /// If settings or environment variables are invalid, or the domain cannot be joined.
     pub async fn new(settings: Ros2Settings) -> Result<Self, Ros2Error> {
         let settings = settings.with_environment(|name| std::env::var(name).ok())?;
         let domain_id = settings.domain_id.unwrap_or(0);
@@ -86,7 +86,7 @@ impl Ros2Node {
         let socket_buffer_warnings =
             check_socket_buffers(settings.socket_buffer_bytes).map_err(|error| failed(error.to_string()))?;
         let builder = participant_builder(&settings, &interfaces);
-        // Waits for threads to start.
+        // On a blocking thread, because it waits for threads to start.
         let participant = tokio::task::spawn_blocking(move || builder.build())
             .await
             .map_err(|error| failed(error.to_string()))?
@@ -101,7 +101,7 @@ impl Ros2Node {
         socket_buffer_warnings: Vec<SocketBufferWarning>,
         participant: DomainParticipant,
     ) -> rustdds::dds::CreateResult<Self> {
-        let qos = |role| policies(role, &QosProfile::default());
+        let qos = |role| qos_policies(role, &QosProfile::default());
         let publisher = participant.create_publisher(&qos(EndpointRole::Publisher))?;
         let subscriber = participant.create_subscriber(&qos(EndpointRole::Subscription))?;
         let (node_list, entries) = NodeList::new(&settings, &participant, (&publisher, &subscriber))?;
@@ -121,38 +121,38 @@ impl Ros2Node {
         Ok(Self { settings, socket_buffer_warnings, state, parts })
     }
 
-    /// The settings, with what the environment variables filled in.
+    /// Returns the settings, completed by the environment variables.
     pub fn settings(&self) -> &Ros2Settings {
         &self.settings
     }
 
-    /// Limits of the kernel below the socket buffers that were asked for.
+    /// Returns limits of the kernel that are below the requested socket buffers.
     pub fn socket_buffer_warnings(&self) -> &[SocketBufferWarning] {
         &self.socket_buffer_warnings
     }
 
-    /// Returns how many bytes a socket of this host takes before it is read. A message is lost in part where the sockets of its
-    /// subscriptions take less than it has.
+    /// Returns the size of a receive buffer of this host's sockets. A message that is longer is lost in part at
+    /// subscriptions with such sockets.
     pub fn receive_buffer_bytes(&self) -> usize {
         let granted = self.socket_buffer_warnings.iter().find(|warning| warning.is_of_receiving());
         granted.map_or(self.settings.socket_buffer_bytes, |warning| warning.granted)
     }
 
-    /// Identity of the node in the domain.
+    /// Returns the identity of the node in the domain.
     pub fn id(&self) -> ParticipantId {
         self.state.id
     }
 
-    /// Returns how many other participants of the domain are there.
+    /// Returns the number of other participants of the domain.
     pub fn participants(&self) -> usize {
         self.state.discovery().participants()
     }
 
-    /// Opens a publisher of a topic. `type_name` is as `std_msgs/msg/String`.
+    /// Opens a publisher of a topic. `type_name` has the form `std_msgs/msg/String`.
     ///
     /// # Errors
     ///
-    /// Names or a QoS profile that are not valid, or `rustdds` fails.
+    /// If names or the QoS profile are invalid, or `rustdds` fails.
     pub fn publisher(
         &self,
         topic: &str,
@@ -164,10 +164,10 @@ impl Ros2Node {
         let mut discovery = self.state.discovery();
         let writer = parts
             .publisher
-            .create_datawriter_no_key(&dds_topic, Some(policies(role, qos)))
+            .create_datawriter_no_key(&dds_topic, Some(qos_policies(role, qos)))
             .map_err(|error| names.failed(role, &error))?;
         let id = endpoint_id(writer.guid());
-        // Under the same lock, so that no event about the endpoint is handled before it is known.
+        // Under the lock of `discovery`, so that no event about the endpoint is handled before it is known.
         let peers = discovery.add_local(id, role, &names.dds_type);
         drop(discovery);
         self.state.announce();
@@ -179,11 +179,11 @@ impl Ros2Node {
         Ok(Ros2Publisher { writer, endpoint, qos, unacknowledged, most_unacknowledged })
     }
 
-    /// Opens a subscription of a topic. `type_name` is as `std_msgs/msg/String`.
+    /// Opens a subscription of a topic. `type_name` has the form `std_msgs/msg/String`.
     ///
     /// # Errors
     ///
-    /// Names or a QoS profile that are not valid, or `rustdds` fails.
+    /// If names or the QoS profile are invalid, or `rustdds` fails.
     pub fn subscription(
         &self,
         topic: &str,
@@ -195,7 +195,7 @@ impl Ros2Node {
         let mut discovery = self.state.discovery();
         let reader = parts
             .subscriber
-            .create_simple_datareader_no_key(&dds_topic, Some(policies(role, qos)))
+            .create_simple_datareader_no_key(&dds_topic, Some(qos_policies(role, qos)))
             .map_err(|error| names.failed(role, &error))?;
         let id = endpoint_id(reader.guid());
         let peers = discovery.add_local(id, role, &names.dds_type);
@@ -225,19 +225,19 @@ impl Ros2Node {
             .create_topic(
                 dds_topic(&names.topic),
                 names.dds_type.clone(),
-                &policies(role, qos),
+                &qos_policies(role, qos),
                 TopicKind::NoKey,
             )
             .map_err(|error| names.failed(role, &error))?;
         Ok((parts, names, dds_topic))
     }
 
-    /// Leaves the domain. Its publishers and subscriptions fail from now on; what others did not acknowledge yet is
-    /// not sent again (see [`Ros2Publisher::await_acknowledgment`]).
+    /// Leaves the domain. Publishers and subscriptions of the node fail from now on. Messages that are not acknowledged
+    /// yet are not sent again (see [`Ros2Publisher::await_acknowledgment`]).
     ///
     /// # Errors
     ///
-    /// A thread of `rustdds` panicked.
+    /// If a thread of `rustdds` panicked.
     pub async fn shut_down(mut self) -> Result<(), Ros2Error> {
         self.state.closed.cancel();
         let Some(parts) = self.parts.take() else { return Ok(()) };
@@ -246,7 +246,7 @@ impl Ros2Node {
             task.await.map_err(|error| failed(error.to_string()))?;
         }
         let participant = parts.participant;
-        // Waits for the threads of rustdds to end.
+        // On a blocking thread, because it waits for the threads of rustdds to end.
         tokio::task::spawn_blocking(move || drop(participant))
             .await
             .map_err(|error| failed(error.to_string()))
@@ -268,7 +268,7 @@ impl Drop for Ros2Node {
 
 /// Names of a topic and its type.
 struct Names {
-    /// Absolute.
+    /// Absolute name.
     topic: String,
     dds_type: String,
 }
@@ -319,8 +319,8 @@ impl NodeList {
         };
         // The topic has no keys, so that the entries of all participants are in one history.
         let of_others = QosProfile { depth: LISTED_PARTICIPANTS, ..qos };
-        let of_others = policies(EndpointRole::Subscription, &of_others);
-        let qos = policies(EndpointRole::Publisher, &qos);
+        let of_others = qos_policies(EndpointRole::Subscription, &of_others);
+        let qos = qos_policies(EndpointRole::Publisher, &qos);
         let (topic, type_name) = (node_list::TOPIC.to_owned(), node_list::TYPE_NAME.to_owned());
         let topic = participant.create_topic(topic, type_name, &qos, TopicKind::NoKey)?;
         let entry = NodeEntry {
@@ -347,7 +347,7 @@ fn participant_builder(settings: &Ros2Settings, interfaces: &Interfaces) -> Doma
     }
 }
 
-/// Hands what discovery finds out to the endpoints, until the node is shut down.
+/// Applies the events of discovery to the endpoints until the node is shut down.
 async fn follow_discovery(listener: DomainParticipantStatusListener, state: Arc<NodeState>) {
     let mut events = listener.as_async_status_stream();
     while let Some(Some(event)) = state.closed.run_until_cancelled(events.next()).await {
@@ -369,8 +369,8 @@ async fn follow_discovery(listener: DomainParticipantStatusListener, state: Arc<
     }
 }
 
-/// Takes in the node list, until the node is shut down. What is no entry of it is counted and logged, the first time and then each
-/// time that their number has doubled.
+/// Applies the node list until the node is shut down. Invalid entries are counted, and logged whenever their number has
+/// doubled.
 async fn follow_node_list(reader: ListReader, state: Arc<NodeState>) {
     let mut entries = pin!(reader.as_async_stream());
     let mut dropped = 0_u64;
@@ -378,6 +378,7 @@ async fn follow_node_list(reader: ListReader, state: Arc<NodeState>) {
         let entry = entry.map_err(|error| error.to_string()).and_then(|message| {
             let writer = endpoint_id(message.writer_guid()).participant();
             match ListEntry::decode(&message.into_value().0) {
+                // A participant may only list its own nodes; otherwise it could rename those of others.
                 Ok(entry) if entry.participant == writer => Ok(entry),
                 Ok(_) => Err(format!("participant {writer} lists nodes of another one")),
                 Err(error) => Err(format!("the entry of participant {writer} cannot be read: {error}")),
@@ -437,7 +438,7 @@ fn translate(event: DomainParticipantStatusEvent) -> Option<DiscoveryEvent> {
                 refusal: incompatibility(&offered_qos, &requested_qos),
             }
         }
-        // The others are summaries of these, or about security, which is off.
+        // The other events are summaries of these, or concern security, which is off.
         _ => return None,
     })
 }

@@ -1,4 +1,4 @@
-//! Publishing to a topic.
+//! Publishers of ROS 2 topics.
 
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::Duration;
@@ -18,64 +18,63 @@ use crate::ros2::{EndpointId, PeerTable, QosProfile, Ros2Error};
 
 /// A publisher of a topic.
 pub struct Ros2Publisher {
-    // The writer goes first: the node list is told when it has gone.
+    // Dropped before the endpoint, which then removes the publisher from the node list.
     pub(super) writer: DataWriter<RawMessage, RawAdapter>,
     pub(super) endpoint: Endpoint,
     pub(super) qos: QosProfile,
-    /// Bytes that were published since everything was acknowledged, roughly where several tasks publish at once.
+    /// Bytes published since everything was acknowledged; approximate if several tasks publish at once.
     pub(super) unacknowledged: AtomicUsize,
-    /// Bytes that may be.
+    /// Largest value of `unacknowledged`.
     pub(super) most_unacknowledged: usize,
 }
 
 impl Ros2Publisher {
-    /// Bytes that may be unacknowledged, or half of the receive buffer where that is less; a single message may be larger. What
-    /// does not fit into the receive buffer of a peer is lost, and repairing several large messages between `rustdds` and Fast DDS
-    /// does not succeed. Cyclone DDS asks for a receive buffer of this size.
+    /// Largest number of unacknowledged bytes, unless half of the receive buffer is less; a single message may be
+    /// larger. Bytes that do not fit into the receive buffer of a peer are lost, and repairing several large messages
+    /// between `rustdds` and Fast DDS fails. Cyclone DDS requests a receive buffer of this size.
     pub(super) const MAX_UNACKNOWLEDGED_BYTES: usize = 1 << 20;
 
-    /// Identity of the publisher, which subscriptions receive with each message.
+    /// Returns the identity of the publisher, which subscriptions receive with each message.
     pub fn id(&self) -> EndpointId {
         self.endpoint.id
     }
 
-    /// Absolute name of the topic.
+    /// Returns the absolute name of the topic.
     pub fn topic(&self) -> &str {
         &self.endpoint.topic
     }
 
-    /// Subscriptions of the topic that are there, and changes of them.
+    /// Returns a receiver of the subscriptions of the topic and their changes.
     pub fn peers(&self) -> watch::Receiver<PeerTable> {
         self.endpoint.peers.clone()
     }
 
-    /// Waits until a subscription of the topic is there.
+    /// Waits for a subscription of the topic.
     ///
     /// # Errors
     ///
-    /// [`Ros2Error::NoPeer`] says what was tried when there is none in time.
+    /// [`Ros2Error::NoPeer`] if there is none within `patience`; it says what was tried.
     pub async fn await_peer(&self, patience: Duration) -> Result<(), Ros2Error> {
         self.endpoint.await_peer(patience).await
     }
 
-    /// Publishes a message and returns its sequence number. The payload begins with the encapsulation header
-    /// (`00 01 00 00`) and is sent without being copied.
+    /// Publishes a message and returns its sequence number. The payload begins with the encapsulation header (`00 01 00
+    /// 00`) and is sent without being copied.
     ///
-    /// A reliable publisher waits while 1,024 messages (or more, if [`depth`](QosProfile::depth) is) or 1 MiB are
-    /// unacknowledged.
-    /// `source_time` is what subscriptions see as the time of publishing.
+    /// A reliable publisher waits while 1,024 messages (or more, if [`depth`](QosProfile::depth) is larger) or 1 MiB
+    /// are unacknowledged. Subscriptions receive `source_time` as the time of publishing.
     ///
     /// # Errors
     ///
-    /// [`Ros2Error::NotCdr`] for a payload without the header, [`Ros2Error::PublishTimeout`] when there is no room
-    /// within [`max_blocking_ms`](QosProfile::max_blocking_ms), [`Ros2Error::ShutDown`] after the node was shut down.
+    /// [`Ros2Error::NotCdr`] if the payload lacks the header, [`Ros2Error::PublishTimeout`] if there is no room within
+    /// [`max_blocking_ms`](QosProfile::max_blocking_ms), [`Ros2Error::ShutDown`] after the node was shut down.
     pub async fn publish(&self, payload: Bytes, source_time: WallTime) -> Result<i64, Ros2Error> {
         let topic = || self.endpoint.topic.clone();
         let message =
             RawMessage::from_payload(payload).ok_or_else(|| Ros2Error::NotCdr { topic: topic() })?;
         let options = WriteOptionsBuilder::new().source_timestamp(timestamp(source_time)).build();
         let written = self.write(message, options);
-        // The write of rustdds has a time limit of its own but is not woken when it is reached.
+        // The write of rustdds has a time limit, but is not woken when it is reached.
         let waited = Duration::from_millis(u64::from(self.qos.max_blocking_ms));
         let in_time = tokio::time::timeout(waited, written);
         match self.endpoint.node.closed.run_until_cancelled(in_time).await {
@@ -92,11 +91,11 @@ impl Ros2Publisher {
         }
     }
 
-    /// As [`publish`](Self::publish) without waiting. Returns `None` when there is no room.
+    /// Publishes a message as [`publish`](Self::publish) does, but never waits. Returns `None` if there is no room.
     ///
     /// # Errors
     ///
-    /// As those of `publish`, but for the time limit.
+    /// Those of `publish`, except the time limit.
     pub fn try_publish(&self, payload: Bytes, source_time: WallTime) -> Result<Option<i64>, Ros2Error> {
         let topic = || self.endpoint.topic.clone();
         if self.endpoint.node.closed.is_cancelled() {
@@ -114,8 +113,8 @@ impl Ros2Publisher {
         }
     }
 
-    /// Counts everything so far as acknowledged, so that a slow subscription does not stop others messages.
-    /// Messages that it lacks are kept for it as before.
+    /// Counts all messages so far as acknowledged, so that a slow subscription does not stop later messages. Messages
+    /// that it lacks are still kept for it.
     pub fn forget_unacknowledged(&self) {
         self.unacknowledged.store(0, Ordering::Relaxed);
     }
@@ -129,7 +128,7 @@ impl Ros2Publisher {
         if self.unacknowledged.load(Ordering::Relaxed).saturating_add(size) > self.most_unacknowledged
             && self.unacknowledged.load(Ordering::Relaxed) > 0
         {
-            // Fails for reasons only for which the write fails as well.
+            // Fails only for reasons for which the write fails as well.
             let _acknowledged = self.writer.async_wait_for_acknowledgments().await;
             self.unacknowledged.store(0, Ordering::Relaxed);
         }
@@ -142,7 +141,7 @@ impl Ros2Publisher {
     ///
     /// # Errors
     ///
-    /// [`Ros2Error::Unacknowledged`] when they have not in time.
+    /// [`Ros2Error::Unacknowledged`] if they do not within `patience`.
     pub async fn await_acknowledgment(&self, patience: Duration) -> Result<(), Ros2Error> {
         let acknowledged = tokio::time::timeout(patience, self.writer.async_wait_for_acknowledgments());
         match self.endpoint.node.closed.run_until_cancelled(acknowledged).await {

@@ -9,18 +9,18 @@ use rustdds::no_key::{Decode, DefaultDecoder, DeserializerAdapter, SerializerAda
 /// A message with its encapsulation header.
 pub(super) struct RawMessage(pub(super) Bytes);
 
-/// Tells `rustdds` that the bytes are serialized already.
+/// Adapter for messages that are serialized already.
 pub(super) struct RawAdapter;
 
-/// Copies the bytes out of the cache of `rustdds`.
+/// Decoder that copies the bytes out of the cache of `rustdds`.
 #[derive(Clone)]
 pub(super) struct RawDecoder;
 
 impl RawMessage {
-    /// Bytes of the encapsulation header: two for the representation, two for its options.
+    /// Length of the encapsulation header: two bytes for the representation, two for its options.
     pub(super) const HEADER_BYTES: usize = 4;
 
-    /// Wraps a payload, unless its header is another one than that of little-endian CDR.
+    /// Wraps a payload; `None` if its header is not that of little-endian CDR.
     pub(super) fn from_payload(payload: Bytes) -> Option<Self> {
         payload.starts_with(&[0, 1, 0, 0]).then_some(Self(payload))
     }
@@ -33,7 +33,7 @@ impl SerializerAdapter<RawMessage> for RawAdapter {
         RepresentationIdentifier::CDR_LE
     }
 
-    // rustdds puts the header in front again.
+    // rustdds adds the header again.
     fn to_bytes(message: &RawMessage) -> Result<Bytes, Infallible> {
         Ok(message.0.slice(RawMessage::HEADER_BYTES..))
     }
@@ -60,7 +60,7 @@ impl DefaultDecoder<RawMessage> for RawAdapter {
 impl Decode<'_, RawMessage> for RawDecoder {
     type Error = Infallible;
 
-    // The one copy on the way in: rustdds hands out a slice only, and keeps its own bytes until the cache is full.
+    // The only copy of a received message: rustdds only provides a slice, and keeps its bytes until the cache is full.
     fn decode_bytes(
         self,
         bytes: &[u8],

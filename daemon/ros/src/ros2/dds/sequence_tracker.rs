@@ -4,19 +4,20 @@ use std::collections::BTreeMap;
 
 use crate::ros2::{EndpointId, ReceiveCounts};
 
-/// Sequence numbers of the publishers of a topic, for finding the gaps between them.
+/// Sequence numbers of the publishers of a topic, from which gaps are derived.
 #[derive(Debug, Default)]
 pub(super) struct SequenceTracker {
     highest: BTreeMap<EndpointId, i64>,
 }
 
 impl SequenceTracker {
-    /// Most publishers that are remembered; each host on the network can make new ones.
+    /// Largest number of publishers that are remembered. Each host on the network can create new ones.
     const MAX_WRITERS: usize = 1_024;
 
-    /// Records a message; returns how many messages are missing directly before it.
+    /// Records a message. Returns how many messages are missing directly before it.
     ///
-    /// The first message of a publisher has none before it: a volatile subscription gets nothing from before.
+    /// No message is missing before the first one of a publisher, because a volatile subscription does not get earlier
+    /// ones.
     pub(super) fn record(&mut self, writer: EndpointId, sequence: i64, counts: &mut ReceiveCounts) -> u64 {
         let Some(highest) = self.highest.get_mut(&writer) else {
             if self.highest.len() >= Self::MAX_WRITERS {
@@ -26,6 +27,7 @@ impl SequenceTracker {
             return 0;
         };
         if sequence <= *highest {
+            // It was counted as lost when a later one arrived.
             counts.late += 1;
             counts.lost = counts.lost.saturating_sub(1);
             return 0;

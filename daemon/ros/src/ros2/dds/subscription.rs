@@ -1,4 +1,4 @@
-//! Receiving from a topic.
+//! Subscriptions of ROS 2 topics.
 
 use std::pin::pin;
 use std::time::Duration;
@@ -17,7 +17,7 @@ use crate::ros2::{EndpointId, PeerTable, ReceiveCounts, ReceivedSample, Ros2Erro
 
 /// A subscription of a topic.
 pub struct Ros2Subscription {
-    // The reader goes first: the node list is told when it has gone.
+    // Dropped before the endpoint, which then removes the subscription from the node list.
     pub(super) reader: SimpleDataReader<RawMessage, RawAdapter>,
     pub(super) endpoint: Endpoint,
     pub(super) tracker: SequenceTracker,
@@ -25,43 +25,43 @@ pub struct Ros2Subscription {
 }
 
 impl Ros2Subscription {
-    /// Identity of the subscription.
+    /// Returns the identity of the subscription.
     pub fn id(&self) -> EndpointId {
         self.endpoint.id
     }
 
-    /// Absolute name of the topic.
+    /// Returns the absolute name of the topic.
     pub fn topic(&self) -> &str {
         &self.endpoint.topic
     }
 
-    /// Publishers of the topic that are there, and changes of them.
+    /// Returns a receiver of the publishers of the topic and their changes.
     pub fn peers(&self) -> watch::Receiver<PeerTable> {
         self.endpoint.peers.clone()
     }
 
-    /// What was received and lost so far.
+    /// Returns the counts of received and lost messages.
     pub fn counts(&self) -> ReceiveCounts {
         self.counts
     }
 
-    /// Waits until a publisher of the topic is there.
+    /// Waits for a publisher of the topic.
     ///
     /// # Errors
     ///
-    /// [`Ros2Error::NoPeer`] says what was tried when there is none in time.
+    /// [`Ros2Error::NoPeer`] if there is none within `patience`; it says what was tried.
     pub async fn await_peer(&self, patience: Duration) -> Result<(), Ros2Error> {
         self.endpoint.await_peer(patience).await
     }
 
     /// Waits for the next message. Its payload was copied once, out of the cache of `rustdds`.
     ///
-    /// Dropping the future loses no message. Messages should be taken as they come: `rustdds` drops those of a publisher
-    /// that leaves, and more than [`depth`](crate::ros2::QosProfile::depth) unread ones.
+    /// Cancel safe: dropping the future loses no message. Messages should be taken as they arrive, because `rustdds`
+    /// drops those of a publisher that leaves, and more than [`depth`](crate::ros2::QosProfile::depth) unread ones.
     ///
     /// # Errors
     ///
-    /// [`Ros2Error::ShutDown`] after the node was shut down, [`Ros2Error::Receive`] when `rustdds` fails.
+    /// [`Ros2Error::ShutDown`] after the node was shut down, [`Ros2Error::Receive`] if `rustdds` fails.
     pub async fn receive(&mut self) -> Result<ReceivedSample, Ros2Error> {
         loop {
             let next = {

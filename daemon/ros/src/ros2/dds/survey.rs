@@ -1,4 +1,4 @@
-//! What a node knows of the others in its domain.
+//! Queries of a node about the other participants of its domain.
 
 use std::net::{IpAddr, SocketAddr};
 
@@ -14,7 +14,8 @@ use crate::ros2::names::{dds_topic, ros_type};
 use crate::ros2::{EndpointId, FoundEndpoint, FoundPublisher, ParticipantId};
 
 impl Ros2Node {
-    /// Returns the publishers that others have of a topic, by its absolute name, in the order of their identities.
+    /// Returns the publishers that other participants have of a topic, by its absolute name, in the order of their
+    /// identities.
     pub fn publishers_of(&self, topic: &str) -> Vec<FoundPublisher> {
         let Some(parts) = &self.parts else { return Vec::new() };
         let topic = dds_topic(topic);
@@ -33,22 +34,22 @@ impl Ros2Node {
         publishers
     }
 
-    /// Returns the absolute name of the node that has an endpoint, where its participant has told.
+    /// Returns the absolute name of the node that has an endpoint, if its participant has listed it.
     pub fn node_of(&self, endpoint: EndpointId) -> Option<String> {
         self.state.discovery().node_of(endpoint).map(str::to_owned)
     }
 
-    /// Returns the absolute names of a participant's nodes, as far as it has told.
+    /// Returns the absolute names of a participant's nodes, if it has listed them.
     pub fn nodes_of(&self, participant: ParticipantId) -> Vec<String> {
         self.state.discovery().nodes_of(participant)
     }
 
-    /// Returns the endpoints that others have of a topic, by its absolute name.
+    /// Returns the endpoints that other participants have of a topic, by its absolute name.
     pub fn endpoints_of(&self, topic: &str) -> Vec<FoundEndpoint> {
         self.state.discovery().endpoints_of(&dds_topic(topic))
     }
 
-    /// Returns an address of the host that a participant with a publisher runs on; `None` where that is this host.
+    /// Returns an address of the host of a participant with a publisher; `None` for this host.
     pub fn host_of(&self, participant: ParticipantId) -> Option<IpAddr> {
         let own = own_addresses().unwrap_or_default();
         let found = self.parts.as_ref()?.participant.discovered_writers().into_iter();
@@ -58,17 +59,17 @@ impl Ros2Node {
         of_participant.find_map(|writer| found_publisher(&writer, &own).host)
     }
 
-    /// Returns a number that changes with everything that discovery finds out.
+    /// Returns a receiver of a number that changes with every event of discovery.
     pub fn discovery_changes(&self) -> watch::Receiver<u64> {
         self.state.discovery().changes()
     }
 
-    /// Returns the domain and the network interfaces, as `domain 7 on lo (127.0.0.1)`.
+    /// Returns a description of the domain and the network interfaces, such as `domain 7 on lo (127.0.0.1)`.
     pub fn describe_domain(&self) -> String {
         format!("domain {} on {}", self.state.domain_id, self.state.interfaces)
     }
 
-    /// Says what to look for when a topic has no publisher.
+    /// Returns advice for a topic without a publisher.
     pub fn advise(&self) -> String {
         let discovery = self.state.discovery();
         let (participants, topics) = (discovery.participants(), discovery.topics());

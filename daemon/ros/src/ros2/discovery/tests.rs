@@ -1,4 +1,4 @@
-//! Discovery as one node sees it, whatever others announce.
+//! Tests of discovery, including arbitrary announcements.
 
 use std::ops::Range;
 
@@ -126,19 +126,19 @@ fn endpoints_of_others_are_found_by_topic_and_role() {
     assert_eq!(roles, [EndpointRole::Publisher, EndpointRole::Subscription]);
 }
 
-/// Bounds that short scripts reach.
-const FEW: DiscoveryBounds =
+/// Limits that short scripts reach.
+const SMALL_BOUNDS: DiscoveryBounds =
     DiscoveryBounds { participants: 3, endpoints: 5, listed: 9, matched: 2, refused: 2 };
 
-/// Participants that announce; the first is our own.
-const ANNOUNCING: Range<u8> = 0..8;
+/// Participants that announce; the first one is our own.
+const ANNOUNCING_PARTICIPANTS: Range<u8> = 0..8;
 
 fn own(participant: u8) -> ParticipantId {
     ParticipantId([participant; 12])
 }
 
 fn any_endpoint() -> impl Strategy<Value = EndpointId> {
-    (ANNOUNCING, 0..3_u8, any::<u8>()).prop_map(|(participant, number, kind)| {
+    (ANNOUNCING_PARTICIPANTS, 0..3_u8, any::<u8>()).prop_map(|(participant, number, kind)| {
         let mut id = [participant; 16];
         id[12..].copy_from_slice(&[0, 0, number, kind % 8]);
         EndpointId(id)
@@ -161,15 +161,15 @@ fn any_refusal() -> impl Strategy<Value = Refusal> {
 fn any_entry() -> impl Strategy<Value = ListEntry> {
     let nodes = (any_name(), prop::collection::vec(any_endpoint(), 0..6));
     let nodes = nodes.prop_map(|(name, endpoints)| ListedNode { name, endpoints });
-    (ANNOUNCING, prop::collection::vec(nodes, 0..4))
+    (ANNOUNCING_PARTICIPANTS, prop::collection::vec(nodes, 0..4))
         .prop_map(|(participant, nodes)| ListEntry { participant: own(participant), nodes })
 }
 
 fn any_event() -> impl Strategy<Value = DiscoveryEvent> {
     let local = || prop_oneof![4 => Just(LOCAL), 1 => any_endpoint()];
     prop_oneof![
-        1 => ANNOUNCING.prop_map(|participant| DiscoveryEvent::ParticipantFound(own(participant))),
-        1 => ANNOUNCING.prop_map(|participant| DiscoveryEvent::ParticipantGone(own(participant))),
+        1 => ANNOUNCING_PARTICIPANTS.prop_map(|participant| DiscoveryEvent::ParticipantFound(own(participant))),
+        1 => ANNOUNCING_PARTICIPANTS.prop_map(|participant| DiscoveryEvent::ParticipantGone(own(participant))),
         3 => (any_endpoint(), any_name(), any_name()).prop_map(|(id, topic, type_name)| {
             DiscoveryEvent::EndpointFound { id, topic, type_name }
         }),
@@ -183,14 +183,20 @@ fn any_event() -> impl Strategy<Value = DiscoveryEvent> {
     ]
 }
 
-/// Fails when more is remembered than the bounds allow.
+/// Checks that no more is remembered than the limits allow.
 fn check_bounds(state: &DiscoveryState, peers: &PeerTable) {
     let listed: usize = state.nodes.values().flatten().map(|node| 1 + node.endpoints.len()).sum::<usize>();
     let remembered =
         [state.participants.len(), state.endpoints.len(), listed, peers.matched.len(), peers.refused.len()];
-    let bounds = [FEW.participants, FEW.endpoints, FEW.listed, FEW.matched, FEW.refused];
+    let bounds = [
+        SMALL_BOUNDS.participants,
+        SMALL_BOUNDS.endpoints,
+        SMALL_BOUNDS.listed,
+        SMALL_BOUNDS.matched,
+        SMALL_BOUNDS.refused,
+    ];
     assert!(remembered.iter().zip(bounds).all(|(count, bound)| *count <= bound), "{remembered:?}");
-    assert!(state.nodes.len() <= FEW.listed, "{} participants without nodes", state.nodes.len());
+    assert!(state.nodes.len() <= SMALL_BOUNDS.listed, "{} participants without nodes", state.nodes.len());
     let most = DiscoveryState::MAX_NAME_BYTES;
     assert!(state.endpoints.values().all(|(topic, kind)| topic.len().max(kind.len()) <= most));
     assert!(peers.refused.keys().all(|id| !peers.matched.contains(id)), "matched and refused");
@@ -199,7 +205,7 @@ fn check_bounds(state: &DiscoveryState, peers: &PeerTable) {
 proptest! {
     #[test]
     fn any_announcements_stay_within_bounds(events in prop::collection::vec(any_event(), 0..40)) {
-        let mut state = DiscoveryState { bounds: FEW, ..DiscoveryState::new(own(0)) };
+        let mut state = DiscoveryState { bounds: SMALL_BOUNDS, ..DiscoveryState::new(own(0)) };
         let peers = state.add_local(LOCAL, EndpointRole::Subscription, "a::b_");
         for event in events {
             let (ignored, count) = (state.ignored(), *state.changes().borrow());
@@ -214,11 +220,11 @@ proptest! {
             prop_assert_eq!(*state.changes().borrow(), count + 1);
             prop_assert!(!is_too_long || state.ignored() == ignored + 1, "what is not remembered is counted");
             check_bounds(&state, &peers.borrow());
-            // Whoever asks gets an answer.
+            // Every query must return.
             let _ = (state.node_of(asked), state.nodes_of(asked.participant()), state.topics());
             let _ = (state.endpoints_of("rt/a"), state.is_other_type(LOCAL, asked));
         }
-        for participant in ANNOUNCING {
+        for participant in ANNOUNCING_PARTICIPANTS {
             state.apply(DiscoveryEvent::ParticipantGone(own(participant)));
         }
         let left = peers.borrow();

@@ -1,4 +1,4 @@
-//! Entries of the node list as they are written and read, whatever their bytes.
+//! Tests of writing and reading entries of the node list, including arbitrary bytes.
 
 use proptest::prelude::*;
 use proptest::sample::Index;
@@ -71,7 +71,7 @@ fn announcement_has_the_form_of_rmw_dds_common() {
     assert_eq!(shorter.to_payload().len(), expected.len() - 3 * 8);
 }
 
-/// An entry of several nodes: those of single ones, one after the other.
+/// Returns an entry of several nodes, made of the nodes of single ones.
 fn several(entries: &[NodeEntry]) -> Vec<u8> {
     let Some(first) = entries.first() else { return Vec::new() };
     let start = 4 + first.identifier_length;
@@ -119,7 +119,7 @@ proptest! {
                 0 => bytes.insert(at, byte),
                 1 => bytes.truncate(at),
                 2 if bytes.len() < 4_096 => bytes.extend_from_within(at..),
-                // A length that claims more than there is.
+                // A length that claims more elements than there are.
                 3 => bytes.splice(at..(at + 4).min(bytes.len()), u32::from(byte).rotate_right(8).to_le_bytes()).for_each(drop),
                 _ if at < bytes.len() => bytes[at] = byte,
                 _ => {}

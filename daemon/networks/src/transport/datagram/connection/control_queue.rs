@@ -1,4 +1,4 @@
-//! Packets without a message that wait to be sent.
+//! Queue of packets without a message.
 
 use std::collections::VecDeque;
 
@@ -6,10 +6,11 @@ use crate::transport::datagram::packet::Packet;
 use crate::transport::datagram::packet_writer::PacketWriter;
 use crate::transport::datagram::sending::Batch;
 
-/// Most packets that wait. More than that is waiting when nothing leaves; all of it is repeated or comes again.
+/// Largest number of waiting packets. More wait only if nothing can be sent. Dropping further ones is safe, because all
+/// of them are repeated.
 const MAX_PACKETS: usize = 256;
 
-/// Packets of a connection that leave before its messages.
+/// Packets of a connection that are sent before its messages.
 #[derive(Debug)]
 pub(super) struct ControlQueue {
     writer: PacketWriter,
@@ -21,7 +22,7 @@ impl ControlQueue {
         Self { writer, packets: VecDeque::new() }
     }
 
-    /// Queues a packet; one that finds no room is dropped.
+    /// Queues a packet. A packet that finds no room is dropped.
     pub(super) fn push(&mut self, packet: Packet<'static>) {
         if self.packets.len() < MAX_PACKETS {
             self.packets.push_back(packet);

@@ -1,31 +1,31 @@
-//! The other end's heartbeats, in succession.
+//! History of the other end's heartbeats.
 
 use crate::transport::datagram::packet::Heartbeat;
 
-/// Heartbeats in succession that contradict what was sent, at which the connection ends. It would not recover: the other
-/// end takes messages that are still to be sent for settled.
+/// Number of successive contradicting heartbeats at which the connection ends. The connection would not recover,
+/// because the other end treats messages that are still to be sent as settled.
 const MAX_CONTRADICTIONS: u32 = 3;
 
-/// Tells doubled heartbeats from new ones, and ends that have lost touch from a single packet that was altered.
+/// Detects duplicated heartbeats, and tells ends that disagree permanently from a single altered packet.
 #[derive(Debug, Default)]
 pub(super) struct HeartbeatHistory {
     last: Heartbeat,
-    /// Heartbeats in succession that contradict what was sent.
+    /// Number of successive heartbeats that contradict what was sent.
     contradictions: u32,
 }
 
 impl HeartbeatHistory {
-    /// A heartbeat arrived. Returns whether it is a new one: the network may have doubled the last.
+    /// Handles a heartbeat. Returns whether it is new; the network may have duplicated the last one.
     pub(super) fn receive(&mut self, heartbeat: &Heartbeat) -> bool {
         std::mem::replace(&mut self.last, *heartbeat) != *heartbeat
     }
 
-    /// The heartbeat agrees with what was sent.
+    /// Notes that the heartbeat agrees with what was sent.
     pub(super) fn agree(&mut self) {
         self.contradictions = 0;
     }
 
-    /// The heartbeat contradicts what was sent. Returns whether too many in succession do.
+    /// Notes that the heartbeat contradicts what was sent. Returns whether too many successive ones do.
     pub(super) fn contradict(&mut self) -> bool {
         self.contradictions += 1;
         self.contradictions >= MAX_CONTRADICTIONS
@@ -37,7 +37,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn only_contradictions_in_succession_are_too_many() {
+    fn only_successive_contradictions_reach_limit() {
         let mut heartbeats = HeartbeatHistory::default();
         assert!(!heartbeats.contradict() && !heartbeats.contradict());
         heartbeats.agree();

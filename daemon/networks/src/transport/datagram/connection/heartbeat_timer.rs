@@ -2,54 +2,57 @@
 
 use peernet_clock::{MonoTime, Span};
 
-/// Pause between a message and the heartbeat that asks what has arrived.
+/// Pause between a message and the heartbeat that asks whether it has arrived.
 const ASK_PAUSE: Span = Span::from_millis(50);
 
-/// Longest time between heartbeats while messages follow each other: statistics come with the answers.
+/// Longest time between heartbeats while messages follow each other. The answers carry statistics.
 const ASK_PERIOD: Span = Span::from_seconds(1);
 
-/// The timers of a connection.
+/// Heartbeat timers of a connection.
 #[derive(Debug)]
 pub(super) struct HeartbeatTimer {
     interval: Span,
     timeout: Span,
-    /// When the other end was last heard of.
-    heard: MonoTime,
-    /// When it was last asked for a heartbeat.
-    pinged: MonoTime,
+    /// Time at which the last packet of the other end arrived.
+    received_at: MonoTime,
+    /// Time at which the other end was last asked for a heartbeat.
+    pinged_at: MonoTime,
 }
 
 impl HeartbeatTimer {
     pub(super) const fn new(interval: Span, timeout: Span, now: MonoTime) -> Self {
-        Self { interval, timeout, heard: now, pinged: now }
+        Self { interval, timeout, received_at: now, pinged_at: now }
     }
 
-    /// Longest silence of the other end.
+    /// Returns the longest allowed silence of the other end.
     pub(super) const fn timeout(&self) -> Span {
         self.timeout
     }
 
     /// Notes that a packet arrived.
     pub(super) fn receive(&mut self, now: MonoTime) {
-        self.heard = now;
+        self.received_at = now;
     }
 
     /// Notes that the other end is asked for a heartbeat.
     pub(super) fn ping(&mut self, now: MonoTime) {
-        self.pinged = now;
+        self.pinged_at = now;
     }
 
-    /// Returns when the other end is to be asked; `sent_at` is when the last part of a message left, while messages are not settled
-    /// there: it is asked sooner then, as its answer tells what never arrived.
+    /// Returns the time at which the other end is to be asked next.
+    ///
+    /// `sent_at` is the time at which the last part of a message was sent, if messages are not settled. The other end
+    /// is then asked sooner, because its answer says which messages never arrived.
     pub(super) fn ping_at(&self, sent_at: Option<MonoTime>) -> MonoTime {
-        let idle = self.heard.max(self.pinged) + self.interval;
-        let asks = sent_at.map(|sent| (sent.max(self.pinged) + ASK_PAUSE).min(self.pinged + ASK_PERIOD));
+        let idle = self.received_at.max(self.pinged_at) + self.interval;
+        let asks =
+            sent_at.map(|sent| (sent.max(self.pinged_at) + ASK_PAUSE).min(self.pinged_at + ASK_PERIOD));
         asks.map_or(idle, |at| idle.min(at))
     }
 
-    /// When the other end counts as gone, if nothing is heard until then.
+    /// Returns the time at which the other end counts as gone if nothing arrives until then.
     pub(super) fn ends_at(&self) -> MonoTime {
-        self.heard + self.timeout
+        self.received_at + self.timeout
     }
 }
 
@@ -58,7 +61,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn other_end_is_asked_when_idle_and_after_messages() {
+    fn heartbeat_is_due_when_idle_and_after_messages() {
         let at = |millis| MonoTime::default() + Span::from_millis(millis);
         let mut heartbeat = HeartbeatTimer::new(Span::from_seconds(2), Span::from_seconds(5), at(0));
         assert_eq!((heartbeat.ping_at(None), heartbeat.ends_at()), (at(2_000), at(5_000)));

@@ -1,19 +1,19 @@
-//! The end of a connection: a goodbye that is repeated until the other end has heard it.
+//! The end of a connection: a goodbye that is repeated until the other end confirms it.
 
 use peernet_clock::{MonoTime, Span};
 
-/// The pause between goodbyes.
+/// Pause between goodbyes.
 const BYE_PAUSE: Span = Span::from_millis(50);
 
-/// The goodbye from which on nothing is awaited any more, and the one that is always the last.
+/// Number of goodbyes during which unfinished messages are still awaited, and the largest number of goodbyes.
 const PATIENT_BYES: u32 = 2;
 const LAST_BYE: u32 = 8;
 
-/// Progress of a connection's end.
+/// State of a connection's shutdown.
 #[derive(Debug)]
 pub(super) struct Shutdown {
     phase: Phase,
-    /// Goodbyes of the other end that were heard.
+    /// Number of goodbyes that arrived.
     byes: u32,
 }
 
@@ -33,19 +33,19 @@ impl Shutdown {
         self.phase == Phase::Open
     }
 
-    /// Whether the connection is over.
+    /// Returns whether the connection is over.
     pub(super) fn is_closed(&self) -> bool {
         self.phase == Phase::Closed
     }
 
-    /// Begins to say goodbye.
+    /// Starts to say goodbye.
     pub(super) fn begin(&mut self, now: MonoTime) {
         if self.is_open() {
             self.phase = Phase::Closing { next_bye: now };
         }
     }
 
-    /// When the next goodbye is to be said.
+    /// Returns the time of the next goodbye.
     pub(super) const fn bye_at(&self) -> Option<MonoTime> {
         match self.phase {
             Phase::Closing { next_bye } => Some(next_bye),
@@ -53,35 +53,35 @@ impl Shutdown {
         }
     }
 
-    /// A goodbye is said.
-    pub(super) fn say_bye(&mut self, now: MonoTime) {
+    /// Notes that a goodbye is sent.
+    pub(super) fn send_bye(&mut self, now: MonoTime) {
         self.phase = Phase::Closing { next_bye: now + BYE_PAUSE };
     }
 
-    /// The other end says that it has heard the goodbye.
+    /// Handles the confirmation of the goodbye.
     pub(super) fn confirm(&mut self) {
         if !self.is_open() {
             self.phase = Phase::Closed;
         }
     }
 
-    /// The other end says goodbye. Returns how many times it has.
+    /// Handles a goodbye of the other end. Returns the number of goodbyes so far.
     pub(super) fn receive_bye(&mut self) -> u32 {
         self.byes += 1;
         self.byes
     }
 
-    /// Whether the other end has said goodbye so often that nothing more is awaited of it.
-    pub(super) const fn is_impatient(&self) -> bool {
+    /// Returns whether the other end has said goodbye so often that its unfinished messages are no longer awaited.
+    pub(super) const fn gives_up_messages(&self) -> bool {
         self.byes >= PATIENT_BYES
     }
 
-    /// Whether the other end has said its last goodbye.
+    /// Returns whether the other end has sent its last goodbye.
     pub(super) const fn is_last_bye(&self) -> bool {
         self.byes >= LAST_BYE
     }
 
-    /// Ends the connection. Returns whether it was not over before.
+    /// Ends the connection. Returns whether it was open or closing before.
     pub(super) fn close(&mut self) -> bool {
         std::mem::replace(&mut self.phase, Phase::Closed) != Phase::Closed
     }
@@ -99,7 +99,7 @@ mod tests {
         assert!(shutdown.is_open() && shutdown.bye_at().is_none(), "nothing was said yet");
         shutdown.begin(at(10));
         assert_eq!(shutdown.bye_at(), Some(at(10)));
-        shutdown.say_bye(at(20));
+        shutdown.send_bye(at(20));
         shutdown.begin(at(30));
         assert_eq!(shutdown.bye_at(), Some(at(70)));
         shutdown.confirm();
@@ -109,12 +109,12 @@ mod tests {
     #[test]
     fn patience_ends_before_the_last_goodbye() {
         let mut shutdown = Shutdown::new();
-        let mut heard = Vec::new();
+        let mut states = Vec::new();
         for _ in 0..8 {
             shutdown.receive_bye();
-            heard.push((shutdown.is_impatient(), shutdown.is_last_bye()));
+            states.push((shutdown.gives_up_messages(), shutdown.is_last_bye()));
         }
-        assert_eq!(heard[..2], [(false, false), (true, false)]);
-        assert_eq!(heard[6..], [(true, false), (true, true)]);
+        assert_eq!(states[..2], [(false, false), (true, false)]);
+        assert_eq!(states[6..], [(true, false), (true, true)]);
     }
 }

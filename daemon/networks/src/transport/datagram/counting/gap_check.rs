@@ -1,17 +1,17 @@
-//! Datagram numbers beyond a gap, any one of which may have been altered or forged on the way.
+//! Plausibility check of datagram numbers beyond a gap, which may have been altered or forged on the way.
 
 use peernet_clock::MonoTime;
 
-/// Numbers that one packet may pass over by itself: more than networks reorder.
+/// Largest gap that a single packet may open: more than networks reorder.
 pub(in crate::transport::datagram) const MAX_GAP: u64 = 64;
 
-/// Datagrams that a peer can send in a millisecond: more than 16 Gbit/s in datagrams of 512 bytes.
+/// Largest number of datagrams that a peer can send in a millisecond: more than 16 Gbit/s in datagrams of 512 bytes.
 const MAX_PER_MILLISECOND: u64 = 4_000;
 
 /// Decides whether a number beyond a gap is believed.
 ///
-/// A long gap is believed when the next packet has a number beyond it, too (RFC 3550, appendix A.1), and when the other end can
-/// have sent so much since the last number that was believed.
+/// A long gap is believed if the next packet has a number beyond it as well (RFC 3550, appendix A.1), and if the other
+/// end can have sent so much since the last number that was believed.
 #[derive(Debug)]
 pub(super) struct GapCheck {
     suspect: Option<NextNumber>,
@@ -22,7 +22,7 @@ pub(super) struct GapCheck {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct NextNumber {
     pub(super) number: u64,
-    /// Whether a datagram had it; otherwise the other end has only reported it.
+    /// `true` if a datagram with this number arrived, `false` if the other end only reported it.
     pub(super) has_arrived: bool,
 }
 
@@ -31,8 +31,8 @@ impl GapCheck {
         Self { suspect: None, believed_at: now }
     }
 
-    /// Checks a number; those below `next` are known. Returns `None` when it is held back, and otherwise the number that was
-    /// held back before and is confirmed by this one, if there is one.
+    /// Checks a number; numbers below `next` are known. Returns `None` if the number is held back. Otherwise returns
+    /// the number that was held back before and that this one confirms, if there is one.
     pub(super) fn check(
         &mut self,
         next: u64,
@@ -59,7 +59,7 @@ impl GapCheck {
 impl NextNumber {
     fn confirms(&self, suspect: &Self) -> bool {
         let distance = suspect.number.abs_diff(self.number);
-        // A datagram that the network has doubled does not confirm itself.
+        // A datagram that the network duplicated does not confirm itself.
         let is_other = distance > 0 || !self.has_arrived || !suspect.has_arrived;
         distance <= MAX_GAP && is_other
     }

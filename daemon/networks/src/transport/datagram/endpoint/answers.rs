@@ -5,7 +5,7 @@ use std::collections::VecDeque;
 use super::Route;
 use crate::transport::datagram::packet::{Packet, Role};
 
-/// Most answers that wait to be sent. A sender that is not answered asks again.
+/// Largest number of waiting answers. A sender without an answer repeats its request.
 const MAX_ANSWERS: usize = 256;
 
 /// Answers that wait to be sent.
@@ -16,7 +16,7 @@ pub(super) struct AnswerQueue {
 }
 
 impl AnswerQueue {
-    /// Each datagram begins with `prefix`.
+    /// Creates an empty queue. Each datagram begins with `prefix`.
     pub(super) const fn new(prefix: &'static [u8]) -> Self {
         Self { prefix, answers: VecDeque::new() }
     }
@@ -25,7 +25,7 @@ impl AnswerQueue {
         self.answers.is_empty()
     }
 
-    /// Queues an answer; one that finds no room is dropped.
+    /// Queues an answer. An answer that finds no room is dropped.
     pub(super) fn push(&mut self, route: Route, packet: &Packet<'_>) {
         self.push_padded(route, packet, 0);
     }

@@ -5,18 +5,18 @@ use std::collections::VecDeque;
 use crate::transport::Arrival;
 use crate::transport::memory::Reservation;
 
-/// Arrivals beyond which what can be missed is dropped. More come when the layer above does not take them.
+/// Number of arrivals from which on dispensable ones are dropped. It is reached if the layer above does not take them.
 const MAX_ARRIVALS: usize = 1_024;
 
-/// Something that arrived, and the memory that it takes.
+/// An arrival, and the reservation of its memory.
 #[derive(Debug)]
 pub(crate) struct Delivery {
     pub(crate) arrival: Arrival,
     pub(crate) _reserved: Option<Reservation>,
 }
 
-/// Arrivals in the order in which they came. Messages and the ends of connections are never dropped: the memory of the former is
-/// bounded by their reservations.
+/// Arrivals in the order of their arrival. Messages and ends of connections are never dropped. The memory of messages
+/// is bounded by their reservations.
 #[derive(Debug, Default)]
 pub(super) struct ArrivalQueue {
     deliveries: VecDeque<Delivery>,
@@ -42,7 +42,7 @@ mod tests {
     use crate::transport::ConnectionId;
 
     #[test]
-    fn garbage_finds_no_room_in_the_end_but_ends_of_connections_do() {
+    fn full_arrival_queue_admits_connection_ends_only() {
         let mut queue = ArrivalQueue::default();
         for _ in 0..2 * MAX_ARRIVALS {
             queue.push(Arrival::Garbage(None, String::new()), None);

@@ -1,4 +1,4 @@
-//! The connections of a port, found by their numbers and by who opened them.
+//! The connections of a port, by number and by opener, and the decision which one makes room for another.
 
 use std::collections::HashMap;
 use std::net::{IpAddr, SocketAddr};
@@ -6,21 +6,21 @@ use std::net::{IpAddr, SocketAddr};
 use super::entry::{Admission, Entry};
 use crate::transport::AddressGroup;
 
-/// Whether one more connection may be opened.
+/// Room for one more connection.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Capacity {
     Free,
-    /// In place of this one, which has no session.
+    /// There is room if this connection, which has no session, is closed.
     Replaces(u64),
     Exhausted,
 }
 
-/// All connections. Each is found by its number, and by the address where it is answered with the nonce of its hello.
+/// All connections. Each is found by its number, and by the reply address and the nonce of its hello.
 #[derive(Debug, Default)]
 pub(super) struct ConnectionTable {
     entries: HashMap<u64, Entry>,
     by_nonce: HashMap<(SocketAddr, u64), u64>,
-    /// Connections that were ever opened.
+    /// Number of connections ever opened.
     opened: u64,
 }
 
@@ -29,7 +29,7 @@ impl ConnectionTable {
         self.entries.len()
     }
 
-    /// Connections that were ever opened.
+    /// Returns the number of connections ever opened.
     pub(super) const fn opened(&self) -> u64 {
         self.opened
     }
@@ -50,7 +50,7 @@ impl ConnectionTable {
         self.entries.iter_mut().map(|(id, entry)| (*id, entry))
     }
 
-    /// The connection that is answered at an address and was opened with a nonce.
+    /// Returns the connection with this reply address and nonce.
     pub(super) fn find(&self, to: SocketAddr, nonce: u64) -> Option<u64> {
         self.by_nonce.get(&(to, nonce)).copied()
     }
@@ -67,7 +67,8 @@ impl ConnectionTable {
         }
     }
 
-    /// The other end of a connection has another address, from which it reaches this one of this machine.
+    /// Changes the addresses of a connection: `source` is the new address of the other end, `local` the address of this
+    /// machine at which its datagrams arrive.
     pub(super) fn relocate(&mut self, id: u64, source: SocketAddr, local: Option<IpAddr>) {
         if let Some(entry) = self.entries.get_mut(&id) {
             self.by_nonce.remove(&(entry.reply_address(), entry.nonce));
@@ -76,8 +77,11 @@ impl ConnectionTable {
         }
     }
 
-    /// Whether one more connection of a group of addresses may be opened, of `max` in all. One without a session makes room: the
-    /// oldest of the same group, or else of the group that has most of them.
+    /// Returns whether a peer from a group of addresses may open one more connection; `max` is the largest number of
+    /// connections.
+    ///
+    /// If necessary, a connection without a session is replaced: the oldest of the same group, or of the group with the
+    /// most connections without a session. One group therefore cannot keep others out.
     pub(super) fn capacity(&self, group: AddressGroup, max: usize) -> Capacity {
         let max = max.max(1);
         let mut groups: HashMap<AddressGroup, (usize, usize)> = HashMap::new();
@@ -142,7 +146,7 @@ mod tests {
     }
 
     #[test]
-    fn connection_is_found_where_it_moved_to_until_it_is_removed() {
+    fn moved_connection_is_found_until_removed() {
         let mut table = ConnectionTable::default();
         table.insert(7, entry(address(1, 9), 3, Admission::Admitted));
         assert_eq!(table.find(address(1, 9), 3), Some(7));
@@ -153,7 +157,7 @@ mod tests {
     }
 
     #[test]
-    fn oldest_connection_without_session_makes_room() {
+    fn oldest_connection_without_session_is_replaced() {
         let mut table = ConnectionTable::default();
         let (one, other) = (AddressGroup::of(address(1, 1)), AddressGroup::of(address(2, 1)));
         table.insert(1, entry(address(1, 1), 1, Admission::Admitted));
@@ -167,7 +171,7 @@ mod tests {
     }
 
     #[test]
-    fn connections_with_sessions_make_no_room() {
+    fn connections_with_sessions_are_not_replaced() {
         let mut table = ConnectionTable::default();
         for n in 1..=4 {
             table.insert(n, entry(address(n as u8, 1), n, Admission::Admitted));

@@ -1,4 +1,4 @@
-//! One connection among all those of a port.
+//! A connection in the table of a port.
 
 use std::net::{IpAddr, SocketAddr};
 
@@ -14,13 +14,13 @@ pub(super) enum Admission {
     Admitted,
 }
 
-/// A connection of a port, and where its other end is.
+/// A connection of a port, with the addresses of its other end.
 #[derive(Debug)]
 pub(super) struct Entry {
     pub(super) connection: Connection,
-    /// Address that its datagrams come from.
+    /// Address from which its datagrams come.
     pub(super) source: SocketAddr,
-    /// Port at which it is answered; 0 for that of `source`.
+    /// Port to which answers are sent; 0 means the port of `source`.
     pub(super) reply_port: u16,
     pub(super) local: Option<IpAddr>,
     pub(super) nonce: u64,
@@ -32,7 +32,7 @@ pub(super) struct Entry {
 }
 
 impl Entry {
-    /// A connection whose datagrams come from an address, and which is answered at a port there.
+    /// Creates an entry for a connection whose datagrams come from an address and are answered at a port there.
     pub(super) const fn new(
         connection: Connection,
         (source, reply_port): (SocketAddr, u16),
@@ -55,17 +55,17 @@ impl Entry {
         }
     }
 
-    /// Returns the address where it is answered.
+    /// Returns the address to which answers are sent.
     pub(super) fn reply_address(&self) -> SocketAddr {
         reply_address(self.source, self.reply_port)
     }
 
-    /// Whether it has gone without a hello for too long.
+    /// Returns whether the connection has been without a hello for too long.
     pub(super) fn is_late(&self, hello_timeout: Span, now: MonoTime) -> bool {
         matches!(self.admission, Admission::Unadmitted { since } if now - since >= hello_timeout)
     }
 
-    /// When it is to be looked at.
+    /// Returns the time of its next timer call.
     pub(super) fn next_timer(&self, hello_timeout: Span, now: MonoTime) -> MonoTime {
         let next = self.connection.next_timer(now);
         match self.admission {
@@ -75,7 +75,7 @@ impl Entry {
     }
 }
 
-/// Returns the address where datagrams from `source` are answered; its port is `reply_port`, if that is not 0.
+/// Returns the address to which datagrams from `source` are answered. Its port is `reply_port` unless that is 0.
 pub(super) fn reply_address(source: SocketAddr, reply_port: u16) -> SocketAddr {
     SocketAddr::new(source.ip(), if reply_port == 0 { source.port() } else { reply_port })
 }

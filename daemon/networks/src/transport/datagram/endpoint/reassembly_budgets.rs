@@ -1,4 +1,4 @@
-//! Memory of unfinished messages, for connections with a session and without.
+//! Memory budgets of unfinished messages, for connections with and without a session.
 
 use std::sync::Arc;
 
@@ -6,28 +6,29 @@ use crate::transport::datagram::partial_message::PEAK_COST;
 use crate::transport::datagram::reassembly::ReassemblyLimits;
 use crate::transport::memory::MemoryBudget;
 
-/// Largest message of a connection without a session.
+/// Largest message of a connection without a session. Bytes.
 const MAX_UNADMITTED_BYTES: u32 = 64 * 1024;
 
-/// Unfinished messages of a connection without a session.
+/// Largest number of unfinished messages of a connection without a session.
 const MAX_UNADMITTED_MESSAGES: usize = 2;
 
-/// Memory for the unfinished messages of all connections without a session.
+/// Memory for the unfinished messages of all connections without a session. Bytes.
 const MAX_ALL_UNADMITTED_BYTES: u64 = 16 * 1024 * 1024;
 
-/// Limits of each connection, and memory that connections share: those without a session cannot take that of the others.
+/// Limits of each connection, and budgets that connections share. Connections without a session have a separate budget,
+/// so that they cannot exhaust the memory of the others.
 #[derive(Debug)]
 pub(super) struct ReassemblyBudgets {
-    /// Limits of connections that have a session.
+    /// Limits of connections with a session.
     limits: ReassemblyLimits,
     unadmitted: Arc<MemoryBudget>,
     admitted: Arc<MemoryBudget>,
 }
 
 impl ReassemblyBudgets {
-    /// `limits` and `max_bytes`, for all of them, are those of connections that have a session.
+    /// Creates the budgets. `limits` applies to each connection with a session, `max_bytes` to all of them together.
     pub(super) fn new(limits: ReassemblyLimits, max_bytes: u64) -> Self {
-        // One largest message alone always fits, in whatever order its fragments come.
+        // A single message of the largest length always fits, in whatever order its fragments arrive.
         let largest = u64::from(limits.max_message_bytes) * PEAK_COST;
         Self {
             limits,
@@ -51,7 +52,7 @@ impl ReassemblyBudgets {
         (limits, Arc::clone(&self.unadmitted))
     }
 
-    /// Memory that unfinished messages, and messages that were not handed on, take.
+    /// Returns the memory of unfinished messages and of messages that were not handed on yet. Bytes.
     pub(super) fn held(&self) -> u64 {
         self.admitted.held() + self.unadmitted.held()
     }

@@ -1,10 +1,11 @@
-//! When each connection of a port is to be looked at, so that no other one is.
+//! The next timer call of each connection of a port, so that a datagram costs the same however many connections there
+//! are.
 
 use std::collections::{BTreeSet, HashMap};
 
 use peernet_clock::MonoTime;
 
-/// One time for each connection, found in order.
+/// One time for each connection, in order.
 #[derive(Debug, Default)]
 pub(crate) struct Timers {
     ordered: BTreeSet<(MonoTime, u64)>,
@@ -12,7 +13,7 @@ pub(crate) struct Timers {
 }
 
 impl Timers {
-    /// Sets the time of a connection, unless it has an earlier one: to be looked at too early does no harm.
+    /// Sets the time of a connection unless it has an earlier one. A timer call that is too early has no effect.
     pub(crate) fn bring_forward(&mut self, connection: u64, at: MonoTime) {
         match self.by_connection.get(&connection) {
             Some(earlier) if *earlier <= at => {}
@@ -24,21 +25,21 @@ impl Timers {
         }
     }
 
-    /// A connection is over.
+    /// Removes a connection that is over.
     pub(crate) fn remove(&mut self, connection: u64) {
         if let Some(at) = self.by_connection.remove(&connection) {
             self.ordered.remove(&(at, connection));
         }
     }
 
-    /// Takes a connection whose time has come; it has no time then.
+    /// Removes and returns a connection that is due. It has no time afterwards.
     pub(crate) fn take_due(&mut self, now: MonoTime) -> Option<u64> {
         let (_, connection) = *self.ordered.first().filter(|(at, _)| *at <= now)?;
         self.remove(connection);
         Some(connection)
     }
 
-    /// The first time of all.
+    /// Returns the earliest time of all connections.
     pub(crate) fn next(&self) -> Option<MonoTime> {
         self.ordered.first().map(|(at, _)| *at)
     }

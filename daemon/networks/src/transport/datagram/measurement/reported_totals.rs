@@ -1,14 +1,15 @@
-//! Totals that the other end reports of this end's datagrams.
+//! Totals of this end's datagrams that the other end reports.
 
 use crate::transport::datagram::counting::{ArrivalTotals, MAX_GAP};
 use crate::transport::datagram::false_claim::FalseClaim;
 
-/// Most copies of each datagram that a network is believed to make, on average.
+/// Largest plausible number of copies that a network makes of each datagram, on average.
 const MAX_COPIES: u64 = 16;
 
 /// Totals of this end's datagrams, as the other end reports them.
 ///
-/// No total falls, and none is above the lower of two reports in succession: a total that was altered or forged is not kept.
+/// No total decreases, and each is at most the lower one of two successive reports. A total that was altered or forged
+/// in one packet is therefore not kept.
 #[derive(Debug, Default)]
 pub(super) struct ReportedTotals {
     last: Option<ArrivalTotals>,
@@ -16,13 +17,13 @@ pub(super) struct ReportedTotals {
 }
 
 impl ReportedTotals {
-    /// Takes a report; `sent` datagrams have left this end.
+    /// Handles a report. `sent` is the number of datagrams that this end has sent.
     ///
     /// # Errors
-    /// When they are more than `sent` can have led to.
+    /// If the totals are higher than `sent` allows.
     pub(super) fn report(&mut self, totals: ArrivalTotals, sent: u64) -> Result<(), FalseClaim> {
         let ArrivalTotals { lost, duplicated, reordered } = totals;
-        // The other end may have believed one number that was altered on the way: that makes its report wrong, not false.
+        // The other end may have believed one altered number. Its report is then slightly wrong, and not a false claim.
         if lost.max(reordered) > sent.saturating_add(MAX_GAP) || duplicated > sent.saturating_mul(MAX_COPIES)
         {
             return Err(FalseClaim::Totals);

@@ -1,4 +1,4 @@
-//! The round trip of a connection's heartbeats.
+//! Round trips of a connection's heartbeats.
 
 use std::collections::VecDeque;
 
@@ -6,25 +6,25 @@ use peernet_clock::{MonoTime, Span};
 
 use crate::statistics::TransportRoundTrip;
 
-/// The shortest round trip is that of the last one to two of these, as paths change.
+/// Length of a period. The minimum covers the last one to two periods, because paths change.
 const MIN_PERIOD: Span = Span::from_seconds(150);
 
-/// Most heartbeats whose answers are awaited: those of a second while they follow each other as fast as they do.
+/// Largest number of heartbeats whose answers are awaited: those of a second at the highest rate.
 const MAX_ASKED: usize = 64;
 
 /// Smooths measured round trips (RFC 6298, section 2).
 #[derive(Debug, Default)]
 pub(crate) struct RoundTripEstimator {
     smoothed: Option<(Span, Span)>,
-    /// The shortest of this period and of the one before.
+    /// Shortest round trips of the present and the previous period.
     shortest: (Option<Span>, Option<Span>),
     period_began: MonoTime,
-    /// Departures of the heartbeats that were not answered, oldest first.
+    /// Departures of the unanswered heartbeats, oldest first.
     asked: VecDeque<MonoTime>,
 }
 
 impl RoundTripEstimator {
-    /// Notes that a heartbeat leaves.
+    /// Notes that a heartbeat is sent.
     pub(crate) fn ask(&mut self, now: MonoTime) {
         if self.asked.len() >= MAX_ASKED {
             self.asked.pop_front();
@@ -32,8 +32,8 @@ impl RoundTripEstimator {
         self.asked.push_back(now);
     }
 
-    /// An answer says that it is one to the heartbeat that left at a time. One that answers none is not measured: it was
-    /// doubled or altered on the way.
+    /// Handles an answer to the heartbeat that was sent at `asked`. An answer to no such heartbeat is not measured,
+    /// because it was duplicated or altered on the way.
     pub(crate) fn answer(&mut self, asked: MonoTime, now: MonoTime) {
         if let Some(at) = self.asked.iter().position(|time| *time == asked) {
             self.asked.remove(at);
@@ -72,7 +72,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn only_answers_to_what_was_asked_are_measured() {
+    fn only_matching_heartbeat_replies_are_measured() {
         let at = |millis| MonoTime::default() + Span::from_millis(millis);
         let mut estimator = RoundTripEstimator::default();
         estimator.ask(at(10));

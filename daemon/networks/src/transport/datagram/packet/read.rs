@@ -1,11 +1,11 @@
-//! Reading packets from bytes that anybody may have sent.
+//! Decodes packets from untrusted bytes.
 
 use super::{
     ArrivalTotals, FROM_CLOUD, Fragment, HELLO_BYTES, Heartbeat, InvalidPacket, Packet, ResetReason, Role,
     Terms,
 };
 
-/// Takes integers from the front of a slice.
+/// Removes integers from the front of a slice.
 struct Reader<'a>(&'a [u8]);
 
 impl<'a> Reader<'a> {
@@ -46,17 +46,17 @@ impl<'a> Reader<'a> {
         std::mem::take(&mut self.0)
     }
 
-    /// Padding, which is sent as zeros and not looked at.
+    /// Skips the padding, which is sent as zeros and not checked.
     fn padding(&mut self) {
         self.0 = &[];
     }
 }
 
 impl<'a> Packet<'a> {
-    /// Reads a body that anybody may have sent to an end of a connection.
+    /// Decodes an untrusted body that arrived at an end of a connection.
     ///
     /// # Errors
-    /// When it is not exactly one packet that the other end sends.
+    /// If it is not exactly one packet that the other end sends.
     pub(crate) fn read(at: Role, body: &'a [u8]) -> Result<Self, InvalidPacket> {
         let mut reader = Reader(body);
         let kind = reader.u8()?;
@@ -68,7 +68,7 @@ impl<'a> Packet<'a> {
     }
 }
 
-/// The fields of a packet of a kind.
+/// Decodes the fields of a packet of this kind.
 fn fields<'a>(
     kind: u8,
     at: Role,
@@ -80,7 +80,7 @@ fn fields<'a>(
             let packet =
                 Packet::Hello { version: reader.u8()?, nonce: reader.u64()?, reply_port: reader.u16()? };
             reader.padding();
-            // A shorter one would be answered with more than was sent.
+            // The answer to a shorter hello would be longer than the hello.
             if length < HELLO_BYTES { Err(InvalidPacket::Length) } else { Ok(packet) }
         }
         (2, Role::Edge) => Ok(Packet::Cookie { nonce: reader.u64()?, cookie: reader.take()? }),
@@ -143,7 +143,7 @@ fn fragment<'a>(reader: &mut Reader<'a>) -> Result<Fragment<'a>, InvalidPacket> 
     let (stride, lifetime_ms) = (reader.u16()?, reader.u16()?);
     let bytes = reader.rest();
     let is_aligned = stride > 0 && offset % u32::from(stride) == 0;
-    // A number at the end of all numbers leaves no room for the next.
+    // The highest number is refused, because there is no number after it.
     if !is_aligned || offset >= total || sequence == u64::MAX {
         return Err(InvalidPacket::Fragment);
     }

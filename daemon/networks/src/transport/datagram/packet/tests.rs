@@ -1,4 +1,4 @@
-//! Packets written and read back, and any bytes.
+//! Tests of the wire form: packets that are encoded and decoded, and arbitrary bytes.
 
 use proptest::prelude::*;
 
@@ -14,7 +14,7 @@ fn both_ways(from: Role, packet: Packet<'_>) -> usize {
 }
 
 #[test]
-fn packets_read_back_as_written() {
+fn encoded_packets_decode_to_same_packets() {
     let (nonce, connection, cookie) = (7, u64::MAX, [9; 16]);
     let terms = Terms { window: 1 << 20, datagram: 1_200 };
     let hello = both_ways(Role::Edge, Packet::Hello { version: 1, nonce, reply_port: 5_552 });

@@ -1,4 +1,4 @@
-//! Fragments that are lost, doubled, reordered and forged.
+//! Tests of reassembly with lost, duplicated, reordered and forged fragments.
 
 use proptest::prelude::*;
 
@@ -16,7 +16,7 @@ fn at(millis: i64) -> MonoTime {
     MonoTime::default() + Span::from_millis(millis)
 }
 
-/// Cuts a message's bytes into fragments of `stride` bytes.
+/// Splits a message's bytes into fragments of `stride` bytes.
 fn fragments(sequence: u64, bytes: &[u8], stride: u16) -> Vec<Fragment<'_>> {
     let total = bytes.len() as u32;
     let checksum = crc32fast::hash(bytes);
@@ -43,7 +43,7 @@ fn missing_fragment_loses_message_with_counts() {
     let bytes = vec![7; 950];
     for (n, fragment) in fragments(0, &bytes, 100).iter().enumerate() {
         if n != 3 {
-            assert!(matches!(reassembly.receive(fragment, at(0)), Received::Stored));
+            assert!(matches!(reassembly.receive(fragment, at(0)), ReassemblyOutcome::Stored));
         }
     }
     reassembly.tick(at(1_000));
@@ -55,11 +55,11 @@ fn missing_fragment_loses_message_with_counts() {
     assert_eq!(reassembly.take_lost(), [LostMessage { sequence: 0, tag: Some(1), received: 9, total: 10 }]);
     assert_eq!((reassembly.floor(), reassembly.budget.held()), (1, 0));
     let late = reassembly.receive(&fragments(0, &bytes, 100)[3], at(1_101));
-    assert!(matches!(late, Received::Duplicate), "{late:?}");
+    assert!(matches!(late, ReassemblyOutcome::Duplicate), "{late:?}");
 }
 
 #[test]
-fn message_that_stops_is_lost_in_the_end() {
+fn unfinished_message_is_lost_after_timeout() {
     let mut reassembly = new(1 << 20);
     let bytes = [7; 200];
     reassembly.receive(&fragments(0, &bytes, 100)[0], at(0));
@@ -83,11 +83,11 @@ fn deadline_ends_message_before_timeout() {
 }
 
 #[test]
-fn message_that_never_came_is_lost_with_no_fragments() {
+fn missing_message_is_lost_with_zero_fragments() {
     let mut reassembly = new(1 << 20);
     reassembly.expect(2, at(0));
     let later = reassembly.receive(&fragments(2, &[1, 2, 3], 100)[0], at(1));
-    assert!(matches!(later, Received::Message { .. }), "{later:?}");
+    assert!(matches!(later, ReassemblyOutcome::Message { .. }), "{later:?}");
     reassembly.tick(at(100));
     let lost = |sequence| LostMessage { sequence, tag: None, received: 0, total: 0 };
     assert_eq!(reassembly.take_lost(), [lost(0), lost(1)]);
@@ -106,11 +106,11 @@ fn contradicting_fragments_change_nothing() {
         Fragment { total: 300, ..all[1] },
         Fragment { stride: 50, bytes: &bytes[..50], ..all[1] },
     ] {
-        assert!(matches!(reassembly.receive(&forged, at(0)), Received::Inconsistent));
+        assert!(matches!(reassembly.receive(&forged, at(0)), ReassemblyOutcome::Inconsistent));
     }
-    assert!(matches!(reassembly.receive(&all[0], at(0)), Received::Duplicate));
+    assert!(matches!(reassembly.receive(&all[0], at(0)), ReassemblyOutcome::Duplicate));
     reassembly.receive(&all[2], at(0));
-    let Received::Message { bytes: whole, .. } = reassembly.receive(&all[1], at(0)) else {
+    let ReassemblyOutcome::Message { bytes: whole, .. } = reassembly.receive(&all[1], at(0)) else {
         panic!("it is whole")
     };
     assert_eq!(&whole[..], &bytes[..]);
@@ -125,9 +125,9 @@ fn damaged_bytes_are_no_message() {
     for fragment in &all[..2] {
         reassembly.receive(fragment, at(0));
     }
-    assert!(matches!(reassembly.receive(&all[2], at(0)), Received::Inconsistent));
+    assert!(matches!(reassembly.receive(&all[2], at(0)), ReassemblyOutcome::Inconsistent));
     let damaged = Fragment { bytes: &[9; 30], ..fragments(1, &[7; 30], 100)[0] };
-    assert!(matches!(reassembly.receive(&damaged, at(0)), Received::Inconsistent));
+    assert!(matches!(reassembly.receive(&damaged, at(0)), ReassemblyOutcome::Inconsistent));
     assert_eq!(reassembly.take_lost().len(), 2);
     assert_eq!(reassembly.budget.held(), 0);
 }
@@ -166,13 +166,13 @@ fn memory_and_messages_are_bounded() {
 }
 
 #[test]
-fn far_number_costs_nothing() {
+fn message_number_far_ahead_takes_no_memory() {
     let mut reassembly = new(1 << 20);
     let bytes = [7; 20];
     reassembly.receive(&fragments(3, &bytes, 10)[0], at(0));
     for sequence in [u64::MAX - 2, 1 << 20, MAX_SPAN] {
         let far = reassembly.receive(&fragments(sequence, &bytes, 10)[0], at(0));
-        assert!(matches!(far, Received::TooFarAhead), "{far:?}");
+        assert!(matches!(far, ReassemblyOutcome::TooFarAhead), "{far:?}");
     }
     assert_eq!((reassembly.take_lost(), reassembly.floor()), (Vec::new(), 0));
     reassembly.expect(u64::MAX, at(0));
@@ -183,7 +183,7 @@ fn far_number_costs_nothing() {
     assert_eq!(reassembly.budget.held(), 0);
 }
 
-/// One fragment of the plan: of which message, which one, and when.
+/// Returns a plan of fragments: number of the message, index of the fragment, and pause before it.
 fn plan() -> impl Strategy<Value = Vec<(u8, prop::sample::Index, u8)>> {
     proptest::collection::vec((0_u8..6, any::<prop::sample::Index>(), 0_u8..20), 0..400)
 }
@@ -199,7 +199,7 @@ proptest! {
             now += i64::from(pause);
             let all = fragments(message.into(), &messages[usize::from(message)], 100);
             let received = reassembly.receive(fragment.get(&all), at(now));
-            if let Received::Message { bytes, .. } = received {
+            if let ReassemblyOutcome::Message { bytes, .. } = received {
                 prop_assert_eq!(&bytes[..], &messages[usize::from(message)][..]);
                 delivered.push(u64::from(message));
             }
@@ -226,14 +226,14 @@ proptest! {
         let mut bytes = Vec::new();
         message.take(u16::MAX, &mut bytes);
         let mut all = fragments(0, &bytes, stride);
-        // A number with no factor in common with the count visits all of them.
+        // A step width that is coprime to the count visits all fragments.
         let count = all.len() as u64;
         all.sort_by_key(|fragment| (u64::from(fragment.offset).wrapping_mul(order | 1)) % (count * 7 + 1));
         let mut reassembly = new(1 << 20);
         let mut whole = None;
         for fragment in &all {
             prop_assert!(whole.is_none());
-            if let Received::Message { bytes, .. } = reassembly.receive(fragment, at(0)) {
+            if let ReassemblyOutcome::Message { bytes, .. } = reassembly.receive(fragment, at(0)) {
                 whole = Some(bytes);
             }
         }

@@ -1,11 +1,11 @@
-//! Progress of a peer, from packets any one of which may have been altered or forged on the way.
+//! Progress of a peer, derived from packets that may have been altered or forged on the way.
 
 use peernet_clock::MonoTime;
 
 /// The number below which the peer has sent all messages.
 ///
-/// One packet alone moves it nowhere: it follows the lower of the last two claims, as RTP also waits for a second packet
-/// before it believes a jump (RFC 3550, appendix A.1).
+/// A single packet does not move it, because it follows the lower one of the last two claims. RTP also waits for a
+/// second packet before it believes a jump (RFC 3550, appendix A.1).
 #[derive(Debug, Default)]
 pub(super) struct SentWatermark {
     confirmed: u64,
@@ -16,14 +16,14 @@ pub(super) struct SentWatermark {
 #[derive(Clone, Copy, Debug, Default)]
 struct Claim {
     next: u64,
-    /// Tells packets apart: a packet that the network has doubled does not confirm itself.
+    /// Identifies the packet: a packet that the network duplicated does not confirm itself.
     packet: u64,
     at: MonoTime,
 }
 
 impl SentWatermark {
-    /// A packet claims that all messages below `next` were sent; `packet` differs from that of the packet before, unless it
-    /// is the same one. Returns the watermark and since when it was claimed, if it has moved.
+    /// Handles the claim of a packet that all messages below `next` were sent. `packet` identifies the packet. If the
+    /// watermark moves, returns it and the time at which it was first claimed.
     pub(super) fn claim(&mut self, next: u64, packet: u64, now: MonoTime) -> Option<(u64, MonoTime)> {
         if (next, packet) == (self.last.next, self.last.packet) {
             return None;
@@ -34,7 +34,7 @@ impl SentWatermark {
             return None;
         }
         self.confirmed = confirmed;
-        // Waiting for the second packet must not delay the loss of a message: time runs since the first claim.
+        // The time of the first claim, so that waiting for the second packet does not delay the detection of a loss.
         Some((confirmed, last.at))
     }
 

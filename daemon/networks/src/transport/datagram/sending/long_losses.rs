@@ -1,39 +1,40 @@
-//! Noticing that long datagrams do not pass any more while short ones do.
+//! Detection of a path that does not carry long datagrams any more while short ones arrive.
 
 use peernet_clock::{MonoTime, Span};
 
-/// Messages in a row, and their least duration, that have to lose all long datagrams before these count as not passing. Chance
-/// alone does so once in 40,000 times where 30 % are lost and messages have two datagrams.
+/// Number of successive messages, and their shortest duration, that must lose all long datagrams before these count as
+/// not passing. With 30 % random loss and messages of two datagrams, this happens by chance once in 40,000 times.
 const MIN_MESSAGES: u32 = 16;
 const MIN_DURATION: Span = Span::from_seconds(1);
 
-/// Watches the messages of several datagrams, all but the last of which are as long as they may be.
+/// Observes messages of several datagrams, all but the last of which have the largest length.
 #[derive(Debug, Default)]
 pub(super) struct LongLossDetector {
     losses: Option<LongLosses>,
 }
 
-/// Messages of several datagrams in a row of which at most one arrived.
+/// Successive messages of several datagrams of which at most one arrived.
 #[derive(Clone, Copy, Debug)]
 struct LongLosses {
     messages: u32,
-    /// Datagrams that the other end had reported as lost before.
+    /// Number of datagrams that the other end had reported as lost before.
     before: u64,
-    /// When the first of them was reported.
+    /// Time at which the first of these losses was reported.
     since: MonoTime,
 }
 
 impl LongLossDetector {
-    /// Notes that a message of `fragments` fragments arrived as a whole.
+    /// Notes that a message of `fragments` fragments arrived.
     pub(super) fn arrive(&mut self, fragments: u32) {
         if fragments > 1 {
             self.losses = None;
         }
     }
 
-    /// Notes that a message was lost of which `received` fragments arrived; the other end has reported `lost` datagrams as lost.
+    /// Notes that a message was lost of which `received` fragments arrived. `lost` is the number of datagrams that the
+    /// other end has reported as lost.
     pub(super) fn lose(&mut self, fragments: u32, received: u32, lost: u64, now: MonoTime) {
-        // The one that arrived may be the last, which is shorter than the others.
+        // A single fragment that arrived may be the last one, which is shorter than the others.
         if received > 1 {
             self.losses = None;
         } else if fragments > 1 {
@@ -42,8 +43,8 @@ impl LongLossDetector {
         }
     }
 
-    /// Whether none of the longest datagrams arrives any more. `lost` is the number of lost datagrams that the other end
-    /// has reported: it may give messages up for other reasons, too.
+    /// Returns whether the longest datagrams do not arrive any more. `lost` is the number of lost datagrams that the
+    /// other end has reported. It is needed because the other end may give messages up for other reasons, too.
     pub(super) fn loses_all(&self, lost: u64, now: MonoTime) -> bool {
         self.losses.is_some_and(|losses| {
             losses.messages >= MIN_MESSAGES
@@ -78,7 +79,7 @@ mod tests {
     }
 
     #[test]
-    fn long_datagram_that_arrives_ends_the_row() {
+    fn arrived_long_datagram_resets_losses() {
         let mut detector = after_losses(16);
         detector.arrive(1);
         detector.lose(1, 0, 0, at(500));

@@ -1,46 +1,47 @@
-//! The messages that the other end has not settled.
+//! Messages that the other end has not settled.
 
 use std::collections::VecDeque;
 
 use crate::transport::datagram::reassembly::MAX_SPAN;
 use crate::transport::{Frames, MessageLoss};
 
-/// A message that left or waits.
+/// A message that was sent or waits to be sent.
 #[derive(Debug)]
 pub(super) struct OutstandingMessage {
-    /// As it is written: 0 for none.
+    /// Tag in its wire form: the sender's number plus one, 0 for none.
     pub(super) tag: u64,
     pub(super) fragments: u32,
-    /// The message, while it may have to be sent again.
+    /// The message, if it has to be retransmitted when it is lost.
     pub(super) kept: Option<Frames>,
-    /// Whether it is known to be lost.
+    /// `true` if the message is known to be lost.
     pub(super) is_lost: bool,
 }
 
-/// The messages with the numbers from [`first`](Self::first) on, without a gap. At most [`MAX_SPAN`]: the other end keeps no more.
+/// The messages with the numbers from [`first`](Self::first) on, without a gap. At most [`MAX_SPAN`], because the other
+/// end keeps no more states.
 #[derive(Debug, Default)]
 pub(super) struct OutstandingMessages {
     first: u64,
     messages: VecDeque<OutstandingMessage>,
 }
 
-/// Returns the number for a tag on the wire, where 0 stands for no tag.
+/// Returns the wire form of a tag, in which 0 means no tag.
 pub(super) fn written_tag(tag: Option<u64>) -> u64 {
     tag.map_or(0, |tag| tag.wrapping_add(1))
 }
 
-/// The tag that a number on the wire stands for.
+/// Returns the tag of a wire form.
 pub(in crate::transport::datagram) fn read_tag(written: u64) -> Option<u64> {
     written.checked_sub(1)
 }
 
 impl OutstandingMessages {
-    /// Messages with a lower number are settled, or too old to be reported.
+    /// Returns the number below which all messages are settled or too old to be reported.
     pub(super) const fn first(&self) -> u64 {
         self.first
     }
 
-    /// The number that the next message gets.
+    /// Returns the number of the next message.
     pub(super) fn next(&self) -> u64 {
         self.first + self.messages.len() as u64
     }
@@ -54,20 +55,20 @@ impl OutstandingMessages {
         self.messages.push_back(OutstandingMessage { tag, fragments, kept, is_lost: false });
     }
 
-    /// The message of a number, unless it is settled.
+    /// Returns the message with this number unless it is settled.
     pub(super) fn get_mut(&mut self, sequence: u64) -> Option<&mut OutstandingMessage> {
         let at = usize::try_from(sequence.checked_sub(self.first)?).ok()?;
         self.messages.get_mut(at)
     }
 
-    /// Drops the messages below a number. Returns those that arrived.
+    /// Removes the messages below a number. Returns those that arrived.
     pub(super) fn settle(&mut self, below: u64) -> impl Iterator<Item = OutstandingMessage> + '_ {
         let count = below.saturating_sub(self.first).min(self.messages.len() as u64);
         self.first += count;
         self.messages.drain(..count as usize).filter(|message| !message.is_lost)
     }
 
-    /// Notes that a message was dropped before it left as a whole. Returns the loss.
+    /// Notes that a message was dropped before it was sent completely. Returns the loss.
     pub(super) fn expire(&mut self, sequence: u64) -> Option<MessageLoss> {
         let message = self.get_mut(sequence)?;
         message.is_lost = true;
@@ -80,7 +81,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn numbers_go_on_when_messages_are_settled() {
+    fn message_numbers_continue_after_settled_messages() {
         let mut outstanding = OutstandingMessages::default();
         for tag in [None, Some(0), Some(7)] {
             outstanding.push(written_tag(tag), 2, None);
@@ -97,7 +98,7 @@ mod tests {
     }
 
     #[test]
-    fn oldest_message_makes_room() {
+    fn oldest_message_is_replaced() {
         let mut outstanding = OutstandingMessages::default();
         for tag in 0..=MAX_SPAN {
             outstanding.push(tag, 1, None);

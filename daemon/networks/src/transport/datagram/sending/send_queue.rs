@@ -1,4 +1,4 @@
-//! The messages that wait to be sent.
+//! Queue of messages that wait to be sent.
 
 use std::collections::VecDeque;
 
@@ -6,21 +6,21 @@ use peernet_clock::MonoTime;
 
 use crate::transport::datagram::fragment::OutgoingMessage;
 
-/// Limits of what waits to be sent.
+/// Limits of a send queue.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct QueueLimits {
-    /// Messages.
+    /// Largest number of messages.
     pub(crate) messages: usize,
-    /// Bytes; a single message is always taken.
+    /// Largest number of bytes. A message that is alone is always accepted.
     pub(crate) bytes: u64,
 }
 
-/// Messages in the order of their numbers, of which only the first may have left in part.
+/// Messages in the order of their numbers. Only the first one may have been sent in part.
 #[derive(Debug)]
 pub(super) struct SendQueue {
     limits: QueueLimits,
     messages: VecDeque<OutgoingMessage>,
-    /// Bytes of all messages that have not left.
+    /// Bytes of all messages that have not been sent.
     bytes: u64,
 }
 
@@ -33,25 +33,25 @@ impl SendQueue {
         self.messages.is_empty()
     }
 
-    /// Whether a message of `bytes` bytes may be queued.
+    /// Returns whether a message of `bytes` bytes may be queued.
     pub(super) fn has_room(&self, bytes: u64) -> bool {
         let is_full = self.messages.len() >= self.limits.messages || self.bytes + bytes > self.limits.bytes;
         self.messages.is_empty() || !is_full
     }
 
-    /// Queues a message, whether there is room or not.
+    /// Queues a message even if the limits are exceeded.
     pub(super) fn push(&mut self, message: OutgoingMessage) {
         self.bytes += u64::from(message.remaining());
         self.messages.push_back(message);
     }
 
-    /// The message of which the next part leaves.
+    /// Returns the message whose part is sent next.
     pub(super) fn front(&self) -> Option<&OutgoingMessage> {
         self.messages.front()
     }
 
-    /// Takes at most `most` of the next bytes of the first message and appends them. Returns the number of the message and where
-    /// they end in it.
+    /// Appends at most `most` of the next bytes of the first message to `out`. Returns the number of the message and
+    /// the offset of their end in it.
     pub(super) fn take(&mut self, most: u16, out: &mut Vec<u8>) -> Option<(u64, u32)> {
         let message = self.messages.front_mut()?;
         let (_, taken) = message.take(most, out);
@@ -63,14 +63,14 @@ impl SendQueue {
         Some(end)
     }
 
-    /// Drops what is left of the first message.
+    /// Drops the remainder of the first message.
     pub(super) fn drop_front(&mut self) {
         if let Some(message) = self.messages.pop_front() {
             self.bytes -= u64::from(message.remaining());
         }
     }
 
-    /// Drops the messages whose deadline is over. Returns their numbers.
+    /// Drops the messages whose deadline has passed. Returns their numbers.
     pub(super) fn expire(&mut self, now: MonoTime) -> Vec<u64> {
         let (mut expired, bytes) = (Vec::new(), &mut self.bytes);
         self.messages.retain(|message| {
@@ -101,7 +101,7 @@ mod tests {
         let at = |millis| MonoTime::default() + Span::from_millis(millis);
         let mut queue = SendQueue::new(QueueLimits { messages: 3, bytes: 1_000 });
         assert!(queue.has_room(5_000), "a single message is always taken");
-        // Each has six bytes of its own.
+        // The wire form adds six bytes to each message.
         queue.push(message(0, 94, None));
         queue.push(message(1, 494, Some(at(10))));
         assert!(queue.has_room(400) && !queue.has_room(401));

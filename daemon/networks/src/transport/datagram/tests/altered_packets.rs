@@ -1,11 +1,11 @@
-//! Packets that were altered or forged on the way: one alone harms no later message and makes no absurd total.
+//! Tests with altered or forged packets: a single one affects no later message and makes no absurd total.
 
 use super::*;
 
-/// Far above everything that is sent here.
+/// A number far above everything that is sent in these tests.
 const FAR: u64 = 1 << 20;
 
-/// Alters a packet of one kind; `None` where it is another.
+/// Alters a packet of one kind. Returns `None` for packets of other kinds.
 type Alteration = for<'a> fn(Packet<'a>) -> Option<Packet<'a>>;
 
 /// Name of an alteration, and the alteration.
@@ -50,7 +50,7 @@ const CASES: [Case; 13] = [
 ];
 
 impl SimulatedNetwork {
-    /// Alters the next packet on the wire in one direction that is of the alteration's kind.
+    /// Alters the next packet in one direction that is of the alteration's kind.
     fn alter_next(&mut self, is_to_cloud: bool, alter: Alteration) {
         let (at, from) = if is_to_cloud { (Role::Cloud, Role::Edge) } else { (Role::Edge, Role::Cloud) };
         for _ in 0..5_000 {
@@ -70,7 +70,7 @@ impl SimulatedNetwork {
         panic!("no such packet is sent");
     }
 
-    /// Exchanges a message each way. Returns whether both arrive.
+    /// Exchanges a message in each direction. Returns whether both arrive.
     fn exchange(&mut self, id: ConnectionId, tag: u64) -> bool {
         self.arrivals.clear();
         self.events.clear();
@@ -84,7 +84,7 @@ impl SimulatedNetwork {
     }
 }
 
-/// An open connection over which some messages went.
+/// Returns an open connection over which some messages were exchanged.
 fn open() -> (SimulatedNetwork, ConnectionId) {
     let mut network = SimulatedNetwork::new(UNIMPAIRED, 1);
     let id = network.open();
@@ -99,11 +99,11 @@ fn single_altered_packet_harms_no_later_message() {
     for (name, alter) in CASES {
         for is_to_cloud in [true, false] {
             let (mut network, id) = open();
-            // The message that is under way may be lost with the packet that is altered.
+            // The message in flight may be lost with the altered packet.
             network.send(Some(90), b"up");
             network.cloud.send(id, vec!["down".into()], Some(90)).expect("there is room");
             network.alter_next(is_to_cloud, alter);
-            // Longer than anything is waited for, with heartbeats in between.
+            // Longer than any timeout, with heartbeats in between.
             network.steps(6_000);
             for tag in 100..130 {
                 assert!(
@@ -148,14 +148,14 @@ proptest! {
         let edge = network.edge.as_mut().expect("open").statistics(now);
         let cloud = network.cloud.statistics(id, now);
         for direction in [edge.sent, edge.received, cloud.sent, cloud.received] {
-            // As many as the loss of some, and of those that one altered number passes over.
+            // At most the losses of the path and the numbers that one altered number skips.
             prop_assert!(direction.lost < Some(200) && direction.reordered < Some(300), "{:?}", direction);
         }
     }
 }
 
 #[test]
-fn single_altered_packet_makes_no_absurd_total() {
+fn single_altered_packet_barely_changes_totals() {
     for (name, alter) in CASES {
         for is_to_cloud in [true, false] {
             let (mut network, id) = open();
@@ -185,11 +185,11 @@ fn single_altered_packet_makes_no_absurd_total() {
 }
 
 #[test]
-fn word_of_messages_never_sent_is_garbage() {
+fn reports_of_unsent_messages_count_as_garbage() {
     let (mut network, id) = open();
     let connection = id.0;
     let forged = [
-        // Of the last message that was sent, which has one fragment.
+        // A report about the last message that was sent, which has one fragment.
         Packet::Lost { connection, sequence: 19, received: 9, total: 9 },
         Packet::Lost { connection, sequence: FAR, received: 0, total: 0 },
         Packet::Progress { connection, sequence: FAR, end: 1 },
@@ -209,7 +209,7 @@ fn word_of_messages_never_sent_is_garbage() {
 }
 
 #[test]
-fn long_gap_with_many_messages_ends_nothing() {
+fn long_gap_does_not_end_connection() {
     let (mut network, id) = open();
     network.path.impairment.loss = 100;
     let mut sent = 0;
@@ -227,10 +227,11 @@ fn long_gap_with_many_messages_ends_nothing() {
 }
 
 #[test]
-fn ends_that_contradict_each_other_open_another_connection() {
+fn contradicting_ends_close_the_connection() {
     for jump in [FAR, 500] {
         let (mut network, id) = open();
-        // Two in succession that agree are believed: the cloud takes messages that are still to be sent for lost.
+        // Two successive claims that agree are believed. The cloud then treats messages that are still to be sent as
+        // lost.
         for time in 1..3 {
             let heartbeat = Heartbeat { time, next: 20 + jump, ..Heartbeat::default() };
             let mut body = Vec::new();

@@ -1,4 +1,4 @@
-//! An edge and a cloud over a simulated path that loses, doubles and reorders datagrams.
+//! An edge and a cloud over a simulated path that loses, duplicates and reorders datagrams.
 
 use std::collections::BTreeMap;
 use std::net::SocketAddr;
@@ -8,14 +8,14 @@ use peernet_clock::{MonoTime, Span};
 
 use super::super::connection::{Connection, Event};
 use super::super::endpoint::Endpoint;
-use super::super::handshake::{Dialled, Dialling};
+use super::super::handshake::{DialState, HandshakeOutcome};
 use super::super::packet::{Packet, Role};
 use super::super::packet_writer::PacketWriter;
 use super::{PREFIX, TERMS, limits};
 use crate::transport::memory::MemoryBudget;
 use crate::transport::{Arrival, ConnectionId};
 
-/// Impairments of each datagram. Percent.
+/// Probabilities of impairments of each datagram. Percent.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Impairment {
     pub(super) loss: u64,
@@ -25,21 +25,21 @@ pub(super) struct Impairment {
 
 pub(super) const UNIMPAIRED: Impairment = Impairment { loss: 0, doubled: 0, reordered: 0 };
 
-/// The datagrams under way between an edge and a cloud.
+/// The datagrams in flight between an edge and a cloud.
 pub(super) struct ImpairedPath {
     pub(super) impairment: Impairment,
     random: u64,
-    /// Longest datagrams that pass, up and down.
+    /// Largest datagrams that pass: to the cloud, and to the edge. Bytes.
     pub(super) max_bytes: (usize, usize),
-    /// By arrival: whether they go to the cloud, the address of the edge, and their bytes.
+    /// Datagrams by arrival: direction (`true` to the cloud), address of the edge, and bytes.
     pub(super) datagrams: BTreeMap<(MonoTime, u64), (bool, SocketAddr, Vec<u8>)>,
     count: u64,
 }
 
 impl ImpairedPath {
-    /// Whether something happens that has a probability of `percent`.
+    /// Returns `true` with a probability of `percent` percent.
     fn chance(&mut self, percent: u64) -> bool {
-        // Xorshift, as good as any for this.
+        // Xorshift is sufficient for this.
         self.random ^= self.random << 13;
         self.random ^= self.random >> 7;
         self.random ^= self.random << 17;
@@ -62,24 +62,24 @@ impl ImpairedPath {
         }
     }
 
-    /// Takes the datagrams that have arrived, in their order.
+    /// Removes and returns the datagrams that have arrived, in order.
     fn take_due(&mut self, now: MonoTime) -> impl Iterator<Item = (bool, SocketAddr, Vec<u8>)> + use<> {
         let later = self.datagrams.split_off(&(now, u64::MAX));
         std::mem::replace(&mut self.datagrams, later).into_values()
     }
 }
 
-/// An edge and a cloud, and the path between them.
+/// An edge, a cloud, and the path between them.
 pub(super) struct SimulatedNetwork {
     pub(super) now: MonoTime,
     pub(super) path: ImpairedPath,
     pub(super) edge_address: SocketAddr,
     pub(super) cloud: Endpoint,
-    dialling: Dialling,
+    dialling: DialState,
     pub(super) edge: Option<Connection>,
     /// Number of the edge's connection, once it is open.
     edge_id: Option<u64>,
-    /// What the cloud and the edge have handed up.
+    /// Arrivals at the cloud and at the edge.
     pub(super) arrivals: Vec<Arrival>,
     pub(super) events: Vec<Event>,
 }
@@ -98,7 +98,7 @@ impl SimulatedNetwork {
             },
             edge_address: "192.0.2.1:1000".parse().expect("an address"),
             cloud: Endpoint::new([7; 32], PREFIX, limits()),
-            dialling: Dialling::new(5, 0, TERMS, PREFIX.len(), now),
+            dialling: DialState::new(5, 0, TERMS, PREFIX.len(), now),
             edge: None,
             edge_id: None,
             arrivals: Vec::new(),
@@ -106,7 +106,7 @@ impl SimulatedNetwork {
         }
     }
 
-    /// Moves time on by a millisecond.
+    /// Advances the time by one millisecond.
     pub(super) fn step(&mut self) {
         self.now = self.now + Span::from_millis(1);
         let now = self.now;
@@ -116,13 +116,15 @@ impl SimulatedNetwork {
                 self.cloud.receive(address, None, body, now);
                 continue;
             }
-            // One that was altered on the way may be none any more; the driver counts it then.
+            // A packet that was altered on the way may be invalid; the driver would count it.
             let Ok(packet) = Packet::read(Role::Edge, body) else { continue };
             match &mut self.edge {
                 Some(edge) if packet.connection() == self.edge_id => edge.receive(packet, now),
                 Some(_) => {}
                 None => {
-                    if let Some(Dialled::Opened { connection, terms }) = self.dialling.receive(&packet, now) {
+                    if let Some(HandshakeOutcome::Opened { connection, terms }) =
+                        self.dialling.receive(&packet, now)
+                    {
                         let limits = limits();
                         self.edge_id = Some(connection);
                         self.edge = Some(Connection::new(
@@ -173,7 +175,7 @@ impl SimulatedNetwork {
         (0..millis).for_each(|_| self.step());
     }
 
-    /// Opens a connection and makes it one with a session.
+    /// Opens a connection and admits it as one with a session.
     pub(super) fn open(&mut self) -> ConnectionId {
         self.send(None, b"hello");
         for _ in 0..20_000 {

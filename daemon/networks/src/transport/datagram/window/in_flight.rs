@@ -4,83 +4,84 @@ use std::collections::VecDeque;
 
 use peernet_clock::{MonoTime, Span};
 
-/// Without word from the other end for so long, what was sent is taken for arrived or lost.
-pub(super) const SILENCE: Span = Span::from_millis(200);
+/// Time without progress of the other end after which all sent bytes are treated as arrived or lost.
+pub(super) const FLIGHT_TIMEOUT: Span = Span::from_millis(200);
 
-/// Bytes of datagrams that have left, and of those that arrived by the other end's reports of progress.
+/// Counts the bytes of datagrams that were sent, and of those that have arrived according to the other end's reports.
 #[derive(Debug)]
 pub(super) struct BytesInFlight {
     sent: u64,
     /// At most `sent`.
     arrived: u64,
-    /// The datagrams in flight, in the order in which they left.
-    marks: VecDeque<Mark>,
-    /// When the other end last came further, or the first of these datagrams left.
-    heard: MonoTime,
+    /// Datagrams in flight, in the order in which they were sent.
+    datagrams: VecDeque<DatagramInFlight>,
+    /// Time of the last progress of the other end, or of the first datagram in flight if that is later.
+    progress_at: MonoTime,
 }
 
 /// A datagram in flight.
 #[derive(Clone, Copy, Debug)]
-struct Mark {
-    /// Its message, and where its part of the message ends.
+struct DatagramInFlight {
+    /// Its message, and the offset of the end of its part of the message.
     end: (u64, u32),
-    /// Bytes that had left with it.
+    /// Number of bytes sent so far, including this datagram.
     sent: u64,
 }
 
 impl BytesInFlight {
     pub(super) const fn new(now: MonoTime) -> Self {
-        Self { sent: 0, arrived: 0, marks: VecDeque::new(), heard: now }
+        Self { sent: 0, arrived: 0, datagrams: VecDeque::new(), progress_at: now }
     }
 
-    /// Bytes in flight.
+    /// Returns the number of bytes in flight.
     pub(super) const fn bytes(&self) -> u64 {
         self.sent - self.arrived
     }
 
-    /// All bytes that have left.
+    /// Returns the number of bytes that were sent.
     pub(super) const fn sent(&self) -> u64 {
         self.sent
     }
 
-    /// All bytes that have left and are not in flight any more.
+    /// Returns the number of sent bytes that are no longer in flight.
     pub(super) const fn arrived(&self) -> u64 {
         self.arrived
     }
 
-    /// When the bytes in flight are taken for arrived or lost.
+    /// Returns the time at which the bytes in flight are treated as arrived or lost.
     pub(super) fn ends_at(&self) -> MonoTime {
-        self.heard + SILENCE
+        self.progress_at + FLIGHT_TIMEOUT
     }
 
-    /// Notes a datagram that left, and where its part of a message ends.
+    /// Notes that a datagram was sent. `end` is the end of its part of a message.
     pub(super) fn send(&mut self, end: (u64, u32), bytes: u32, now: MonoTime) {
-        // Silence counts while something is in flight only.
+        // Silence is only measured while something is in flight.
         if self.bytes() == 0 {
-            self.heard = now;
+            self.progress_at = now;
         }
         self.sent += u64::from(bytes);
-        self.marks.push_back(Mark { end, sent: self.sent });
+        self.datagrams.push_back(DatagramInFlight { end, sent: self.sent });
     }
 
-    /// Takes a report of progress. Returns the bytes that arrived since the last one.
+    /// Handles a report of progress. Returns the number of bytes that arrived since the last one.
     pub(super) fn progress(&mut self, end: (u64, u32), now: MonoTime) -> u64 {
         let before = self.arrived;
-        while let Some(mark) = self.marks.pop_front_if(|mark| mark.end <= end) {
+        // Reports are cumulative: progress up to `end` includes all datagrams sent before.
+        while let Some(mark) = self.datagrams.pop_front_if(|mark| mark.end <= end) {
             self.arrived = mark.sent;
         }
         let arrived = self.arrived - before;
         if arrived > 0 {
-            self.heard = now;
+            self.progress_at = now;
         }
         arrived
     }
 
-    /// Takes the bytes in flight for arrived or lost after a long silence.
+    /// Treats the bytes in flight as arrived or lost after a long silence.
     pub(super) fn tick(&mut self, now: MonoTime) {
         if self.bytes() > 0 && now >= self.ends_at() {
             self.arrived = self.sent;
-            self.marks.clear();
+            self.datagrams.clear();
         }
     }
 }
@@ -94,7 +95,7 @@ mod tests {
     }
 
     #[test]
-    fn progress_takes_all_datagrams_up_to_its_end() {
+    fn progress_report_removes_all_datagrams_before_it() {
         let mut in_flight = BytesInFlight::new(at(0));
         for end in [(0, 100), (0, 200), (1, 50)] {
             in_flight.send(end, 110, at(0));
@@ -108,7 +109,7 @@ mod tests {
     }
 
     #[test]
-    fn silence_takes_what_is_on_its_way_for_gone() {
+    fn silence_removes_datagrams_in_flight() {
         let mut in_flight = BytesInFlight::new(at(0));
         in_flight.send((0, 1), 10, at(100));
         in_flight.tick(at(299));

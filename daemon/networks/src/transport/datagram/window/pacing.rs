@@ -1,16 +1,16 @@
-//! Keeping a configured rate.
+//! Pacing of datagrams to a configured rate.
 
 use peernet_clock::{MonoTime, Span};
 
-/// Longest time that sending may be ahead of the configured rate.
+/// Longest time by which sending may be ahead of the configured rate.
 const BURST: Span = Span::from_millis(2);
 
-/// Spaces datagrams so that they leave at a configured rate on the average.
+/// Spaces datagrams so that they are sent at the configured rate on average.
 #[derive(Debug)]
 pub(super) struct Pacer {
-    /// `None` spaces nothing.
+    /// Configured rate; `None` does not space datagrams.
     bytes_per_second: Option<u64>,
-    /// When the rate allows the next datagram.
+    /// Time at which the rate allows the next datagram.
     next: MonoTime,
 }
 
@@ -19,12 +19,12 @@ impl Pacer {
         Self { bytes_per_second: bits_per_second.map(|bits| (bits / 8).max(1)), next: now }
     }
 
-    /// When another datagram may leave.
+    /// Returns the time at which another datagram may be sent.
     pub(super) fn opens_at(&self) -> MonoTime {
         self.next - BURST
     }
 
-    /// Notes that a datagram of `bytes` bytes left.
+    /// Notes that a datagram of `bytes` bytes was sent.
     pub(super) fn sent(&mut self, bytes: u32, now: MonoTime) {
         if let Some(rate) = self.bytes_per_second {
             let nanos = u64::from(bytes).saturating_mul(1_000_000_000) / rate;
@@ -38,7 +38,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn pause_is_made_good_by_one_burst_only() {
+    fn pause_allows_one_burst_only() {
         let at = |millis| MonoTime::default() + Span::from_millis(millis);
         let mut pacer = Pacer::new(Some(8_000_000), at(0));
         pacer.sent(1_000, at(5_000));

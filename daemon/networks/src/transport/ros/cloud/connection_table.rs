@@ -1,4 +1,7 @@
-//! The connections of a cloud, and the rules by which it opens more. No I/O.
+//! The connections of a cloud, and the rules by which it opens more, without I/O.
+//!
+//! A pipeline has one connection, and a new one of the same host replaces it. If several robots shared topics, each
+//! would receive the answers to the others.
 
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -10,18 +13,18 @@ use tokio_util::sync::CancellationToken;
 use crate::transport::ros::channel::Channel;
 use crate::transport::{AddressGroup, ConnectionId};
 
-/// Access that the sessions of a connection give it.
+/// Rights of a connection, derived from its sessions.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Admission {
-    /// It has no session.
+    /// The connection has no session.
     Unadmitted,
-    /// Its request for a session is being decided on.
+    /// The connection's request for a session is being decided.
     Greeted,
-    /// It has a session.
+    /// The connection has a session.
     Admitted,
 }
 
-/// Connections of a cloud: one of each pipeline at most, in bounded number.
+/// Connections of a cloud: at most one for each pipeline, in bounded number.
 #[derive(Debug)]
 pub(super) struct ConnectionTable {
     max_connections: usize,
@@ -33,20 +36,20 @@ pub(super) struct ConnectionTable {
 #[derive(Debug, Default)]
 struct Table {
     next: u64,
-    /// By the global names of their pipelines.
+    /// Connections by the global names of their pipelines.
     connections: BTreeMap<String, Arc<CloudConnection>>,
 }
 
 /// Result of a request for a connection.
 #[derive(Debug)]
-pub(super) enum Opening {
-    /// The connection was opened by an earlier request.
+pub(super) enum OpenOutcome {
+    /// An earlier request has opened the connection.
     Repeated,
-    /// The connection may not be opened now, for a reason.
+    /// The connection may not be opened now, for this reason.
     Refused(&'static str),
     Begun {
         connection: Arc<CloudConnection>,
-        /// An earlier connection of the pipeline, which was aborted.
+        /// The pipeline's earlier connection, which was aborted.
         replaced: Option<Arc<CloudConnection>>,
     },
 }
@@ -66,14 +69,14 @@ impl ConnectionTable {
         hello: &SessionHello,
         group: AddressGroup,
         abort: CancellationToken,
-    ) -> Opening {
+    ) -> OpenOutcome {
         let mut table = self.table();
         let replaced = table.connections.get(&hello.pipeline).cloned();
         if replaced.as_ref().is_some_and(|earlier| earlier.identifier == hello.header.frame_id) {
-            return Opening::Repeated;
+            return OpenOutcome::Repeated;
         }
         if let Some(reason) = self.reason_to_refuse(&table, replaced.as_deref(), &hello.host, group) {
-            return Opening::Refused(reason);
+            return OpenOutcome::Refused(reason);
         }
         let connection = Arc::new(CloudConnection {
             id: ConnectionId(table.next),
@@ -90,10 +93,10 @@ impl ConnectionTable {
         if let Some(replaced) = &replaced {
             replaced.abort.cancel();
         }
-        Opening::Begun { connection, replaced }
+        OpenOutcome::Begun { connection, replaced }
     }
 
-    /// Returns why an edge gets no connection now.
+    /// Returns the reason to refuse a connection now, if there is one.
     fn reason_to_refuse(
         &self,
         table: &Table,
@@ -102,7 +105,7 @@ impl ConnectionTable {
         group: AddressGroup,
     ) -> Option<&'static str> {
         if let Some(earlier) = replaced {
-            // A host is believed that it has come back only from where it was.
+            // A host may replace its connection only from the same address, because its name alone proves nothing.
             let is_same = earlier.host == host && earlier.group == group;
             return (!is_same).then_some(
                 "another host uses the topics of this pipeline, and keeps them until its connection has ended; give one of \
@@ -125,12 +128,12 @@ impl ConnectionTable {
         }
     }
 
-    /// Returns a connection by its number.
+    /// Returns the connection with this number.
     pub(super) fn find(&self, id: ConnectionId) -> Option<Arc<CloudConnection>> {
         self.table().connections.values().find(|connection| connection.id == id).cloned()
     }
 
-    /// Removes a connection that has ended, unless another has its topics already.
+    /// Removes a connection that has ended, unless another one has its topics already.
     pub(super) fn remove(&self, pipeline: &str, connection: &Arc<CloudConnection>) {
         let mut table = self.table();
         if table.connections.get(pipeline).is_some_and(|current| Arc::ptr_eq(current, connection)) {
@@ -147,9 +150,9 @@ pub(super) struct CloudConnection {
     identifier: String,
     /// Host of the edge.
     host: String,
-    /// Addresses that count as one with that of the edge.
+    /// Group of the edge's address.
     group: AddressGroup,
-    /// From the time when the topics are open until the connection has ended.
+    /// This end of the connection, while its topics are open.
     channel: Mutex<Option<Arc<Channel>>>,
     admission: watch::Sender<Admission>,
     abort: CancellationToken,
@@ -185,7 +188,7 @@ impl CloudConnection {
         self.admission.send_replace(admission);
     }
 
-    /// Returns the admission with its changes from now on.
+    /// Returns a receiver of the admission and its changes.
     pub(super) fn watch_admission(&self) -> watch::Receiver<Admission> {
         self.admission.subscribe()
     }
@@ -195,7 +198,7 @@ impl CloudConnection {
         self.abort.clone()
     }
 
-    /// Closes the topics: the next connection of the pipeline publishes the same.
+    /// Closes the topics, because the pipeline's next connection publishes the same ones.
     pub(super) fn end(&self) {
         self.lock_channel().take();
         self.ended.cancel();
@@ -215,13 +218,13 @@ mod tests {
 
     use super::*;
 
-    /// Asks for a connection of a host, which is at an address, for a pipeline.
+    /// Asks for a connection for a pipeline of a host at an address.
     fn open(
         table: &ConnectionTable,
         identifier: &str,
         (host, address): (&str, &str),
         pipeline: &str,
-    ) -> Opening {
+    ) -> OpenOutcome {
         let header = Header { frame_id: identifier.into(), ..Header::default() };
         let (host, pipeline) = (host.to_owned(), pipeline.to_owned());
         let hello = SessionHello { header, host, pipeline, ..SessionHello::default() };
@@ -229,9 +232,9 @@ mod tests {
         table.open(&hello, AddressGroup::of(address), CancellationToken::new())
     }
 
-    fn begun(opening: Opening) -> Arc<CloudConnection> {
+    fn begun(opening: OpenOutcome) -> Arc<CloudConnection> {
         match opening {
-            Opening::Begun { connection, .. } => connection,
+            OpenOutcome::Begun { connection, .. } => connection,
             other => panic!("{other:?}"),
         }
     }
@@ -241,14 +244,14 @@ mod tests {
         let table = ConnectionTable::new(10, 10);
         let robot = ("a", "192.0.2.1");
         let first = begun(open(&table, "1", robot, "/line"));
-        assert!(matches!(open(&table, "1", robot, "/line"), Opening::Repeated));
+        assert!(matches!(open(&table, "1", robot, "/line"), OpenOutcome::Repeated));
         for (host, address) in [("b", "192.0.2.1"), ("a", "198.51.100.1")] {
             let opening = open(&table, "2", (host, address), "/line");
-            assert!(matches!(opening, Opening::Refused(_)), "{host} at {address}: {opening:?}");
+            assert!(matches!(opening, OpenOutcome::Refused(_)), "{host} at {address}: {opening:?}");
         }
         assert!(!first.abort_token().is_cancelled());
         let second = open(&table, "2", robot, "/line");
-        let Opening::Begun { connection: second, replaced: Some(replaced) } = second else {
+        let OpenOutcome::Begun { connection: second, replaced: Some(replaced) } = second else {
             panic!("{second:?}")
         };
         assert!(Arc::ptr_eq(&first, &replaced) && first.abort_token().is_cancelled());
@@ -263,7 +266,7 @@ mod tests {
         let table = ConnectionTable::new(3, 2);
         let open = |pipeline, address| open(&table, pipeline, ("a", address), pipeline);
         let refusal = |pipeline, address| match open(pipeline, address) {
-            Opening::Refused(reason) => reason,
+            OpenOutcome::Refused(reason) => reason,
             other => panic!("{other:?}"),
         };
         let first = begun(open("/1", "192.0.2.1"));

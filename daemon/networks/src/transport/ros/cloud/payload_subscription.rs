@@ -1,4 +1,4 @@
-//! The topic on which the cloud receives the payloads of a connection.
+//! The cloud's subscription to the payload topic of a connection.
 
 use std::sync::Arc;
 
@@ -11,11 +11,11 @@ use crate::transport::ros::channel::Channel;
 use crate::transport::ros::interface::{SessionNode, SessionSubscriber, TopicUse};
 use crate::transport::ros::payload_topic::{MASTER_RETRY, payload_topic_closed};
 
-/// Subscription to the payloads of one connection, which is made once and in the background: it asks the master, which may be
-/// away.
+/// Subscription to the payloads of one connection. It is made once and in the background, because it asks the master,
+/// which may not be reachable.
 #[derive(Debug)]
 pub(super) enum PayloadSubscription {
-    /// The connection has had no session yet.
+    /// The connection has had no session yet. Its payload topic is not subscribed to before a session.
     Unused {
         /// Node of the cloud.
         node: Arc<dyn SessionNode>,
@@ -24,17 +24,17 @@ pub(super) enum PayloadSubscription {
         options: SubscriberOptions,
     },
     Opening(AbortOnDropHandle<Box<dyn SessionSubscriber>>),
-    /// It was opened, or its task has failed.
+    /// The subscription was opened, or its task has failed.
     Ended,
 }
 
 impl PayloadSubscription {
-    /// Begins to subscribe, unless that was begun earlier.
+    /// Starts to subscribe, unless that was started earlier.
     pub(super) fn begin(&mut self, channel: &Arc<Channel>) {
         if let Self::Unused { node, topic, options } = self {
             let (node, topic, options) = (Arc::clone(node), std::mem::take(topic), options.clone());
             let channel = Arc::clone(channel);
-            // What arrives meanwhile is in the companions.
+            // Payloads that arrive in the meantime are in the companions.
             let subscribing = tokio::spawn(async move { subscribe(&*node, &topic, options, &channel).await });
             *self = Self::Opening(AbortOnDropHandle::new(subscribing));
         }
@@ -49,7 +49,7 @@ impl PayloadSubscription {
     }
 }
 
-/// Subscribes to a payload topic, again and again while the master is away.
+/// Subscribes to a payload topic. Repeats the attempt while the master is not reachable.
 async fn subscribe(
     node: &dyn SessionNode,
     topic: &str,

@@ -1,4 +1,4 @@
-//! The connections of a cloud.
+//! The edges of a cloud, and their connections.
 
 use std::net::SocketAddr;
 use std::sync::Arc;
@@ -8,7 +8,7 @@ use peernet_ros::messages::{MessageInfo, SessionHello};
 use peernet_ros::ros1::TopicType;
 use tokio::sync::mpsc;
 
-use super::connection_table::{Admission, CloudConnection, ConnectionTable, Opening};
+use super::connection_table::{Admission, CloudConnection, ConnectionTable, OpenOutcome};
 use super::payload_subscription::PayloadSubscription;
 use super::refusals::Refusals;
 use super::sink::CloudSink;
@@ -19,19 +19,20 @@ use crate::transport::ros::channel::Channel;
 use crate::transport::ros::interface::{NodeFailure, RemoteNode, SessionNode, SessionPublisher, TopicUse};
 use crate::transport::ros::limits::{INFO_OVERHEAD_BYTES, ReceiveLimits, largest_message, queue_limits};
 use crate::transport::ros::names::TopicPair;
-use crate::transport::ros::serving::Serving;
+use crate::transport::ros::serving::ConnectionTask;
 use crate::transport::{AddressGroup, Arrival, ConnectionId, Peer};
 
 /// Largest companion before a session. Bytes.
 const MAX_UNADMITTED_BYTES: usize = 64 * 1024 + INFO_OVERHEAD_BYTES;
 
-/// Companions of that length that a connection without a session holds: one is being received while another waits.
+/// Number of companions of that length that a connection without a session may hold: one is being received while
+/// another waits.
 const MAX_UNADMITTED_MESSAGES: usize = 2;
 
 /// Memory of all connections without a session. Bytes.
 const MAX_ALL_UNADMITTED_BYTES: usize = 16 * 1024 * 1024;
 
-/// An arrival that is handed up, with the memory that it holds.
+/// An arrival that is handed up, and the reservations of its memory.
 pub(super) type Delivery = (Arrival, Vec<Reservation>);
 
 /// All connections of a cloud.
@@ -75,7 +76,7 @@ impl Peers {
         }
     }
 
-    /// Hands up that a node sent something that makes no sense.
+    /// Hands up that a node sent invalid data.
     pub(super) fn garbage(&self, from: SocketAddr, problem: &str) {
         let garbage = Arrival::Garbage(Some(from), peernet_sample::printable_line(problem).into_owned());
         if self.deliveries.try_send((garbage, Vec::new())).is_err() {
@@ -83,18 +84,18 @@ impl Peers {
         }
     }
 
-    /// Opens a connection that an edge asks for. An edge repeats its request until it is welcome.
+    /// Opens a connection that an edge asks for. An edge repeats its request until it is answered.
     pub(super) fn open(self: &Arc<Self>, hello: SessionHello, edge: &RemoteNode) {
         let group = AddressGroup::of(edge.remote);
         let (connection, replaced) = match self.table.open(&hello, group, self.tasks.abort_token()) {
-            Opening::Repeated => return,
-            Opening::Refused(reason) => return self.refusals.refuse(&hello, edge, reason),
-            Opening::Begun { connection, replaced } => (connection, replaced),
+            OpenOutcome::Repeated => return,
+            OpenOutcome::Refused(reason) => return self.refusals.refuse(&hello, edge, reason),
+            OpenOutcome::Begun { connection, replaced } => (connection, replaced),
         };
         let (peers, edge) = (Arc::clone(self), edge.clone());
         self.tasks.spawn(async move {
             if let Some(replaced) = replaced {
-                // Its topics have the same names.
+                // The topics of the replaced connection have the same names.
                 replaced.wait_for_end().await;
             }
             if let Err(error) = peers.serve(&connection, &hello.pipeline, &edge).await {
@@ -102,7 +103,7 @@ impl Peers {
             }
             peers.table.remove(&hello.pipeline, &connection);
             connection.end();
-            // The connection may have ended by itself, which was handed up then; handing it up twice does no harm.
+            // The connection may have ended by itself and been reported before; a second report has no effect.
             let gone = Arrival::Gone(connection.id(), "the connection has ended".to_owned());
             let _ = peers.deliveries.send((gone, Vec::new())).await;
         });
@@ -117,8 +118,8 @@ impl Peers {
         let (request, response) = (TopicPair::request(pipeline), TopicPair::response(pipeline));
         let kind = (TopicUse::Companions, TopicType::of::<MessageInfo>());
         let publisher = self.node.publish(&response.info, kind.clone(), queue_limits(&self.settings)).await?;
-        // A budget for this connection alone, so that an edge without a session takes no memory from sessions, or from others
-        // without one.
+        // A budget for this connection alone, so that an edge without a session takes no memory from sessions or from
+        // other edges without one.
         let budget = MemoryBudget::new((MAX_UNADMITTED_BYTES * MAX_UNADMITTED_MESSAGES) as u64);
         let unadmitted =
             ReceiveLimits { max_message_bytes: MAX_UNADMITTED_BYTES, budget: Arc::clone(&budget) };
@@ -141,7 +142,7 @@ impl Peers {
             (unadmitted, self.admitted.clone()),
             payloads,
         );
-        let serving = Serving {
+        let serving = ConnectionTask {
             channel,
             info,
             payload: None,

@@ -10,7 +10,8 @@ use super::peers::Delivery;
 use crate::transport::Arrival;
 use crate::transport::ros::interface::{NodeFailure, RemoteNode, SessionNode, SessionPublisher};
 
-/// Publishes why edges get no connection, and hands refusals up. An edge repeats its request, and is refused again each time.
+/// Publishes the reasons of refusals for edges, and hands refusals up. An edge repeats its request and is refused each
+/// time.
 #[derive(Debug)]
 pub(super) struct Refusals {
     node: Arc<dyn SessionNode>,
@@ -29,7 +30,7 @@ impl Refusals {
         Self { node, clock, publisher, deliveries, throttle: Mutex::default() }
     }
 
-    /// Refuses a connection that cannot be opened now. It is handed up once a minute for each reason and address.
+    /// Refuses a connection that cannot be opened now. Hands the refusal up once a minute for each reason and address.
     pub(super) fn refuse(&self, hello: &SessionHello, edge: &RemoteNode, reason: &str) {
         let address = Some(edge.remote.ip());
         let mut throttle = self.throttle.lock().unwrap_or_else(PoisonError::into_inner);
@@ -37,14 +38,14 @@ impl Refusals {
         drop(throttle);
         self.publish(hello, reason);
         if is_due {
-            self.hand_up(hello, edge, reason);
+            self.report(hello, edge, reason);
         }
     }
 
-    /// Refuses a connection whose opening failed. It is handed up each time.
+    /// Refuses a connection whose opening failed. Hands every refusal up.
     pub(super) fn refuse_failed(&self, hello: &SessionHello, edge: &RemoteNode, reason: &str) {
         self.publish(hello, reason);
-        self.hand_up(hello, edge, reason);
+        self.report(hello, edge, reason);
     }
 
     fn publish(&self, hello: &SessionHello, reason: &str) {
@@ -63,7 +64,7 @@ impl Refusals {
         }
     }
 
-    fn hand_up(&self, hello: &SessionHello, edge: &RemoteNode, reason: &str) {
+    fn report(&self, hello: &SessionHello, edge: &RemoteNode, reason: &str) {
         let node = self.node.describe(&edge.node);
         let pipeline = peernet_sample::printable_line(&hello.pipeline);
         let reason = peernet_sample::printable_line(reason);
@@ -86,7 +87,7 @@ mod tests {
     use crate::transport::ros::interface::test_node::TestNode;
 
     #[test]
-    fn repeated_refusal_is_handed_up_once_a_minute() {
+    fn repeated_refusal_is_reported_once_a_minute() {
         let identity = ClockIdentity::new("boot", "system");
         let clock = Arc::new(ManualClock::new(WallTime::from_unix_nanos(0), identity));
         let (sender, mut deliveries) = mpsc::channel(10);

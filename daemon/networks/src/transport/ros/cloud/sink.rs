@@ -1,4 +1,4 @@
-//! The cloud's side of one connection.
+//! The cloud's handling of one connection's events and admission.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -16,13 +16,13 @@ use crate::transport::ros::limits::ReceiveLimits;
 use crate::transport::ros::serving::{Directive, Sink};
 use crate::transport::{Arrival, Peer};
 
-/// Hands up the events of a connection, and follows what its sessions entitle it to.
+/// Hands up the events of a connection, and sets its limits according to its admission.
 pub(super) struct CloudSink {
     peer: Peer,
     admission: watch::Receiver<Admission>,
-    /// Time in which a connection without a session must open one.
+    /// Time limit for opening a session on a connection without one.
     hello_timeout: Duration,
-    /// When the connection ends if it has no session.
+    /// Time at which the connection ends if it has no session.
     deadline: Option<Instant>,
     unadmitted: ReceiveLimits,
     admitted: ReceiveLimits,

@@ -1,4 +1,4 @@
-//! The tasks of a cloud and their end.
+//! The tasks of a cloud, and how they end.
 
 use std::time::Duration;
 
@@ -6,7 +6,7 @@ use tokio::time::timeout;
 use tokio_util::sync::CancellationToken;
 use tokio_util::task::TaskTracker;
 
-/// Tasks of a cloud. They are asked to stop first, and are aborted when they do not stop in time.
+/// Tasks of a cloud. They are asked to stop, and are aborted if they do not stop in time.
 #[derive(Clone, Debug, Default)]
 pub(super) struct CloudTasks {
     stop: CancellationToken,
@@ -15,7 +15,7 @@ pub(super) struct CloudTasks {
 }
 
 impl CloudTasks {
-    /// Starts a task, which is to end when one of the tokens is cancelled.
+    /// Starts a task that must end when one of the tokens is cancelled.
     pub(super) fn spawn(&self, task: impl Future<Output = ()> + Send + 'static) {
         self.tracker.spawn(task);
     }
@@ -25,7 +25,7 @@ impl CloudTasks {
         self.stop.clone()
     }
 
-    /// Returns a token of one connection, which ends it without a goodbye.
+    /// Returns a token that ends one connection without a goodbye.
     pub(super) fn abort_token(&self) -> CancellationToken {
         self.abort.child_token()
     }

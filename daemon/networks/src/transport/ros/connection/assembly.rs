@@ -1,4 +1,4 @@
-//! Puts the messages of the peer together from their companions and payloads.
+//! Assembles the messages of the peer from their companions and payloads.
 
 use std::sync::Arc;
 
@@ -14,22 +14,22 @@ use crate::transport::ros::frames;
 use crate::transport::ros::pairing::{Half, Pairing, request_of};
 use crate::transport::ros::parts::Parts;
 
-/// Parts of messages that have not arrived as a whole. Their memory is reserved, and each waits for a limited time.
+/// Messages that have arrived in part. Their memory is reserved, and each waits for a limited time.
 #[derive(Debug)]
 pub(super) struct MessageAssembly {
-    /// Bytes of all frames of a message.
+    /// Largest sum of the lengths of all frames of a message. Bytes.
     max_message_bytes: u64,
-    /// Whether a payload may arrive although its companion had all frames.
+    /// `true` if a payload may arrive although its companion had all frames.
     repeats_payloads: bool,
-    /// Timeout of the next part of a message.
+    /// Time limit for the next part of a message.
     part_timeout: Span,
     budget: Arc<MemoryBudget>,
     pairing: Pairing,
-    /// The first bytes of a message whose companion is still to come.
+    /// First bytes of a message whose companion has not arrived.
     parts: Option<Parts>,
     /// Stamp of the last companion with all frames of its message.
     last_whole: i64,
-    /// Messages about the session itself that wait for payloads which they overtook.
+    /// Messages about the session itself that wait for earlier payloads which they overtook.
     overtaking: Vec<(MessageInfo, Reservation)>,
 }
 
@@ -47,20 +47,21 @@ impl MessageAssembly {
         }
     }
 
-    /// Changes the budget of messages that arrive from now on.
+    /// Changes the budget for messages that arrive from now on.
     pub(super) fn set_budget(&mut self, budget: Arc<MemoryBudget>) {
         self.budget = budget;
     }
 
-    /// Takes the first bytes of a message.
-    pub(super) fn hear_part(&mut self, part: &MessageInfo, now: MonoTime) {
+    /// Handles the first bytes of a message.
+    pub(super) fn receive_part(&mut self, part: &MessageInfo, now: MonoTime) {
         let parts = self.parts.take();
         self.parts = Parts::extended(parts, (part, now), &self.budget, self.max_message_bytes);
     }
 
-    /// Takes the companion of a message.
-    pub(super) fn hear_data(&mut self, mut info: MessageInfo, now: MonoTime, events: &mut EventQueue) {
-        // Parts of another message are of one that was given up. The memory of the whole is counted below.
+    /// Handles the companion of a message.
+    pub(super) fn receive_data(&mut self, mut info: MessageInfo, now: MonoTime, events: &mut EventQueue) {
+        // Parts of another message belong to a message that was given up. The memory of the whole message is reserved
+        // below.
         if let Some(parts) = self.parts.take().filter(|parts| parts.is_of(&info)) {
             info.frames = parts.joined(&info.frames);
         }
@@ -74,16 +75,16 @@ impl MessageAssembly {
         };
         let stamp = info.header.stamp.as_nanos();
         if info.has_payload {
-            self.hear_half(stamp, Half::Info(Box::new(info)), reserved, now, events);
+            self.receive_half(stamp, Half::Info(Box::new(info)), reserved, now, events);
             return;
         }
-        // The payload may come as well, until it is confirmed that payloads do.
+        // The payload may arrive as well, until the other end knows that payloads do.
         self.last_whole = stamp.max(self.last_whole);
         self.pairing.drop_payload(stamp);
         let mut lost = Vec::new();
         self.pairing.skip(stamp, &mut lost);
         events.push_incomplete(lost);
-        // It may end the session, of which answers would be lost then.
+        // The message may end the session, and answers whose payloads come later would then be lost.
         if info.request == MessageInfo::NO_REQUEST && self.pairing.awaits_payloads() {
             self.overtaking.push((info, reserved));
         } else {
@@ -91,15 +92,15 @@ impl MessageAssembly {
         }
     }
 
-    /// Takes the payload of a message.
-    pub(super) fn hear_payload(
+    /// Handles the payload of a message.
+    pub(super) fn receive_payload(
         &mut self,
         stamp: i64,
         payload: Bytes,
         now: MonoTime,
         events: &mut EventQueue,
     ) {
-        // Its companion had all frames.
+        // The companion had all frames.
         if self.repeats_payloads && stamp <= self.last_whole && !self.pairing.awaits_payload(stamp) {
             return;
         }
@@ -108,12 +109,13 @@ impl MessageAssembly {
             events.push(Event::Garbage(format!("a payload of {length} bytes")));
             return;
         }
-        // Where memory is short its loss is reported by its companion, which is still to come and has the number of the request.
+        // If memory is short, the companion reports the loss, because it has the number of the request and is still to
+        // come.
         let Some(reserved) = self.reserve(payload.len()) else { return };
-        self.hear_half(stamp, Half::Payload(payload), reserved, now, events);
+        self.receive_half(stamp, Half::Payload(payload), reserved, now, events);
     }
 
-    fn hear_half(
+    fn receive_half(
         &mut self,
         stamp: i64,
         half: Half,
@@ -129,17 +131,18 @@ impl MessageAssembly {
         }
     }
 
-    /// Gives up what has waited for too long.
+    /// Gives up messages that have waited too long.
     pub(super) fn expire(&mut self, now: MonoTime, events: &mut EventQueue) {
         let mut lost = Vec::new();
         self.pairing.expire(now, &mut lost);
-        // The companion that they belong to was lost, which its number shows.
+        // Their companion was lost, which the gap in the numbers of companions shows.
         let timeout = self.part_timeout;
         self.parts = self.parts.take().filter(|parts| !parts.is_overdue(now, timeout));
         events.push_incomplete(lost);
     }
 
-    /// Returns whether no companion waits for its payload any more. Messages that had overtaken payloads are delivered then.
+    /// Returns whether no companion waits for its payload any more. In this case delivers the messages that had
+    /// overtaken payloads.
     pub(super) fn deliver_overtaking(&mut self, events: &mut EventQueue) -> bool {
         if self.pairing.awaits_payloads() {
             return false;
@@ -150,7 +153,7 @@ impl MessageAssembly {
         true
     }
 
-    /// Returns when the next half of a message has waited for too long.
+    /// Returns the time at which the next half of a message has waited too long.
     pub(super) fn next_timer(&self) -> Option<MonoTime> {
         self.pairing.next_timer()
     }
@@ -194,8 +197,8 @@ mod tests {
     fn message_beyond_the_budget_is_lost_and_counts_no_memory() {
         let (budget, mut events) = (MemoryBudget::new(10), EventQueue::default());
         let mut assembly = assembly(&budget);
-        assembly.hear_data(companion(1), MonoTime::default(), &mut events);
-        assembly.hear_data(companion(2), MonoTime::default(), &mut events);
+        assembly.receive_data(companion(1), MonoTime::default(), &mut events);
+        assembly.receive_data(companion(2), MonoTime::default(), &mut events);
         let first = events.pop();
         assert!(matches!(&first, Some(Event::Message(..))), "{first:?}");
         assert!(matches!(events.pop(), Some(Event::Incomplete(MessageLoss { tag: Some(2), .. }))));
@@ -207,11 +210,11 @@ mod tests {
     fn new_budget_holds_for_later_messages() {
         let (small, mut events) = (MemoryBudget::new(1), EventQueue::default());
         let mut assembly = assembly(&small);
-        assembly.hear_payload(1, Bytes::from_static(b"xx"), MonoTime::default(), &mut events);
+        assembly.receive_payload(1, Bytes::from_static(b"xx"), MonoTime::default(), &mut events);
         assert!(assembly.next_timer().is_none());
         let large = MemoryBudget::new(10);
         assembly.set_budget(Arc::clone(&large));
-        assembly.hear_payload(2, Bytes::from_static(b"xx"), MonoTime::default(), &mut events);
+        assembly.receive_payload(2, Bytes::from_static(b"xx"), MonoTime::default(), &mut events);
         assert_eq!((small.held(), large.held()), (0, 2));
         assert!(assembly.next_timer().is_some() && events.pop().is_none());
     }

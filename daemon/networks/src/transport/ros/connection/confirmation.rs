@@ -1,9 +1,9 @@
 //! Confirmation that payloads arrive.
 
-/// State of the confirmation, which is sent once: a sender of ROS 2 cannot know that its payload topic is received.
+/// State of the confirmation, which is sent once. A ROS 2 publisher cannot know whether its payload topic is received.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum PayloadConfirmation {
-    /// The sender knows who receives its topics.
+    /// The sender knows which nodes receive its topics.
     NotNeeded,
     /// No payload has arrived yet.
     Pending,
@@ -23,7 +23,7 @@ impl PayloadConfirmation {
         }
     }
 
-    /// Returns whether the confirmation is to be sent now, which counts as sent then.
+    /// Returns whether the confirmation is due. It counts as sent afterwards.
     pub(super) fn take_due(&mut self) -> bool {
         let is_due = *self == Self::Due;
         if is_due {

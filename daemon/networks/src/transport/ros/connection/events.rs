@@ -5,28 +5,28 @@ use std::collections::VecDeque;
 use crate::transport::memory::Reservation;
 use crate::transport::{Frames, MessageLoss};
 
-/// Something that happened on a connection.
+/// Event of a connection.
 #[derive(Debug)]
 pub(in crate::transport::ros) enum Event {
-    /// The edge says hello, again if it has not heard the welcome.
+    /// The edge said hello. It repeats the hello until it receives the welcome.
     Hello,
-    /// The cloud's answer.
+    /// The cloud answered the hello.
     Welcome,
-    /// A message of the peer, with the memory that it takes.
+    /// A message of the peer arrived; with the reservations of its memory.
     Message(Frames, Vec<Reservation>),
     /// A message of the peer did not arrive as a whole.
     Incomplete(MessageLoss),
     /// A message to the peer did not arrive as a whole.
     Lost(MessageLoss),
-    /// Something that the peer should not send.
+    /// The peer sent invalid data, for this reason.
     Garbage(String),
-    /// A condition that makes the connection worse than it could be: on what object, and what to do.
+    /// The connection is worse than it could be; the text names the object and says what to do.
     Remark(String),
-    /// The end of the connection, with its reason.
+    /// The connection ended, for this reason.
     Gone(String),
 }
 
-/// Events that wait to be taken, and requests of the peer of whose loss it is still to be notified.
+/// Queue of events, and of the peer's requests of whose loss it must be notified.
 #[derive(Debug, Default)]
 pub(super) struct EventQueue {
     events: VecDeque<Event>,
@@ -38,7 +38,8 @@ impl EventQueue {
         self.events.push_back(event);
     }
 
-    /// Adds messages of the peer that did not arrive as a whole; the peer is notified of those that belong to a request.
+    /// Adds messages of the peer that did not arrive as a whole. The peer is notified of those that belong to a
+    /// request.
     pub(super) fn push_incomplete(&mut self, losses: Vec<MessageLoss>) {
         for loss in losses {
             self.lost_requests.extend(loss.tag);
@@ -46,12 +47,12 @@ impl EventQueue {
         }
     }
 
-    /// Returns the next event.
+    /// Removes and returns the next event.
     pub(super) fn pop(&mut self) -> Option<Event> {
         self.events.pop_front()
     }
 
-    /// Returns the next request of whose loss the peer is to be notified.
+    /// Removes and returns the next request of whose loss the peer must be notified.
     pub(super) fn pop_lost_request(&mut self) -> Option<u64> {
         self.lost_requests.pop_front()
     }

@@ -2,19 +2,19 @@
 
 use peernet_clock::{MonoTime, Span};
 
-/// Times of the last messages in both directions: this end sends a heartbeat when it has sent nothing else, and a peer that sends
-/// nothing is gone.
+/// Times of the last messages in both directions. An end sends a heartbeat if it has sent nothing else. A peer that
+/// sends nothing is gone.
 #[derive(Debug)]
 pub(super) struct Heartbeats {
     interval: Span,
     timeout: Span,
     sent_at: MonoTime,
-    heard_at: MonoTime,
+    received_at: MonoTime,
 }
 
 impl Heartbeats {
     pub(super) fn new(interval: Span, timeout: Span, now: MonoTime) -> Self {
-        Self { interval, timeout, sent_at: now, heard_at: now }
+        Self { interval, timeout, sent_at: now, received_at: now }
     }
 
     /// Notes that this end sends a message.
@@ -23,23 +23,23 @@ impl Heartbeats {
     }
 
     /// Notes that a message of the peer arrived.
-    pub(super) fn note_heard(&mut self, now: MonoTime) {
-        self.heard_at = now;
+    pub(super) fn note_received(&mut self, now: MonoTime) {
+        self.received_at = now;
     }
 
-    /// Returns whether this end should send a heartbeat.
+    /// Returns whether a heartbeat is due.
     pub(super) fn is_due(&self, now: MonoTime) -> bool {
         now - self.sent_at >= self.interval
     }
 
-    /// Returns whether the peer has sent nothing for too long.
+    /// Returns whether the peer has been silent for too long.
     pub(super) fn is_peer_silent(&self, now: MonoTime) -> bool {
-        now - self.heard_at >= self.timeout
+        now - self.received_at >= self.timeout
     }
 
-    /// Returns when a heartbeat is due or the peer has been silent for too long, whichever is earlier.
+    /// Returns the time at which a heartbeat is due or the peer has been silent for too long, whichever is earlier.
     pub(super) fn next_timer(&self) -> MonoTime {
-        (self.sent_at + self.interval).min(self.heard_at + self.timeout)
+        (self.sent_at + self.interval).min(self.received_at + self.timeout)
     }
 }
 
@@ -60,7 +60,7 @@ mod tests {
         assert!(!heartbeats.is_due(at(4)));
         assert_eq!(heartbeats.next_timer(), at(5));
         assert!(!heartbeats.is_peer_silent(at(4)) && heartbeats.is_peer_silent(at(5)));
-        heartbeats.note_heard(at(5));
+        heartbeats.note_received(at(5));
         assert!(!heartbeats.is_peer_silent(at(9)) && heartbeats.is_peer_silent(at(10)));
     }
 }

@@ -5,7 +5,7 @@ use peernet_ros::messages::{Header, MessageInfo, Time};
 /// Largest stamp of a header that both versions of ROS can encode. Nanoseconds.
 const MAX_STAMP: i64 = i32::MAX as i64 * 1_000_000_000;
 
-/// Headers of the companions that this end sends: their numbers have no gaps, and their stamps increase.
+/// Numbers and stamps of the companions that this end sends. The numbers have no gaps, and the stamps increase.
 #[derive(Debug)]
 pub(super) struct OutgoingSequence {
     /// Identifier of the connection.
@@ -24,9 +24,9 @@ impl OutgoingSequence {
         &self.connection
     }
 
-    /// Returns the companion of a message that departs at `wall`, nanoseconds since the Unix epoch.
+    /// Returns the companion of a message that departs at `wall`, in nanoseconds since the Unix epoch.
     pub(super) fn begin(&mut self, kind: u8, wall: i64) -> MessageInfo {
-        // Stamps increase whatever the wall clock does, because a payload is found by its stamp.
+        // Stamps increase even if the wall clock is set back, because a payload is identified by its stamp.
         let least = self.last_stamp + 1;
         self.last_stamp = if wall <= MAX_STAMP { wall.max(least) } else { least };
         let sequence = self.next_number();
@@ -36,7 +36,7 @@ impl OutgoingSequence {
         MessageInfo { header, kind, sequence, request: MessageInfo::NO_REQUEST, ..MessageInfo::default() }
     }
 
-    /// Returns a companion for the first bytes of a message, and gives the message the number after it.
+    /// Returns a companion for the first bytes of a message, and gives the message the next number.
     pub(super) fn begin_part(&mut self, message: &mut MessageInfo) -> MessageInfo {
         let sequence = std::mem::replace(&mut message.sequence, self.next_number());
         MessageInfo {
@@ -58,21 +58,22 @@ impl OutgoingSequence {
 /// Numbers of the companions that arrive.
 #[derive(Debug, Default)]
 pub(super) struct IncomingSequence {
-    /// Number of the next companion; unknown before the first.
+    /// Number of the next companion; unknown before the first one.
     expected: Option<u64>,
     missed: u64,
 }
 
 impl IncomingSequence {
-    /// Counts the companions that are missing before one that arrived. A lower number than expected counts nothing.
-    pub(super) fn hear(&mut self, number: u64) {
+    /// Counts the companions that are missing before the one that arrived. A number that is lower than expected counts
+    /// none.
+    pub(super) fn receive(&mut self, number: u64) {
         let expected = self.expected.unwrap_or(number);
         self.missed += number.saturating_sub(expected);
         self.expected = Some(number.saturating_add(1).max(expected));
     }
 
     /// Returns the number of companions that never arrived.
-    pub(super) fn missed(&self) -> u64 {
+    pub(super) fn missing_companions(&self) -> u64 {
         self.missed
     }
 }
@@ -104,11 +105,11 @@ mod tests {
     fn missing_companions_are_counted() {
         let mut sequence = IncomingSequence::default();
         for number in [5, 6, 9, 7, 10] {
-            sequence.hear(number);
+            sequence.receive(number);
         }
-        assert_eq!(sequence.missed(), 2);
-        sequence.hear(u64::MAX);
-        sequence.hear(0);
-        assert_eq!(sequence.missed(), 2 + (u64::MAX - 11));
+        assert_eq!(sequence.missing_companions(), 2);
+        sequence.receive(u64::MAX);
+        sequence.receive(0);
+        assert_eq!(sequence.missing_companions(), 2 + (u64::MAX - 11));
     }
 }

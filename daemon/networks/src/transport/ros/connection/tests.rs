@@ -1,4 +1,4 @@
-//! Two ends of a connection, without topics between them.
+//! Tests with two ends of a connection, without topics between them.
 
 use std::collections::VecDeque;
 
@@ -25,7 +25,7 @@ fn at(seconds: i64) -> MonoTime {
     MonoTime::default() + Span::from_seconds(seconds)
 }
 
-/// A message of three frames as it leaves: its companion and its payload.
+/// Returns a message of three frames as it is sent: its companion and its payload.
 fn message(end: &mut Connection, request: u64, wall: i64) -> (MessageInfo, Bytes) {
     let mut info = MessageInfo { request, ..end.begin(MessageInfo::DATA, wall, at(0)) };
     let payload = Bytes::from_static(b"payload");
@@ -35,19 +35,19 @@ fn message(end: &mut Connection, request: u64, wall: i64) -> (MessageInfo, Bytes
 }
 
 #[test]
-fn message_without_payload_is_told_to_its_sender() {
+fn sender_is_notified_of_missing_payload() {
     let (mut near, mut far) = (end(), end());
     let (lost, _) = message(&mut near, 7, 10);
     let (info, payload) = message(&mut near, 8, 20);
-    far.hear_info(lost, at(0));
-    far.hear_info(info.clone(), at(0));
-    far.hear_payload(info.header.stamp.as_nanos(), payload, at(0));
+    far.receive_info(lost, at(0));
+    far.receive_info(info.clone(), at(0));
+    far.receive_payload(info.header.stamp.as_nanos(), payload, at(0));
     let Some(Event::Incomplete(loss)) = far.next_event() else { panic!("the first is lost") };
     assert_eq!(loss.tag, Some(7));
     let Some(Event::Message(frames, _)) = far.next_event() else { panic!("the second is whole") };
     assert_eq!(frames.concat(), b"headertreepayload");
     let notice = far.next_notice(0, at(0)).expect("the sender is told");
-    near.hear_info(notice, at(0));
+    near.receive_info(notice, at(0));
     let Some(Event::Lost(loss)) = near.next_event() else { panic!("the sender knows") };
     assert_eq!(loss.tag, Some(7));
 }
@@ -57,11 +57,11 @@ fn heartbeats_keep_connection_and_silence_ends_it() {
     let (mut near, mut far) = (end(), end());
     for second in 1..20 {
         let heartbeat = near.next_notice(0, at(second)).expect("one each second");
-        far.hear_info(heartbeat, at(second));
+        far.receive_info(heartbeat, at(second));
         far.tick(at(second));
         assert!(near.next_notice(0, at(second)).is_none() && far.next_event().is_none());
     }
-    assert_eq!(far.missed(), 0);
+    assert_eq!(far.missing_companions(), 0);
     far.tick(at(24));
     assert!(matches!(far.next_event(), Some(Event::Gone(_))) && far.next_timer().is_none());
 }
@@ -70,7 +70,7 @@ fn heartbeats_keep_connection_and_silence_ends_it() {
 fn goodbye_ends_connection_with_its_reason() {
     let (mut near, mut far) = (end(), end());
     let goodbye = near.begin(MessageInfo::GOODBYE, 0, at(0));
-    far.hear_info(MessageInfo { reason: "it\nshuts down".into(), ..goodbye }, at(0));
+    far.receive_info(MessageInfo { reason: "it\nshuts down".into(), ..goodbye }, at(0));
     assert!(matches!(far.next_event(), Some(Event::Gone(reason)) if reason == "it shuts down"));
     assert!(far.next_notice(0, at(100)).is_none());
 }
@@ -80,10 +80,10 @@ fn goodbye_waits_for_payload_that_it_overtook() {
     let (mut near, mut far) = (end(), end());
     let (info, payload) = message(&mut near, 7, 10);
     let goodbye = near.begin(MessageInfo::GOODBYE, 20, at(0));
-    far.hear_info(info.clone(), at(0));
-    far.hear_info(MessageInfo { reason: "done".into(), ..goodbye }, at(0));
+    far.receive_info(info.clone(), at(0));
+    far.receive_info(MessageInfo { reason: "done".into(), ..goodbye }, at(0));
     assert!(far.next_event().is_none() && far.peer().has_left);
-    far.hear_payload(info.header.stamp.as_nanos(), payload, at(0));
+    far.receive_payload(info.header.stamp.as_nanos(), payload, at(0));
     assert!(matches!(far.next_event(), Some(Event::Message(..))));
     assert!(matches!(far.next_event(), Some(Event::Gone(reason)) if reason == "done"));
 }
@@ -94,22 +94,22 @@ fn session_message_waits_for_payload_that_it_overtook() {
     let (info, payload) = message(&mut near, 7, 10);
     let mut session = near.begin(MessageInfo::DATA, 20, at(0));
     assert!(frames::pack(&mut session, &[Bytes::from_static(b"close")], false));
-    far.hear_info(info.clone(), at(0));
-    far.hear_info(session, at(0));
+    far.receive_info(info.clone(), at(0));
+    far.receive_info(session, at(0));
     assert!(far.next_event().is_none());
-    far.hear_payload(info.header.stamp.as_nanos(), payload, at(0));
+    far.receive_payload(info.header.stamp.as_nanos(), payload, at(0));
     assert!(matches!(far.next_event(), Some(Event::Message(frames, _)) if frames.concat() != b"close"));
     assert!(matches!(far.next_event(), Some(Event::Message(frames, _)) if frames.concat() == b"close"));
     assert!(far.next_event().is_none());
 }
 
 #[test]
-fn goodbye_without_its_payload_ends_connection_all_the_same() {
+fn goodbye_without_payload_still_ends_connection() {
     let (mut near, mut far) = (end(), end());
     let (info, _) = message(&mut near, 7, 10);
     let goodbye = near.begin(MessageInfo::GOODBYE, 20, at(0));
-    far.hear_info(info, at(0));
-    far.hear_info(MessageInfo { reason: "done".into(), ..goodbye }, at(0));
+    far.receive_info(info, at(0));
+    far.receive_info(MessageInfo { reason: "done".into(), ..goodbye }, at(0));
     far.tick(at(5));
     assert!(matches!(far.next_event(), Some(Event::Gone(reason)) if reason == "done"));
 }
@@ -126,17 +126,17 @@ fn payload_that_travels_twice_is_taken_once_and_confirmed() {
         assert!(frames::pack(&mut info, &frames, false));
         let stamp = info.header.stamp.as_nanos();
         if is_payload_first {
-            far.hear_payload(stamp, payload, at(0));
-            far.hear_info(info, at(0));
+            far.receive_payload(stamp, payload, at(0));
+            far.receive_info(info, at(0));
         } else {
-            far.hear_info(info, at(0));
-            far.hear_payload(stamp, payload, at(0));
+            far.receive_info(info, at(0));
+            far.receive_payload(stamp, payload, at(0));
         }
         assert!(
             matches!(far.next_event(), Some(Event::Message(frames, _)) if frames.concat() == b"headertreepayload")
         );
         assert!(far.next_event().is_none());
-        near.hear_info(far.next_notice(0, at(0)).expect("a confirmation"), at(0));
+        near.receive_info(far.next_notice(0, at(0)).expect("a confirmation"), at(0));
         assert!(near.peer().is_subscribed && far.next_notice(0, at(0)).is_none());
         far.tick(at(4));
         assert!(far.next_event().is_none(), "nothing is waited for");
@@ -144,7 +144,7 @@ fn payload_that_travels_twice_is_taken_once_and_confirmed() {
 }
 
 #[test]
-fn message_in_parts_is_put_together_and_unfinished_one_is_dropped() {
+fn parts_are_assembled_and_unfinished_messages_dropped() {
     let (mut near, mut far) = (end(), end());
     for is_whole in [false, true] {
         let (mut info, payload) = message(&mut near, 7, 10);
@@ -153,32 +153,32 @@ fn message_in_parts_is_put_together_and_unfinished_one_is_dropped() {
         let parts: Vec<MessageInfo> =
             pieces.into_iter().map(|frames| MessageInfo { frames, ..near.begin_part(&mut info) }).collect();
         assert_eq!(parts.len(), 2);
-        parts.into_iter().for_each(|part| far.hear_info(part, at(0)));
+        parts.into_iter().for_each(|part| far.receive_info(part, at(0)));
         if is_whole {
-            far.hear_info(info, at(0));
-            far.hear_payload(stamp, payload, at(0));
+            far.receive_info(info, at(0));
+            far.receive_payload(stamp, payload, at(0));
         }
     }
     assert!(
         matches!(far.next_event(), Some(Event::Message(frames, _)) if frames.concat() == b"headertreepayload")
     );
     assert_eq!(
-        (far.next_event().is_none(), far.missed()),
+        (far.next_event().is_none(), far.missing_companions()),
         (true, 1),
         "the companion of the first never came"
     );
 }
 
-/// Input of a peer that keeps no rule.
+/// Input from a peer that violates the protocol.
 #[derive(Clone, Debug)]
 enum Step {
-    /// A companion whose bytes were changed at some places.
+    /// A companion with some bytes changed.
     Damaged {
         form: WireForm,
         kind: u8,
         changes: Vec<(prop::sample::Index, u8)>,
     },
-    /// A companion of any claims.
+    /// A companion with arbitrary claims.
     Claims {
         kind: u8,
         sequence: u64,
@@ -196,10 +196,10 @@ enum Step {
 }
 
 fn any_step() -> impl Strategy<Value = Step> {
-    // All kinds, and one that nobody knows.
+    // All kinds, and an unknown one.
     let kind = || 0..=MessageInfo::PART + 1;
     let form = prop::sample::select(vec![WireForm::Ros1, WireForm::Cdr]);
-    // Few stamps, so that some meet.
+    // Few stamps, so that some coincide.
     let stamp = || prop_oneof![9 => 0..4_i64, 1 => any::<i64>()];
     let length = prop_oneof![3 => 0..40_u32, 1 => any::<u32>()];
     let claims =
@@ -226,7 +226,7 @@ fn bring(step: Step, near: &mut Connection, far: &mut Connection, now: &mut Mono
                 bytes[at] = byte;
             }
             if let Ok(info) = MessageInfo::decode(form, bytes.into()) {
-                far.hear_info(info, *now);
+                far.receive_info(info, *now);
             }
         }
         Step::Claims { kind, sequence, stamp, has_payload, lengths, bytes } => {
@@ -241,9 +241,9 @@ fn bring(step: Step, near: &mut Connection, far: &mut Connection, now: &mut Mono
                 frames,
                 ..MessageInfo::default()
             };
-            far.hear_info(info, *now);
+            far.receive_info(info, *now);
         }
-        Step::Payload { stamp, bytes } => far.hear_payload(stamp, vec![7; bytes].into(), *now),
+        Step::Payload { stamp, bytes } => far.receive_payload(stamp, vec![7; bytes].into(), *now),
         Step::Time(seconds) => *now = *now + Span::from_seconds(seconds),
     }
 }
@@ -272,20 +272,20 @@ proptest! {
             infos.push_back((!matches!(fate, Fate::LosesInfo)).then_some(info));
             payloads.push_back((!matches!(fate, Fate::LosesPayload)).then_some((stamp, payload)));
         }
-        // Payloads come some messages behind their companions.
+        // Payloads arrive some messages after their companions.
         let mut behind = lag;
         while !infos.is_empty() || !payloads.is_empty() {
             if let Some(Some(info)) = infos.pop_front() {
-                far.hear_info(info, at(0));
+                far.receive_info(info, at(0));
             }
             if behind > 0 && !infos.is_empty() {
                 behind -= 1;
             } else if let Some(Some((stamp, payload))) = payloads.pop_front() {
-                far.hear_payload(stamp, payload, at(0));
+                far.receive_payload(stamp, payload, at(0));
             }
         }
-        // Neither heartbeats nor the deadline of halves may be missed in between.
-        far.heartbeats.note_heard(at(40));
+        // Neither heartbeats nor the time limit of halves may expire in between.
+        far.heartbeats.note_received(at(40));
         far.tick(at(40));
         let (mut arrived, mut incomplete) = (0, 0);
         while let Some(event) = far.next_event() {
@@ -301,7 +301,7 @@ proptest! {
     }
 
     #[test]
-    fn any_peer_is_survived_in_bounded_memory(
+    fn any_peer_messages_need_bounded_memory(
         confirms_payloads: bool,
         steps in prop::collection::vec(any_step(), 0..30),
     ) {
@@ -321,7 +321,7 @@ proptest! {
                 let bytes: usize = frames.iter().map(Bytes::len).sum();
                 prop_assert!(bytes as u64 <= LIMITS.max_message_bytes, "{bytes} bytes");
             }
-            // Halves that gave up at once, and the end.
+            // The halves that were given up at once, and the end.
             prop_assert!(events <= LIMITS.max_incomplete + 3, "{events} events of one step");
             while far.next_notice(0, now).is_some() {}
         }

@@ -12,10 +12,10 @@ use peernet_ros::ros1::{Delivery, QueueLimits, SubscriberOptions, TopicType};
 
 use super::{EdgeTopics, NodeFailure, SessionNode, SessionPublisher, SessionSubscriber, TopicUse};
 
-/// Longest payload that the sockets of the node hold. Bytes.
+/// Largest payload that fits into the node's sockets. Bytes.
 pub(in crate::transport::ros) const RECEIVE_BUFFER_BYTES: usize = 10;
 
-/// A node without topics, which counts the messages that its publishers publish.
+/// A node without topics, which counts the messages of its publishers.
 #[derive(Clone, Debug, Default)]
 pub(in crate::transport::ros) struct TestNode {
     published: Arc<AtomicUsize>,

@@ -1,4 +1,4 @@
-//! A payload topic at a node of which the test sees what is published.
+//! Tests of a payload topic at a node that counts published messages.
 
 use futures::FutureExt;
 use peernet_sample::MediaType;
@@ -6,14 +6,14 @@ use peernet_sample::MediaType;
 use super::*;
 use crate::transport::ros::interface::test_node::{RECEIVE_BUFFER_BYTES, TestNode};
 
-struct Sending {
+struct SendingTest {
     topic: PayloadTopic,
     node: TestNode,
     peer: PeerState,
     remarks: Vec<String>,
 }
 
-impl Sending {
+impl SendingTest {
     fn new() -> Self {
         Self {
             topic: PayloadTopic::new("/line/request".into(), QueueLimits::default()),
@@ -23,7 +23,7 @@ impl Sending {
         }
     }
 
-    /// Publishes a payload of a number of bytes; returns whether the peer gets it on the topic.
+    /// Publishes a payload of `bytes` bytes. Returns whether the peer receives it on the topic.
     fn publish(&mut self, media: MediaType, bytes: usize) -> bool {
         let part = Description { media, shape: Vec::new(), element: None };
         let (header, data) = (Header::default(), Bytes::from(vec![7; bytes]));
@@ -42,7 +42,7 @@ impl Sending {
 
 #[tokio::test]
 async fn first_payload_requests_its_type_once() {
-    let mut sending = Sending::new();
+    let mut sending = SendingTest::new();
     assert!(sending.topic.take_request().now_or_never().is_none());
     sending.open().await;
     assert!(!sending.publish(MediaType::Jpeg, 3), "nothing says yet that the peer receives the topic");
@@ -54,7 +54,7 @@ async fn first_payload_requests_its_type_once() {
 
 #[tokio::test]
 async fn subscribed_peer_gets_payloads_on_the_topic_only() {
-    let mut sending = Sending::new();
+    let mut sending = SendingTest::new();
     sending.open().await;
     sending.peer.is_subscribed = true;
     assert!(sending.publish(MediaType::Jpeg, 3));
@@ -63,7 +63,7 @@ async fn subscribed_peer_gets_payloads_on_the_topic_only() {
 
 #[tokio::test]
 async fn long_payloads_and_refusals_are_remarked_once() {
-    let mut sending = Sending::new();
+    let mut sending = SendingTest::new();
     sending.open().await;
     for _ in 0..2 {
         assert!(!sending.publish(MediaType::Jpeg, RECEIVE_BUFFER_BYTES + 1));

@@ -1,4 +1,4 @@
-//! Search for the cloud of a name in a domain.
+//! Search for the cloud with a given name in a domain.
 
 use std::collections::BTreeSet;
 use std::sync::Arc;
@@ -13,14 +13,14 @@ use super::ros2_name;
 use crate::transport::ros::interface::{EdgeTopics, NodeFailure};
 use crate::transport::ros::names::sessions_topic;
 
-/// Time in which another cloud with the same name is looked for.
+/// Time for which another cloud with the same name is searched.
 const FIND_OTHER_CLOUD: Duration = Duration::from_secs(1);
 
-/// Time in which others that use the topics of a pipeline are looked for once the cloud is found.
+/// Time for which other programs that use the topics of a pipeline are searched after the cloud was found.
 const FIND_OTHERS: Duration = Duration::from_millis(250);
 
-/// Waits until discovery has found the cloud of an edge, and checks that no other program uses the topics. Returns the name of the
-/// cloud's participant.
+/// Waits until discovery has found the cloud of an edge, and checks that no other program uses the topics. Returns the
+/// name of the cloud's participant.
 pub(super) async fn find_cloud(
     participant: &Participant,
     topics: &EdgeTopics,
@@ -29,7 +29,7 @@ pub(super) async fn find_cloud(
     let node = participant.node()?;
     let sessions = sessions_topic(&topics.cloud);
     let clouds = || clouds_of(&node, &sessions);
-    // A cloud that has just ended may still be seen.
+    // A cloud that has just ended may still be visible.
     let found = await_discovery(&node, patience, || clouds().len() == 1).await;
     if found.is_err() && clouds().is_empty() {
         return Err(NodeFailure(format!(
@@ -40,7 +40,7 @@ pub(super) async fn find_cloud(
             node.advise(),
         )));
     }
-    // DDS tells of no end of discovery, and others than the cloud may be found a little later.
+    // DDS does not report the end of discovery, and other programs may be found slightly later than the cloud.
     sleep(FIND_OTHERS).await;
     check_topics(&node, topics)?;
     let clouds = clouds();
@@ -90,7 +90,7 @@ fn check_topics(node: &Ros2Node, topics: &EdgeTopics) -> Result<(), NodeFailure>
 pub(super) async fn check_cloud_name(participant: &Participant, cloud: &str) -> Result<(), NodeFailure> {
     let node = participant.node()?;
     let sessions = sessions_topic(cloud);
-    // Not as soon as one is seen: it may just be ending.
+    // Waits for the whole time even if a cloud is visible, because that one may just be ending.
     sleep(FIND_OTHER_CLOUD).await;
     match clouds_of(&node, &sessions).is_empty() {
         true => Ok(()),

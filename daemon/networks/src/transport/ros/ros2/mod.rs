@@ -1,4 +1,19 @@
-//! Nodes of ROS 2.
+//! Nodes of ROS 2 for sessions.
+//!
+//! ROS 2 needs more than ROS 1, because DDS has no connections:
+//!
+//! - Each connection of an edge is a separate participant, by which its messages are recognized. A cloud has one
+//!   participant for all connections. Companions are always reliable, payloads as configured: a lost payload is noticed
+//!   by its companion.
+//! - `rustdds` 0.15.1 sends all fragments of a message at once and repairs 8 fragments of 256 bytes in 10 ms. Bytes
+//!   that do not fit into the receiver's socket buffer therefore arrive at 200 kB/s, if at all. Over loopback with
+//!   `net.core.rmem_max` at 4 MiB (of which the kernel makes 8 MiB), messages of 8 MB arrive at once, and messages of
+//!   10 MB and more do not arrive within 5 s. Each end therefore states the size of its socket buffers in hello and
+//!   welcome. A larger payload is sent as companions of 64 KiB ([`PART`](peernet_ros::messages::MessageInfo::PART)), of
+//!   which at most 1 MiB is unacknowledged. Other programs do not see it as a picture, but it arrives as fast. A slow
+//!   or lossy repair of one large message would delay all later ones.
+//! - An end that closes a connection waits for the other end's goodbye before it leaves, because `rustdds` drops unread
+//!   messages of a publisher that has left.
 
 mod cloud_search;
 mod participant;
@@ -31,10 +46,12 @@ use self::subscriber::Ros2SessionSubscriber;
 use super::interface::{EdgeTopics, NodeFailure, SessionNode, SessionPublisher, SessionSubscriber, TopicUse};
 use crate::{Address, SessionSettings};
 
-/// Time in which a cloud is looked for. Discovery takes less than a second where multicast works; an edge tries again.
+/// Time for which a cloud is searched. Discovery takes less than a second where multicast works, and an edge tries
+/// again.
 const FIND_CLOUD: Duration = Duration::from_secs(2);
 
-/// Bytes of frames in a companion; what is longer is split, so that each fits into any socket's buffer.
+/// Largest number of bytes of frames in a companion. Longer frames are split, so that each companion fits into any
+/// socket buffer.
 pub(super) const MAX_COMPANION_BYTES: usize = 64 * 1024;
 
 /// A node with the topics of sessions in a domain.
@@ -70,7 +87,7 @@ impl Ros2SessionNode {
     ) -> Result<Self, NodeFailure> {
         let namespace = var("ROS_NAMESPACE").unwrap_or_default();
         let namespace = format!("/{}", namespace.trim_matches('/'));
-        // Names of ROS 2 have no two underscores in a row.
+        // Names in ROS 2 cannot have two successive underscores.
         let words: Vec<&str> = name.split('_').filter(|word| !word.is_empty()).collect();
         let participant = Participant::join(Ros2Settings {
             domain_id: address.domain(),
@@ -91,7 +108,7 @@ impl Ros2SessionNode {
     }
 }
 
-/// Returns the name that ROS 2 has for a type: `std_msgs/msg/String` for `std_msgs/String`.
+/// Returns the name of a type in ROS 2, such as `std_msgs/msg/String` for `std_msgs/String`.
 fn ros2_name(name: &str) -> String {
     name.replacen('/', "/msg/", 1)
 }
@@ -196,5 +213,5 @@ impl SessionNode for Ros2SessionNode {
     }
 }
 
-/// Names of the participants of which messages arrive.
+/// Names of the participants whose messages arrive.
 type Publishers = watch::Receiver<BTreeSet<Arc<str>>>;

@@ -7,19 +7,19 @@ use peernet_ros::ros2::{ParticipantId, Ros2Node, Ros2Settings};
 
 use crate::transport::ros::interface::NodeFailure;
 
-/// Participants of this process. Their publishers on the topics of a pipeline are those of its earlier connections.
+/// Participants of this process. Their publishers on the topics of a pipeline belong to its earlier connections.
 static OF_THIS_PROCESS: Mutex<BTreeSet<ParticipantId>> = Mutex::new(BTreeSet::new());
 
 fn of_this_process() -> MutexGuard<'static, BTreeSet<ParticipantId>> {
     OF_THIS_PROCESS.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// Returns whether a participant is one of this process.
+/// Returns whether a participant belongs to this process.
 pub(super) fn is_of_this_process(id: ParticipantId) -> bool {
     of_this_process().contains(&id)
 }
 
-/// A participant of this process. It is known as such until it has left its domain.
+/// A participant of this process. It is registered as such until it has left its domain.
 pub(super) struct Participant {
     /// Present until the participant has left.
     node: Mutex<Option<Arc<Ros2Node>>>,
@@ -33,7 +33,7 @@ impl Participant {
     /// Joins a domain.
     ///
     /// # Errors
-    /// The settings are not valid, or DDS cannot be started.
+    /// If the settings are invalid, or DDS cannot be started.
     pub(super) async fn join(settings: Ros2Settings) -> Result<Self, NodeFailure> {
         let node = Ros2Node::new(settings).await?;
         let id = node.id();
@@ -51,20 +51,20 @@ impl Participant {
         self.node.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Returns the client of DDS.
+    /// Returns the DDS client.
     ///
     /// # Errors
-    /// The participant has left its domain.
+    /// If the participant has left its domain.
     pub(super) fn node(&self) -> Result<Arc<Ros2Node>, NodeFailure> {
         self.lock().clone().ok_or_else(|| NodeFailure("the node of ROS 2 has left its domain".to_owned()))
     }
 
-    /// Returns the text form of the identity, by which other ends recognise messages of this one.
+    /// Returns the text form of the identity, by which other ends recognize messages of this participant.
     pub(super) fn name(&self) -> &str {
         &self.name
     }
 
-    /// Returns the bytes that a socket of this host takes before it is read.
+    /// Returns the size of a receive buffer of this host's sockets. Bytes.
     pub(super) fn receive_buffer_bytes(&self) -> usize {
         self.receive_buffer_bytes
     }

@@ -1,7 +1,13 @@
-//! Publishing of messages in their order, without waiting.
+//! Publisher that keeps the order of messages and never waits.
 //!
-//! `rustdds` sends a message as fast as it can, and what does not fit into a receive buffer is repaired slowly: so little may be
-//! unacknowledged. What finds no room waits in a queue for a task.
+//! `rustdds` sends a message as fast as it can, and repairs slowly what does not fit into a receive buffer. Therefore
+//! only little may be unacknowledged. Messages that find no room wait in a queue for a task.
+//!
+//! A reliable subscription that does not keep up must not stop the others. `rustdds` keeps what it lacks, up to 1,024
+//! messages, and does not write any more then. If other programs subscribe as well, acknowledgments are awaited for at
+//! most 50 ms. The topic is given up after 5 s without room, or with 256 MiB kept; the edge then opens another session.
+//! Messages that a viewer misses are only its own loss. A viewer with *keep last*, the default in ROS 2, acknowledges
+//! what arrived whether or not its program reads it.
 
 use std::collections::VecDeque;
 use std::fmt;
@@ -20,16 +26,16 @@ use tokio_util::sync::CancellationToken;
 use super::publishing_tasks::PublishingTasks;
 use crate::transport::ros::interface::{NodeFailure, SessionPublisher};
 
-/// Timeout of acknowledgments while other programs subscribe as well, which may be slow.
+/// Time limit for acknowledgments while other programs, which may be slow, subscribe as well.
 const WAIT_BESIDE_OTHERS: Duration = Duration::from_millis(50);
 
 /// Longest time without an acknowledgment.
 const MAX_STALL: Duration = Duration::from_secs(5);
 
-/// Bytes that are kept for subscriptions that acknowledge nothing.
+/// Largest number of bytes that are kept for subscriptions that do not acknowledge.
 const MAX_KEPT_BYTES: usize = 256 * 1024 * 1024;
 
-/// A publisher and what waits to be published.
+/// A publisher and its queue.
 pub(super) struct Ros2SessionPublisher {
     shared: Arc<Shared>,
 }
@@ -39,7 +45,7 @@ struct Shared {
     topic: String,
     clock: SharedClock,
     queue: Mutex<Queue>,
-    /// Something was put into the queue, or nothing will be any more.
+    /// Signals that a message was queued, or that the queue was closed.
     changed: Notify,
 }
 
@@ -48,9 +54,9 @@ struct Queue {
     messages: VecDeque<Bytes>,
     bytes: usize,
     most_bytes: usize,
-    /// The task has the oldest message.
+    /// `true` while the task publishes the oldest message.
     is_busy: bool,
-    /// Bytes that were published since everything was acknowledged.
+    /// Bytes published since everything was acknowledged.
     kept_bytes: usize,
     is_closed: bool,
     failure: Option<NodeFailure>,
@@ -79,12 +85,13 @@ impl Ros2SessionPublisher {
         }
         let bytes: usize = messages.iter().map(EncodedMessage::len).sum();
         let is_empty = queue.messages.is_empty() && !queue.is_busy;
+        // One message alone always fits, whatever the limit.
         if !is_empty && queue.bytes.saturating_add(bytes) > queue.most_bytes {
             return Ok(Delivery::Full);
         }
         for message in messages {
             let message = message.clone().into_bytes();
-            // Whoever sends publishes at once if there is room.
+            // The sending task publishes at once if there is room, because a switch to another task would take time.
             if queue.messages.is_empty() && !queue.is_busy && shared.publish(&mut queue, &message)? {
                 continue;
             }
@@ -101,7 +108,7 @@ impl Shared {
         self.queue.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Publishes a message if there is room.
+    /// Publishes a message if there is room. Returns whether it was published.
     fn publish(&self, queue: &mut Queue, message: &Bytes) -> Result<bool, Ros2Error> {
         let published = self.publisher.try_publish(message.clone(), self.clock.wall())?.is_some();
         if published {
@@ -110,7 +117,7 @@ impl Shared {
         Ok(published)
     }
 
-    /// Publishes what is in the queue, and ends when no more comes and all is acknowledged.
+    /// Publishes the queued messages. Ends when the queue is closed and everything is acknowledged.
     async fn run(self: Arc<Self>, stop: CancellationToken) {
         loop {
             let changed = self.changed.notified();
@@ -156,7 +163,7 @@ impl Shared {
             let wait = if others > 1 { WAIT_BESIDE_OTHERS } else { MAX_STALL };
             match timeout(wait, self.publisher.await_acknowledgment(wait)).await {
                 Ok(Ok(())) => self.queue().kept_bytes = 0,
-                // What another program misses is kept for it, but stops nobody.
+                // Messages that another program misses are kept for it, but do not stop the others.
                 Ok(Err(Ros2Error::Unacknowledged { .. })) | Err(_) => self.publisher.forget_unacknowledged(),
                 Ok(Err(error)) => return Err(error.into()),
             }
@@ -201,8 +208,8 @@ impl SessionPublisher for Ros2SessionPublisher {
         }
     }
 
-    // DDS does not tell whether the other end knows the publisher as well: a payload topic is used when companions say so, and a
-    // node that has gone is noticed by the topics of its own.
+    // Always taken. DDS does not say whether the other end has found the publisher as well. A payload topic is used
+    // when companions confirm it, and a node that is gone is noticed by its own topics.
     fn publish_to(&self, _node: &str, messages: &[EncodedMessage]) -> Result<Delivery, NodeFailure> {
         self.offer(messages)
     }

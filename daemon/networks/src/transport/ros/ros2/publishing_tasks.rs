@@ -1,4 +1,4 @@
-//! Tasks of publishers that still have to send.
+//! Tasks of publishers that still have messages to send.
 
 use std::time::Duration;
 
@@ -6,7 +6,7 @@ use tokio::time::timeout;
 use tokio_util::sync::CancellationToken;
 use tokio_util::task::TaskTracker;
 
-/// Tasks of the publishers of a node. Each ends when it has sent what was published.
+/// Tasks of the publishers of a node. Each ends when it has sent all published messages.
 #[derive(Debug, Default)]
 pub(super) struct PublishingTasks {
     tracker: TaskTracker,
@@ -14,7 +14,7 @@ pub(super) struct PublishingTasks {
 }
 
 impl PublishingTasks {
-    /// Starts the task of a publisher, which gets a token that asks it to send what remains and to end.
+    /// Starts the task of a publisher. The task gets a token that asks it to send the remaining messages and to end.
     pub(super) fn spawn<F: Future<Output = ()> + Send + 'static>(
         &self,
         task: impl FnOnce(CancellationToken) -> F,

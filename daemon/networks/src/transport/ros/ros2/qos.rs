@@ -7,13 +7,13 @@ use peernet_ros::ros2::{EndpointRole, QosProfile, Reliability};
 use crate::settings::Ros2SessionSettings;
 use crate::transport::ros::interface::TopicUse;
 
-/// Companions that may be received and not yet handed on: those of a large payload come in many parts.
+/// Number of companions that may be received and not yet handed on. Those of a large payload come in many parts.
 const COMPANION_DEPTH: u32 = 256;
 
-/// Timeout of a payload that is sent once, when its companion has arrived.
+/// Time limit for a best-effort payload whose companion has arrived.
 const BEST_EFFORT_TIMEOUT: Duration = Duration::from_secs(1);
 
-/// Quality of service of the topics of a session: the settings concern payloads only.
+/// Quality of service of the topics of a session. The settings apply to payloads only.
 #[derive(Clone, Debug)]
 pub(super) struct SessionQos {
     reliability: Reliability,
@@ -30,7 +30,7 @@ impl SessionQos {
     /// Returns the profile of an endpoint.
     pub(super) fn profile(&self, role: EndpointRole, topic_use: TopicUse) -> QosProfile {
         match (topic_use, role) {
-            // Always reliable: companions keep account of what becomes of the payloads.
+            // Companions are always reliable, because they detect the loss of payloads.
             (TopicUse::Sessions | TopicUse::Companions, _) => {
                 QosProfile { depth: COMPANION_DEPTH, ..QosProfile::default() }
             }
@@ -40,14 +40,14 @@ impl SessionQos {
                 deadline_ms: self.deadline_ms.map(|ms| ms as f64),
                 ..QosProfile::default()
             },
-            // A deadline is offered and not requested, so that both ends need not agree on one.
+            // The deadline is offered and not requested, so that the two ends need not agree on one.
             (TopicUse::Payloads, EndpointRole::Subscription) => {
                 QosProfile { reliability: self.reliability, depth: self.depth, ..QosProfile::default() }
             }
         }
     }
 
-    /// Returns the timeout of a payload whose companion has arrived, if it is not the default.
+    /// Returns the time limit for a payload whose companion has arrived; `None` for the default.
     pub(super) fn payload_timeout(&self) -> Option<Duration> {
         let is_reliable = self.reliability == Reliability::Reliable;
         let default = (!is_reliable).then_some(BEST_EFFORT_TIMEOUT);

@@ -6,7 +6,7 @@ use peernet_ros::ros2::{ParticipantId, Ros2Node};
 
 use crate::transport::ros::interface::RemoteNode;
 
-/// Returns a text for people that names the nodes of a participant, as `node /viewer`.
+/// Returns a description of a participant for people, with its nodes, such as `node /viewer`.
 pub(super) fn describe(node: &Ros2Node, participant: &str) -> String {
     let known = participant.parse().map(|id: ParticipantId| (node.nodes_of(id), node.host_of(id)));
     let (names, host) = known.unwrap_or_default();
@@ -18,7 +18,8 @@ pub(super) fn describe(node: &Ros2Node, participant: &str) -> String {
     }
 }
 
-/// Returns the name and addresses of a participant. Its host is the one that it announces; ports mean nothing.
+/// Returns the name and the addresses of a participant. Its host is the one that it announces; the ports are
+/// meaningless.
 pub(super) fn remote_node(node: &Ros2Node, id: ParticipantId) -> RemoteNode {
     let loopback = IpAddr::V4(Ipv4Addr::LOCALHOST);
     let remote = SocketAddr::new(node.host_of(id).unwrap_or(loopback), 0);
@@ -26,10 +27,11 @@ pub(super) fn remote_node(node: &Ros2Node, id: ParticipantId) -> RemoteNode {
     RemoteNode { node: id.to_string().into(), local, remote }
 }
 
-/// Returns the address from which packets to another one leave. Nothing is sent.
+/// Returns the local address of packets to `remote`. Sends nothing.
 fn local_address(remote: SocketAddr) -> Option<SocketAddr> {
     let any = if remote.is_ipv4() { "0.0.0.0:0" } else { "[::]:0" };
     let socket = UdpSocket::bind(any).ok()?;
+    // Port 9 is arbitrary: connecting a datagram socket only looks up the route.
     socket.connect(SocketAddr::new(remote.ip(), 9)).ok()?;
     Some(SocketAddr::new(socket.local_addr().ok()?.ip(), 0))
 }

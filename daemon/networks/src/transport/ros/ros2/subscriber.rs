@@ -1,6 +1,6 @@
-//! Receiving of messages as they come.
+//! Subscriber that takes messages out of the cache of `rustdds` at once.
 //!
-//! `rustdds` drops messages that are not read soon, so a task takes them out of its cache at once.
+//! `rustdds` drops messages that are not read soon, so a task takes them as they arrive.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
@@ -21,50 +21,51 @@ use tokio_util::task::AbortOnDropHandle;
 use super::remote::remote_node;
 use super::{Publishers, ros2_name};
 use crate::transport::ros::interface::{
-    NodeFailure, PublisherChanges, Received, RemoteNode, SessionSubscriber,
+    NodeFailure, PublisherChanges, RemoteNode, SessionSubscriber, TopicMessage,
 };
 
-/// Bytes of received messages that wait to be taken. A publisher of ROS 2 cannot be held back: more is dropped.
+/// Largest number of bytes of waiting messages. A ROS 2 publisher cannot be slowed down, so further messages are
+/// dropped.
 const MAX_WAITING_BYTES: usize = 128 * 1024 * 1024;
 
-/// The same, in messages.
+/// Largest number of waiting messages.
 const MAX_WAITING_MESSAGES: usize = 8_192;
 
-/// Publishers that discovery has not found yet.
-const MAX_HEARD: usize = 64;
+/// Largest number of publishers that have sent messages and that discovery has not found yet.
+const MAX_UNMATCHED_WRITERS: usize = 64;
 
 /// Receives a topic.
 pub(super) struct Ros2SessionSubscriber {
     topic: String,
-    messages: mpsc::Receiver<Result<Received, NodeFailure>>,
+    messages: mpsc::Receiver<Result<TopicMessage, NodeFailure>>,
     publishers: Publishers,
-    bounds: Arc<Bounds>,
+    bounds: Arc<SubscriberLimits>,
     _task: AbortOnDropHandle<()>,
 }
 
 #[derive(Debug, Default)]
-struct Bounds {
+struct SubscriberLimits {
     max_message_bytes: AtomicUsize,
     waiting_bytes: AtomicUsize,
 }
 
-/// Why a subscription ended.
+/// Reason why a subscription ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Ended {
+enum SubscriptionEnd {
     ForGood,
     OtherType,
 }
 
 /// State of a subscriber's task.
-struct Receiving {
+struct SubscriberTask {
     node: Arc<Ros2Node>,
     topic: String,
-    /// The only participant whose messages are of use, if that is known.
+    /// The only participant whose messages are wanted, if it is known.
     publisher: Option<Arc<str>>,
     takes_any_type: bool,
-    messages: mpsc::Sender<Result<Received, NodeFailure>>,
+    messages: mpsc::Sender<Result<TopicMessage, NodeFailure>>,
     publishers: watch::Sender<BTreeSet<Arc<str>>>,
-    bounds: Arc<Bounds>,
+    bounds: Arc<SubscriberLimits>,
     /// Participants whose messages arrived.
     known: BTreeMap<ParticipantId, RemoteNode>,
 }
@@ -83,7 +84,7 @@ impl Ros2SessionSubscriber {
         })
     }
 
-    /// Receives messages of the type that the publisher gives the topic, once it is there.
+    /// Receives messages of the type that the publisher gives the topic, once the publisher is there.
     pub(super) fn of_any_type(
         node: &Arc<Ros2Node>,
         topic: &str,
@@ -97,7 +98,7 @@ impl Ros2SessionSubscriber {
                 let type_name = receiving.payload_type().await;
                 match receiving.node.subscription(&receiving.topic, &ros2_name(type_name), &qos) {
                     Ok(subscription) => {
-                        if receiving.run(subscription, type_name.into()).await == Ended::ForGood {
+                        if receiving.run(subscription, type_name.into()).await == SubscriptionEnd::ForGood {
                             return;
                         }
                     }
@@ -111,13 +112,13 @@ impl Ros2SessionSubscriber {
         node: &Arc<Ros2Node>,
         topic: String,
         options: &SubscriberOptions,
-        run: impl FnOnce(Receiving) -> F,
+        run: impl FnOnce(SubscriberTask) -> F,
     ) -> Self {
         let ((sender, messages), (found, publishers)) =
             (mpsc::channel(MAX_WAITING_MESSAGES), watch::channel(BTreeSet::new()));
-        let bounds = Arc::new(Bounds::default());
+        let bounds = Arc::new(SubscriberLimits::default());
         bounds.max_message_bytes.store(options.max_message_bytes, Ordering::Relaxed);
-        let receiving = Receiving {
+        let receiving = SubscriberTask {
             node: Arc::clone(node),
             topic: topic.clone(),
             publisher: options.publisher.clone(),
@@ -131,15 +132,15 @@ impl Ros2SessionSubscriber {
         Self { topic, messages, publishers, bounds, _task: task }
     }
 
-    fn taken(&self, message: Result<Received, NodeFailure>) -> Result<Received, NodeFailure> {
+    fn taken(&self, message: Result<TopicMessage, NodeFailure>) -> Result<TopicMessage, NodeFailure> {
         let bytes = message.as_ref().map_or(0, |message| message.bytes.len());
         self.bounds.waiting_bytes.fetch_sub(bytes, Ordering::Relaxed);
         message
     }
 }
 
-impl Receiving {
-    /// The types that the publisher gives the topic now, of those that payloads have.
+impl SubscriberTask {
+    /// Returns the types of payloads that the publisher gives the topic at present.
     fn payload_types(&self) -> Vec<&'static str> {
         let types =
             [Image::DEFINITION.name, CompressedImage::DEFINITION.name, UInt8MultiArray::DEFINITION.name];
@@ -153,7 +154,7 @@ impl Receiving {
         found.filter_map(|found| types.into_iter().find(|kind| ros2_name(kind) == found.type_name)).collect()
     }
 
-    /// Waits for a publisher of payloads; returns the type that it gives the topic.
+    /// Waits for a publisher of payloads. Returns the type that it gives the topic.
     async fn payload_type(&self) -> &'static str {
         let mut changes = self.node.discovery_changes();
         loop {
@@ -166,11 +167,12 @@ impl Receiving {
         }
     }
 
-    /// Receives until there are publishers of another type only, or until the subscriber is dropped.
-    async fn run(&mut self, mut subscription: Ros2Subscription, type_name: Arc<str>) -> Ended {
+    /// Receives until there are only publishers of another type, or until the subscriber is dropped.
+    async fn run(&mut self, mut subscription: Ros2Subscription, type_name: Arc<str>) -> SubscriptionEnd {
         let mut peers = subscription.peers();
-        // Messages may come before discovery tells of their publisher, and after it tells that an earlier one has gone.
-        let mut heard: BTreeSet<EndpointId> = BTreeSet::new();
+        // Messages may arrive before discovery finds their publisher, and after it reports that an earlier one has
+        // gone.
+        let mut unmatched_writers: BTreeSet<EndpointId> = BTreeSet::new();
         loop {
             let (matched, is_refused) = {
                 let peers = peers.borrow_and_update();
@@ -179,12 +181,15 @@ impl Receiving {
             if matched.is_empty() && is_refused && self.takes_any_type {
                 let types = self.payload_types();
                 if !types.is_empty() && !types.contains(&&*type_name) {
-                    return Ended::OtherType;
+                    return SubscriptionEnd::OtherType;
                 }
             }
-            heard.retain(|id| !matched.contains(id));
-            let names: BTreeSet<Arc<str>> =
-                matched.iter().chain(&heard).map(|id| self.remote(id.participant()).node).collect();
+            unmatched_writers.retain(|id| !matched.contains(id));
+            let names: BTreeSet<Arc<str>> = matched
+                .iter()
+                .chain(&unmatched_writers)
+                .map(|id| self.remote(id.participant()).node)
+                .collect();
             self.publishers.send_if_modified(|known| {
                 let is_changed = *known != names;
                 *known = names;
@@ -194,21 +199,22 @@ impl Receiving {
                 message = subscription.receive() => message,
                 changed = peers.changed() => match changed {
                     Ok(()) => continue,
-                    Err(_) => return Ended::ForGood,
+                    Err(_) => return SubscriptionEnd::ForGood,
                 },
             };
             let message = match message {
                 Ok(message) => message,
                 Err(error) => {
                     self.fail(error.into()).await;
-                    return Ended::ForGood;
+                    return SubscriptionEnd::ForGood;
                 }
             };
-            if !matched.contains(&message.writer) && heard.len() < MAX_HEARD {
-                heard.insert(message.writer);
+            if !matched.contains(&message.writer) && unmatched_writers.len() < MAX_UNMATCHED_WRITERS {
+                unmatched_writers.insert(message.writer);
             }
             let (bytes, waiting) = (message.payload.len(), self.bounds.waiting_bytes.load(Ordering::Relaxed));
             let longest = self.bounds.max_message_bytes.load(Ordering::Relaxed);
+            // Dropped: a ROS 2 publisher cannot be slowed down, and the queue must not grow.
             if bytes > longest || waiting.saturating_add(bytes) > MAX_WAITING_BYTES {
                 tracing::debug!(
                     topic = subscription.topic(),
@@ -222,14 +228,14 @@ impl Receiving {
             let publisher = self.remote(message.writer.participant());
             let memory = MessageMemory::default();
             let received =
-                Received { bytes: message.payload, publisher, type_name: Arc::clone(&type_name), memory };
+                TopicMessage { bytes: message.payload, publisher, type_name: Arc::clone(&type_name), memory };
             match self.messages.try_send(Ok(received)) {
                 Ok(()) => {}
                 Err(TrySendError::Full(_)) => {
                     self.bounds.waiting_bytes.fetch_sub(bytes, Ordering::Relaxed);
                     tracing::debug!(topic = subscription.topic(), bytes, "a message of ROS 2 is dropped");
                 }
-                Err(TrySendError::Closed(_)) => return Ended::ForGood,
+                Err(TrySendError::Closed(_)) => return SubscriptionEnd::ForGood,
             }
         }
     }
@@ -239,7 +245,7 @@ impl Receiving {
     }
 
     async fn fail(&self, failure: NodeFailure) {
-        // Nobody receives any more if it cannot be told.
+        // Fails if nothing receives any more.
         let _ = self.messages.send(Err(failure)).await;
     }
 }
@@ -255,7 +261,7 @@ impl SessionSubscriber for Ros2SessionSubscriber {
         &self.topic
     }
 
-    fn recv(&mut self) -> BoxFuture<'_, Result<Received, NodeFailure>> {
+    fn recv(&mut self) -> BoxFuture<'_, Result<TopicMessage, NodeFailure>> {
         let receive = async {
             let ended = || Err(NodeFailure(format!("topic {} has ended", self.topic)));
             let message = self.messages.recv().await.unwrap_or_else(ended);
@@ -264,7 +270,7 @@ impl SessionSubscriber for Ros2SessionSubscriber {
         receive.boxed()
     }
 
-    fn try_recv(&mut self) -> Option<Received> {
+    fn try_recv(&mut self) -> Option<TopicMessage> {
         let message = self.messages.try_recv().ok()?;
         self.taken(message).ok()
     }
@@ -276,23 +282,23 @@ impl SessionSubscriber for Ros2SessionSubscriber {
     fn watch(&self) -> Box<dyn PublisherChanges> {
         let mut publishers = self.publishers.clone();
         publishers.mark_unchanged();
-        Box::new(Changes(publishers))
+        Box::new(WatchedPublishers(publishers))
     }
 
-    // Memory is counted when frames are made of a message; rustdds cannot be told to take less.
+    // The memory is reserved when frames are made of a message; `rustdds` has no limit that could be set.
     fn set_message_limits(&self, max_message_bytes: usize, _memory: Option<Arc<dyn MemoryLimit>>) {
         self.bounds.max_message_bytes.store(max_message_bytes, Ordering::Relaxed);
     }
 }
 
-struct Changes(Publishers);
+struct WatchedPublishers(Publishers);
 
-impl PublisherChanges for Changes {
+impl PublisherChanges for WatchedPublishers {
     fn changed(&self) -> BoxFuture<'_, ()> {
         let mut publishers = self.0.clone();
         let changed = async move {
             if publishers.changed().await.is_err() {
-                // The subscriber has ended; its own receiving tells why.
+                // The subscriber has ended; its own `recv` returns the reason.
                 std::future::pending::<()>().await;
             }
         };

@@ -13,7 +13,7 @@ fn allowance(stage: Stage) -> Allowance {
     }
 }
 
-/// A framer whose greeting has come.
+/// Returns a framer that has received the greeting.
 fn greeted(allowance: &Allowance) -> Framer {
     let mut framer = Framer::new(allowance);
     let mut out = Vec::new();
@@ -28,7 +28,7 @@ fn frame(flags: u8, body: &[u8]) -> Vec<u8> {
     frame
 }
 
-/// The header of a frame that claims so many bytes.
+/// Returns the header of a frame that claims `claimed` bytes.
 fn header(flags: u8, claimed: u64) -> Vec<u8> {
     match u8::try_from(claimed) {
         Ok(short) => vec![flags, short],
@@ -37,7 +37,7 @@ fn header(flags: u8, claimed: u64) -> Vec<u8> {
 }
 
 #[test]
-fn a_claim_reserves_no_memory_before_bytes_arrive() {
+fn claimed_length_reserves_no_memory() {
     let allowance = allowance(Stage::Admitted);
     let mut framer = greeted(&allowance);
     framer.input(&header(0, 1_000_000), &allowance, &mut Vec::new()).expect("is allowed");
@@ -64,7 +64,7 @@ fn claims_before_the_hello_are_refused_above_64_kib() {
 }
 
 #[test]
-fn an_exhausted_budget_ends_the_connection_that_needs_more() {
+fn exhausted_budget_ends_connection_needing_more() {
     let allowance = allowance(Stage::Admitted);
     let mut framers: Vec<Framer> = (0..5).map(|_| greeted(&allowance)).collect();
     let unfinished = [header(0, 1_000_000), vec![1; 999_999]].concat();
@@ -80,7 +80,7 @@ fn an_exhausted_budget_ends_the_connection_that_needs_more() {
 }
 
 #[test]
-fn memory_of_a_message_is_held_until_it_is_dropped() {
+fn memory_is_reserved_until_message_is_dropped() {
     let allowance = allowance(Stage::Admitted);
     let mut framer = greeted(&allowance);
     let mut out = Vec::new();
@@ -93,7 +93,7 @@ fn memory_of_a_message_is_held_until_it_is_dropped() {
 }
 
 #[test]
-fn a_long_frame_is_read_into_its_own_buffer() {
+fn long_frame_is_read_into_own_buffer() {
     let allowance = allowance(Stage::Admitted);
     let mut framer = greeted(&allowance);
     let mut out = Vec::new();
@@ -107,7 +107,7 @@ fn a_long_frame_is_read_into_its_own_buffer() {
     }
     assert_eq!(out.last().map(|piece| (piece.bytes.len(), piece.message.is_some())), Some((300_000, true)));
     assert_eq!(reads, 5, "64 KiB each");
-    // The next of its length has its whole buffer at once.
+    // The next frame of this length gets its whole buffer at once.
     framer.input(&header(0, 300_000), &allowance, &mut out).expect("is allowed");
     let room =
         framer.direct_buffer(&allowance).expect("there is memory").map(|buffer| buffer.remaining_mut());
@@ -116,7 +116,7 @@ fn a_long_frame_is_read_into_its_own_buffer() {
 
 proptest! {
     #[test]
-    fn frames_come_out_as_they_went_in_however_they_are_cut(
+    fn frames_are_read_from_any_chunks(
         frames in proptest::collection::vec((any::<bool>(), 0..70_000_usize), 1..8),
         cuts in proptest::collection::vec(1..40_000_usize, 1..40),
     ) {
@@ -139,7 +139,7 @@ proptest! {
     }
 
     #[test]
-    fn arbitrary_bytes_hold_no_more_than_their_budget(
+    fn arbitrary_bytes_stay_within_memory_budget(
         chunks in proptest::collection::vec(proptest::collection::vec(any::<u8>(), 0..3_000), 0..40),
         stage in prop_oneof![Just(Stage::Handshake), Just(Stage::Unadmitted), Just(Stage::Admitted)],
     ) {

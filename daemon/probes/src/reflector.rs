@@ -1,4 +1,4 @@
-//! The reflector's socket.
+//! The reflector: receives requests and sends answers, with its socket.
 
 use std::collections::VecDeque;
 use std::io;
@@ -9,51 +9,51 @@ use peernet_clock::{Interval, RawTime, SharedClock, WallTime};
 use tokio::sync::watch;
 use tokio_util::sync::CancellationToken;
 
-use crate::complaints::Complaints;
+use crate::refusal_log::RefusalLog;
 use crate::socket::{ProbeSocket, Received, Token};
 use crate::stamp::kernel::KernelStamp;
-use crate::stamp::reflector::{Arrival, Reflecting, SessionId};
-use crate::stamp::uncertainty::AGREEMENT;
+use crate::stamp::reflector::{Arrival, ReflectorState, SessionId};
+use crate::stamp::uncertainty::ORDER_TOLERANCE;
 use crate::{Key, ReflectorFigures, Refusal, Stamps};
 
-/// The largest packet that UDP carries.
+/// Largest packet of UDP. Bytes.
 const MAX_PACKET: usize = 65_535;
 
-/// Errors in a row after which a socket counts as lost.
+/// Number of successive errors after which the socket counts as lost.
 const MAX_FAILURES: u32 = 100;
 
-/// Stamps of departures that are waited for at most.
+/// Largest number of awaited departure stamps.
 const MAX_DEPARTING: usize = 1024;
 
-/// Looks at both clocks that are remembered at most.
-const MAX_LOOKS: usize = 8;
+/// Largest number of remembered comparisons of the two clocks.
+const MAX_COMPARISONS: usize = 8;
 
-/// How a reflector works.
+/// Configuration of a reflector.
 #[derive(Clone, Debug)]
 pub struct ReflectorConfig {
-    /// Where it listens.
+    /// Address to listen on.
     pub listen: SocketAddr,
-    /// With a key, only requests that it authenticates are answered; without, only unauthenticated ones.
+    /// Key that requests must be authenticated by. `None` answers unauthenticated requests.
     pub key: Option<Key>,
-    /// The key that peers are given with their session. Where there is no [`key`](Self::key) that all must have, requests that
-    /// it authenticates get authenticated answers, and unauthenticated ones are answered as they are.
+    /// Key that peers get with their session. It is used if there is no [`key`](Self::key). Requests that it
+    /// authenticates get authenticated answers; unauthenticated requests get unauthenticated answers.
     pub session_key: Option<Key>,
-    /// A number that this process chose at random: answers tell it, so that a prober knows whose clock they are of.
+    /// Random number of this process. Answers carry it, so that a prober knows whose clock they are of.
     pub instance: u64,
-    /// Most answers per second to one source: an IPv4 address, or an IPv6 network of 64 bits. All sources that have no
-    /// session ([`Reflector::peers`]) get at most ten times as many together.
+    /// Largest number of answers per second to one source: an IPv4 address, or an IPv6 network of 64 bits. All sources
+    /// without a session ([`Reflector::peers`]) together get at most ten times as many.
     pub max_per_source_hz: u32,
-    /// Where packet stamps are made.
+    /// Source of the packet stamps.
     pub stamps: Stamps,
-    /// Whether sessions are told apart (RFC 8762, section 4): replies are numbered by themselves, so that losses have
-    /// a direction, and tell when the previous reply really left.
+    /// `true` if sessions are distinguished (RFC 8762, section 4). Replies then have numbers of their own, so that
+    /// losses have a direction, and report when the previous reply really left.
     pub stateful: bool,
 }
 
-/// Why a reflector could not be bound.
+/// Reason why a reflector could not be bound.
 #[derive(Debug, thiserror::Error)]
 pub enum BindError {
-    /// Another program has the port.
+    /// Another program uses the port.
     #[error(
         "cannot listen for probes on {0}: the port is in use; stop the other program or configure another port"
     )]
@@ -61,72 +61,73 @@ pub enum BindError {
     /// Ports below 1024 need a capability.
     #[error("cannot listen for probes on {0}: not permitted; grant CAP_NET_BIND_SERVICE or use port 8620")]
     NotPermitted(SocketAddr),
-    /// The address is none of this machine.
+    /// The address does not belong to this machine.
     #[error(
         "cannot listen for probes on {0}: this machine has no such address; use one of its own, or 0.0.0.0 or [::]"
     )]
     NoSuchAddress(SocketAddr),
-    /// Anything else.
+    /// Another error.
     #[error("cannot listen for probes on {listen}: {error}")]
     Other {
-        /// Where.
+        /// Address to listen on.
         listen: SocketAddr,
-        /// What the system said.
+        /// Error of the system.
         error: io::Error,
     },
 }
 
-/// A reflector cannot receive from its socket any more.
+/// Error: a reflector cannot receive from its socket any more.
 #[derive(Debug, thiserror::Error)]
 #[error("cannot receive probes on {listen} any more: {error}")]
 pub struct ReceiveError {
-    /// Where it listened.
+    /// Address it listened on.
     pub listen: SocketAddr,
-    /// What the system said.
+    /// Error of the system.
     pub error: io::Error,
 }
 
-/// Answers probes (the session-reflector of RFC 8762).
+/// Answers probes (session-reflector of RFC 8762).
 ///
-/// It is of no use for attacks: an answer has the length of its request, each source has a limit, all sources without a
-/// session have one together, with a key the rest of the world gets nothing, and what looks like a reply is never answered, so that two reflectors (or a reflector and
-/// an echo service) cannot be set on each other. It keeps a bounded memory of sources and sessions.
+/// A reflector is useless for attacks on third parties: an answer has the length of its request, each source has a rate
+/// limit, and all sources without a session share another one. With a key, strangers get no answer. A packet that looks
+/// like a reply is never answered, so that two reflectors, or a reflector and an echo service, cannot form a loop. The
+/// memory for sources and sessions is bounded.
 #[derive(Debug)]
 pub struct Reflector {
     socket: ProbeSocket,
-    logic: Reflecting,
+    logic: ReflectorState,
     clock: SharedClock,
     figures: ReflectorFigures,
     peers: watch::Sender<Vec<IpAddr>>,
-    /// Replies whose stamp of departure may still come.
-    departing: VecDeque<Departing>,
-    /// The latest looks at both clocks, the newest last.
-    looks: VecDeque<Look>,
-    complaints: Complaints,
+    /// Replies whose departure stamps may still come.
+    departing: VecDeque<DepartingReply>,
+    /// Latest comparisons of the two clocks, oldest first.
+    comparisons: VecDeque<ClockComparison>,
+    refusal_log: RefusalLog,
 }
 
-/// A reply whose stamp of departure may still come.
+/// A reply whose departure stamp may still come.
 #[derive(Debug)]
-struct Departing {
+struct DepartingReply {
     token: Token,
     session: SessionId,
     sequence: u32,
-    /// How far the wall clock was ahead before it was sent.
+    /// Difference wall clock minus free-running clock before the reply was sent.
     ahead: Interval,
 }
 
-/// How far the wall clock was ahead, and a time thereafter.
+/// A comparison of the two clocks: the difference wall clock minus free-running clock, and a time after it was read.
 #[derive(Clone, Copy, Debug)]
-struct Look {
+struct ClockComparison {
     at: RawTime,
     ahead: Interval,
 }
 
 impl Reflector {
-    /// Binds the socket. Call it inside a tokio runtime.
+    /// Binds the socket. Must be called inside a tokio runtime.
     ///
     /// # Errors
-    /// When the address cannot be had; the error says what to do.
+    /// If the address cannot be bound. The error says what to do.
     pub fn bind(config: ReflectorConfig, clock: SharedClock) -> Result<Self, BindError> {
         let listen = config.listen;
         // Only a session remembers when its last reply left.
@@ -140,45 +141,50 @@ impl Reflector {
         })?;
         Ok(Self {
             socket,
-            complaints: Complaints::new(config.key.is_some()),
-            logic: Reflecting::new(config.key, config.instance, config.max_per_source_hz, config.stateful)
-                .with_session_key(config.session_key),
+            refusal_log: RefusalLog::new(config.key.is_some()),
+            logic: ReflectorState::new(
+                config.key,
+                config.instance,
+                config.max_per_source_hz,
+                config.stateful,
+            )
+            .with_session_key(config.session_key),
             clock,
             figures: ReflectorFigures::default(),
             peers: watch::Sender::default(),
             departing: VecDeque::new(),
-            looks: VecDeque::new(),
+            comparisons: VecDeque::new(),
         })
     }
 
-    /// Where it listens, with the port that was really given.
+    /// Returns the address of the socket, with the actual port.
     pub fn address(&self) -> SocketAddr {
         self.socket.address()
     }
 
-    /// What it did; stays valid while it runs.
+    /// Returns a handle to the counters, which remains valid while the reflector runs.
     pub fn figures(&self) -> ReflectorFigures {
         self.figures.clone()
     }
 
-    /// Where to send the addresses of all peers that have a session with this host, whenever they change: forged source
-    /// addresses cannot use up what these are answered.
+    /// Returns a sender for the addresses of all peers that have a session with this host. It is to be used whenever
+    /// they change. Forged source addresses cannot use up the answers to these peers.
     pub fn peers(&self) -> watch::Sender<Vec<IpAddr>> {
         self.peers.clone()
     }
 
-    /// In words where its packet stamps are made, as [`Prober::stamps_in_words`](crate::Prober::stamps_in_words).
+    /// Returns the source of the packet stamps, as [`Prober::stamps_in_words`](crate::Prober::stamps_in_words) does.
     pub fn stamps_in_words(&self) -> &'static str {
         self.socket.stamps_in_words()
     }
 
-    /// Answers until stopped.
+    /// Answers requests until stopped.
     ///
     /// # Errors
-    /// Only when the socket is lost.
+    /// If the socket is lost.
     pub async fn run(mut self, stop: CancellationToken) -> Result<(), ReceiveError> {
         self.socket.check().await;
-        self.look();
+        self.compare_clocks();
         let mut buffer = vec![0; MAX_PACKET];
         let mut failures = 0;
         let mut peers = self.peers.subscribe();
@@ -192,7 +198,7 @@ impl Reflector {
                     self.logic.set_peers(&peers.borrow_and_update());
                     None
                 }
-                // Before the next request, which asks for it.
+                // Before the next request, whose answer reports the stamp.
                 departure = self.socket.departure() => match departure {
                     Ok((token, left)) => {
                         self.departed(token, left);
@@ -206,7 +212,7 @@ impl Reflector {
                             Ok(()) => self.figures.count_answered(),
                             Err(why) => {
                                 self.figures.count_refused(why);
-                                self.complain(why, received.source);
+                                self.log_refusal(why, received.source);
                             }
                         }
                         None
@@ -214,7 +220,7 @@ impl Reflector {
                     Err(error) => Some(error),
                 },
             };
-            // The system reports trouble of single packets here too.
+            // The system also reports errors of single packets on receiving.
             match failed {
                 None => failures = 0,
                 Some(error) if failures < MAX_FAILURES => {
@@ -228,8 +234,8 @@ impl Reflector {
         }
     }
 
-    fn complain(&mut self, why: Refusal, source: SocketAddr) {
-        if let Some((count, advice)) = self.complaints.due(why, self.clock.mono()) {
+    fn log_refusal(&mut self, why: Refusal, source: SocketAddr) {
+        if let Some((count, advice)) = self.refusal_log.due(why, self.clock.mono()) {
             let (why, listen) = (why.in_words(), self.address());
             tracing::warn!(
                 %source, %listen, count,
@@ -240,22 +246,23 @@ impl Reflector {
 
     async fn answer(&mut self, packet: &mut [u8], received: &Received) -> Result<(), Refusal> {
         let read = self.clock.stamp();
-        let kernel = received.kernel.filter(|stamp| *stamp <= read.wall + AGREEMENT);
+        let kernel = received.kernel.filter(|stamp| *stamp <= read.wall + ORDER_TOLERANCE);
         if kernel.is_none() && received.kernel.is_some() {
-            // Of another clock, or the clock was set back in between.
+            // The stamp is of another clock, or the clock was set back in between.
             self.socket.check().await;
         }
-        let before = kernel.and_then(|stamp| self.ahead_before(stamp));
-        let ahead = self.look();
+        let before = kernel.and_then(|stamp| self.difference_before(stamp));
+        let ahead = self.compare_clocks();
         let latest = |stamp| before.map(|before| KernelStamp::between(stamp, before, ahead).latest);
         let arrival = Arrival {
             source: received.source,
             received: kernel.unwrap_or(read.wall),
-            // The program's read is the outer bound, which the kernel's stamp may narrow.
+            // The program's reading is the outer bound, which the kernel's stamp may narrow.
             received_raw: kernel.and_then(latest).map_or(read.raw, |latest| latest.min(read.raw)),
             now: read.mono,
         };
         let answer = self.logic.prepare(packet, &arrival)?;
+        // The answer comes from the address that was asked, if the system reported it.
         let from = (!received.local.ip().is_unspecified()).then_some(received.local);
         let stamp = self.logic.complete(&answer, packet, &*self.clock);
         let sent = self.socket.send(packet, from, received.source, Duration::ZERO).await;
@@ -269,39 +276,41 @@ impl Reflector {
                 self.departing.pop_front();
             }
             let (session, sequence) = (answer.session(), answer.sequence());
-            self.departing.push_back(Departing { token, session, sequence, ahead });
+            self.departing.push_back(DepartingReply { token, session, sequence, ahead });
         }
         Ok(())
     }
 
     fn departed(&mut self, token: Token, left: Option<WallTime>) {
-        // Stamps come in the order of departure; those of dropped packets never do.
+        // Stamps come in the order of departure. Those of dropped packets never come.
         let Some(found) = self.departing.iter().position(|departing| departing.token == token) else {
             return;
         };
         let named = self.departing.drain(..=found).next_back();
-        if let (Some(Departing { session, sequence, ahead, .. }), Some(left)) = (named, left) {
-            let left_raw = KernelStamp::between(left, ahead, self.look()).earliest;
+        if let (Some(DepartingReply { session, sequence, ahead, .. }), Some(left)) = (named, left) {
+            let left_raw = KernelStamp::between(left, ahead, self.compare_clocks()).earliest;
             self.logic.departed(&session, sequence, left, left_raw);
         }
     }
 
-    /// Looks how far the wall clock is ahead, and remembers it.
-    fn look(&mut self) -> Interval {
+    /// Compares the two clocks, and remembers and returns the difference.
+    fn compare_clocks(&mut self) -> Interval {
         let ahead = self.clock.wall_ahead();
         let at = self.clock.raw();
-        if self.looks.len() >= MAX_LOOKS {
-            self.looks.pop_front();
+        if self.comparisons.len() >= MAX_COMPARISONS {
+            self.comparisons.pop_front();
         }
-        self.looks.push_back(Look { at, ahead });
+        self.comparisons.push_back(ClockComparison { at, ahead });
         ahead
     }
 
-    /// How far the wall clock was ahead at the newest look that was certainly before the kernel's stamp; `None` where all that are
-    /// remembered may have been after it.
-    fn ahead_before(&self, stamp: WallTime) -> Option<Interval> {
-        let newest = self.looks.back()?.ahead;
-        let is_before = |look: &&Look| look.at < KernelStamp::between(stamp, look.ahead, newest).earliest;
-        self.looks.iter().rev().find(is_before).map(|look| look.ahead)
+    /// Returns the difference of the clocks at the newest comparison that was certainly before the kernel's stamp.
+    /// `None` if all remembered ones may have been after it.
+    fn difference_before(&self, stamp: WallTime) -> Option<Interval> {
+        let newest = self.comparisons.back()?.ahead;
+        let is_before = |comparison: &&ClockComparison| {
+            comparison.at < KernelStamp::between(stamp, comparison.ahead, newest).earliest
+        };
+        self.comparisons.iter().rev().find(is_before).map(|comparison| comparison.ahead)
     }
 }

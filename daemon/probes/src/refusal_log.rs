@@ -1,34 +1,35 @@
-//! What is told of refused probes: enough to find the mistake, not so much that anyone could fill a log.
+//! Log lines about refused probes, at a limited rate. They say enough to find the mistake, and no sender can fill a
+//! log.
 
 use peernet_clock::{MonoTime, Span};
 
 use crate::Refusal;
 
-/// One reason is told at most so often, whoever it concerns.
-const EVERY: Span = Span::from_seconds(60);
+/// Shortest interval between two log lines with the same reason, whoever it concerns.
+const LOG_INTERVAL: Span = Span::from_seconds(60);
 
-/// When each reason was told last, and how many probes were refused for it since.
+/// Time of the last log line of each reason, and the number of probes refused for it since then.
 #[derive(Debug)]
-pub(crate) struct Complaints {
+pub(crate) struct RefusalLog {
     key: bool,
     reasons: [(Option<MonoTime>, u64); Refusal::ALL.len()],
 }
 
-impl Complaints {
-    /// Of a reflector with or without a key.
+impl RefusalLog {
+    /// Creates the state for a reflector with or without a key.
     pub(crate) fn new(key: bool) -> Self {
         Self { key, reasons: [(None, 0); Refusal::ALL.len()] }
     }
 
-    /// Counts a refused probe. If it is time to tell the reason: how many there were since it was told last, and what
-    /// to do about it.
+    /// Counts a refused probe. If a log line is due, returns the number of probes refused for this reason since the
+    /// last one, and the advice.
     pub(crate) fn due(&mut self, why: Refusal, now: MonoTime) -> Option<(u64, &'static str)> {
-        let (told, count) = &mut self.reasons[why as usize];
+        let (logged, count) = &mut self.reasons[why as usize];
         *count += 1;
-        if told.is_some_and(|told| now - told < EVERY) {
+        if logged.is_some_and(|logged| now - logged < LOG_INTERVAL) {
             return None;
         }
-        *told = Some(now);
+        *logged = Some(now);
         let count = std::mem::take(count);
         let advice = match (why, self.key) {
             (Refusal::Short, true) => {
@@ -57,24 +58,24 @@ mod tests {
     use super::*;
 
     #[test]
-    fn each_reason_is_told_once_a_minute_and_names_the_key_where_that_is_the_matter() {
+    fn each_reason_is_logged_once_a_minute() {
         let clock = ManualClock::new(WallTime::from_unix_nanos(0), ClockIdentity::new("boot", "clock"));
-        let mut complaints = Complaints::new(true);
-        let mut told = Vec::new();
+        let mut refusal_log = RefusalLog::new(true);
+        let mut logged = Vec::new();
         for _ in 0..1_210 {
-            told.extend(complaints.due(Refusal::Short, clock.mono()));
+            logged.extend(refusal_log.due(Refusal::Short, clock.mono()));
             clock.advance(Span::from_millis(100));
         }
-        let counts: Vec<u64> = told.iter().map(|(count, _)| *count).collect();
-        assert_eq!(counts, [1, 600, 600], "{told:?}");
-        assert!(told.iter().all(|(_, advice)| advice.contains("key_file")), "{told:?}");
-        assert!(complaints.due(Refusal::Unauthenticated, clock.mono()).is_some(), "another reason");
+        let counts: Vec<u64> = logged.iter().map(|(count, _)| *count).collect();
+        assert_eq!(counts, [1, 600, 600], "{logged:?}");
+        assert!(logged.iter().all(|(_, advice)| advice.contains("key_file")), "{logged:?}");
+        assert!(refusal_log.due(Refusal::Unauthenticated, clock.mono()).is_some(), "another reason");
         assert!(
-            complaints
+            refusal_log
                 .due(Refusal::TooOften, clock.mono())
                 .is_some_and(|(_, advice)| !advice.contains("key"))
         );
-        let advice = Complaints::new(false).due(Refusal::Short, clock.mono());
+        let advice = RefusalLog::new(false).due(Refusal::Short, clock.mono());
         assert!(advice.is_some_and(|(_, advice)| !advice.contains("key")), "{advice:?}");
     }
 }
