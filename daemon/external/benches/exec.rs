@@ -1,4 +1,4 @@
-//! What a call of an external program costs, all in all: the program, in C, answers with what it got.
+//! Benchmark of calls of an external program: a program in C that answers with the received bytes.
 //!
 //!     cargo bench -p peernet-external --bench exec -- [--json] [ROUNDS]
 
@@ -51,7 +51,7 @@ fn main() {
     }
 }
 
-/// From request to reply: p50 and p99, in seconds.
+/// Measures the time from request to reply; returns its p50 and p99 in seconds.
 fn call(config: &ExecConfig, size: usize, rounds: usize) -> [f64; 2] {
     let clock: SharedClock = Arc::new(SystemClock::new(ClockIdentity::new("bench", ClockIdentity::SYSTEM)));
     let mut program = Program::start(config, Role::Model, "bench", &clock).expect("it starts");

@@ -1,9 +1,9 @@
-//! What a call of a Python object costs beyond the user's code, beside the same bytes through bare pipes.
+//! Benchmark of calls of a Python object without the user's code, compared with the same bytes through bare pipes.
 //!
 //!     cargo bench -p peernet-external --bench python -- [--json] [ROUNDS]
 //!
-//! *bytes* and *array* go to an object that answers with what it got; *cat* is the same process frame around `cat`, the
-//! least that two pipes and two changes of process cost.
+//! *bytes* and *array* are passed to an object that returns its argument. *cat* is the same process harness around
+//! `cat`: the least that two pipes and two process switches cost.
 
 use std::fs;
 use std::sync::Arc;
@@ -51,7 +51,7 @@ fn main() {
     }
 }
 
-/// The border's share of each call: p50 and p99, in seconds.
+/// Measures the time of each call outside the user's code; returns its p50 and p99 in seconds.
 fn echo(part: &Part, rounds: usize, clock: &SharedClock) -> [f64; 2] {
     let folder = tempfile::tempdir().expect("there is room for a folder");
     fs::write(folder.path().join("echo.py"), ECHO).expect("it can be written");

@@ -1,4 +1,4 @@
-//! SHA-256 of files, by which others recognise that they have the same.
+//! SHA-256 of files, by which two runs can be recognised as using the same files.
 
 use std::fs::{File, Metadata};
 use std::io::{self, Read};
@@ -9,13 +9,13 @@ use sha2::{Digest, Sha256};
 
 use peernet_sample::printable_line;
 
-/// Bytes of the largest file of a user's code that is hashed: 256 MiB.
+/// Size of the largest file of users' code that is hashed, bytes (256 MiB).
 const LARGEST: u64 = 256 << 20;
 
-/// SHA-256 (FIPS 180-4) of all that is read, in hexadecimal.
+/// Returns the SHA-256 (FIPS 180-4) of everything that `from` yields, in hexadecimal.
 ///
 /// # Errors
-/// When reading fails.
+/// If reading fails.
 pub fn sha256(mut from: impl Read) -> io::Result<String> {
     let mut hasher = Sha256::new();
     let mut buffer = vec![0; 1 << 16];
@@ -30,13 +30,14 @@ pub fn sha256(mut from: impl Read) -> io::Result<String> {
     Ok(hasher.finalize().iter().map(|byte| format!("{byte:02x}")).collect())
 }
 
-/// The fact (`Sensor files`, `camera.py SHA-256 …`) of some files; `None` of none.
+/// Returns the name and value of a run's fact about files (`Sensor files`, `camera.py SHA-256 …`); `None` without
+/// files.
 pub(crate) fn fact(role: &str, files: &[PathBuf]) -> Option<(String, String)> {
     let words: Vec<String> = files.iter().map(|file| identified(file)).collect();
     (!words.is_empty()).then(|| (format!("{role} files"), words.join(", ")))
 }
 
-/// A file with its hash, in words: `camera.py SHA-256 …`, or why it has none.
+/// Returns a file's name with its hash (`camera.py SHA-256 …`) or with the reason that it has none.
 pub fn identified(file: &Path) -> String {
     let name = file.display().to_string();
     let name = printable_line(&name);
@@ -47,20 +48,21 @@ pub fn identified(file: &Path) -> String {
 }
 
 fn hashed(file: &Path) -> io::Result<String> {
-    // Both before it is opened, since to open a device may do something, and after, since another may have taken its place.
+    // The type is checked before opening, because opening a device may have effects, and after it, because the file
+    // may have been replaced.
     let regular = |about: Metadata| match about.is_file() {
         true => Ok(about.len()),
         false => Err(io::Error::other("it is not a regular file")),
     };
     regular(file.metadata()?)?;
-    // To open a pipe would wait for its writer.
+    // Opening a named pipe would otherwise wait for a writer.
     let flags = OFlags::RDONLY | OFlags::NONBLOCK | OFlags::CLOEXEC;
     let opened = File::from(rustix::fs::open(file, flags, Mode::empty())?);
     let length = regular(opened.metadata()?)?;
     if length > LARGEST {
         return Ok(format!("of {length} bytes, not hashed"));
     }
-    // To read more than there was may wait for ever, as of files of the kernel's, whose length is 0.
+    // No more than the length is read, because files of the kernel have length 0 and reading them may block for ever.
     sha256(opened.take(length)).map(|hash| format!("SHA-256 {hash}"))
 }
 
@@ -79,7 +81,7 @@ mod tests {
         let (name, told) = fact("Sensor", &files).expect("there are some");
         assert_eq!(name, "Sensor files");
         let parts: Vec<&str> = told.split(", ").collect();
-        // FIPS 180-4's own example.
+        // Example in FIPS 180-4.
         let known = "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad";
         assert_eq!(parts[0], format!("{} SHA-256 {known}", file.display()));
         assert_eq!(
@@ -101,7 +103,8 @@ mod tests {
         rustix::fs::mkfifoat(rustix::fs::CWD, &pipe, Mode::RWXU).expect("can be made");
         let refused = format!("{} (cannot be read: it is not a regular file)", pipe.display());
         assert_eq!(identified(&pipe), refused);
-        // Of length 0, though there is something to read; to read the kernel's messages waits for the next.
+        // The length of this file is 0 although it has contents. Reading the kernel's messages would wait for the
+        // next one.
         let nothing = sha256(io::empty()).expect("reads");
         let told = identified(Path::new("/proc/self/status"));
         assert_eq!(told, format!("/proc/self/status SHA-256 {nothing}"));

@@ -1,4 +1,4 @@
-//! A running program: asked, watched, and started anew when it fails.
+//! A running program that answers requests and is restarted after failures.
 
 use bytes::Bytes;
 use peernet_clock::{MonoTime, SharedClock, Span};
@@ -9,10 +9,10 @@ use super::{
 };
 use crate::process::{Launch, Process, ProcessError, Restarts, Voice};
 
-/// How long a program may take to end once its standard input is closed.
+/// Time that a program has to end after its standard input is closed.
 const FAREWELL: Span = Span::from_millis(1000);
 
-/// A program in one role. All calls block.
+/// External program in one role. All calls block.
 #[derive(Debug)]
 pub struct Program {
     role: Role,
@@ -21,32 +21,32 @@ pub struct Program {
     clock: SharedClock,
     process: Option<Process>,
     restarts: Restarts,
-    /// Why it failed last, for who asks while it is left alone.
+    /// Text of the last failure, returned to callers while the program is not restarted.
     last: String,
-    /// A sensor that has no more samples is not asked again.
+    /// `true` after a sensor has reported its end; it is not asked again.
     over: bool,
 }
 
-/// A request and its reply.
+/// Request with its reply.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Exchange {
-    /// When the program began to be started anew for this request, because it had failed before.
+    /// Start of the program's restart for this request, if it had failed before.
     pub restarted: Option<MonoTime>,
-    /// When the request began to be written.
+    /// Time at which writing the request began.
     pub began: MonoTime,
-    /// When the reply was whole.
+    /// Time at which the reply was complete.
     pub ended: MonoTime,
-    /// What the program said beside.
+    /// Notes that preceded the reply.
     pub notes: Notes,
-    /// What it replied; never [`Said::Error`].
+    /// Result of the request; never [`Said::Error`].
     pub said: Said,
 }
 
 impl Program {
-    /// Starts the program; `name` says in the log whose it is.
+    /// Starts the program; `name` is the owner in log messages.
     ///
     /// # Errors
-    /// When the command is wrong or the system cannot start it.
+    /// If the command is wrong or the system cannot start it.
     pub fn start(
         config: &ExecConfig,
         role: Role,
@@ -80,11 +80,13 @@ impl Program {
         })
     }
 
-    /// Sends a request and waits for the reply. A program that ended, was too slow or did not keep to the framing is
-    /// killed, and started anew with a later request.
+    /// Sends a request and waits for the reply.
+    ///
+    /// A program that ended, exceeded its timeout or did not follow the framing is killed; a later request restarts
+    /// it.
     ///
     /// # Errors
-    /// Why there is no reply to this request; the next may well have one.
+    /// The reason that this request has no reply. The next request may succeed.
     pub fn ask(&mut self, request: Request<'_>) -> Result<Exchange, ExchangeError> {
         if self.over {
             let now = self.clock.mono();
@@ -110,7 +112,7 @@ impl Program {
                 }
             }
             Err(error) => {
-                // Killed before the pause begins: what it still does is not to disturb the next.
+                // The program is killed before the delay begins, so that it cannot disturb its successor.
                 let error = match error {
                     ExchangeError::Process(ProcessError::TimedOut) => ExchangeError::TooSlow {
                         after: self.timeout.to_duration(),
@@ -156,7 +158,7 @@ fn exchange(
     role: Role,
     until: MonoTime,
 ) -> Result<Reply, ExchangeError> {
-    // What was written before it was asked would be taken for the reply, and every reply after it be the wrong one.
+    // Output before the request would be taken for the reply, and every later reply would be the wrong one.
     if process.has_more() {
         return Err(ExchangeError::Unasked(shown(&process.peek_line())));
     }
@@ -169,7 +171,7 @@ fn exchange(
         next = match next {
             Next::Line => assembler.line(&process.read_line(MAX_LINE, until)?)?,
             Next::Bytes(0) => assembler.bytes(Bytes::new()),
-            // Never beyond `MAX_BYTES`, which a usize holds.
+            // The count is at most `MAX_BYTES`, which fits into a usize.
             Next::Bytes(count) => assembler.bytes(process.read_exact(count as usize, until)?),
             Next::Reply(reply) => return Ok(reply),
         }

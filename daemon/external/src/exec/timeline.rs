@@ -1,50 +1,52 @@
-//! Where a model's stages lie between request and reply.
+//! Placement of a model's stages between request and reply.
 
 use peernet_clock::{MonoTime, Span};
 
 use super::{Exchange, ExchangeError};
 
-/// The stages of a model that add up.
+/// Stages of a model that count towards the sum of the stages.
 const STAGES: [&str; 3] = ["preprocessing", "inference", "postprocessing"];
-/// What the way to the program and back costs.
+/// Stage of the time that is not spent in the program: sending the request and receiving the reply.
 const IPC: &str = "ipc";
-/// The same of the first reply after it was started anew, with its coming up.
+/// Node that takes the place of `ipc` in the first reply after a restart; it includes the start of the program.
 const RESTART: &str = "restart";
-/// How far rounded stages may add up to more than the whole.
+/// Largest excess of the stages' sum over the whole that is attributed to rounding.
 const ROUNDING: Span = Span::from_millis(1);
 
-/// A stage with its two ends.
+/// Stage with its beginning and end.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Timed {
-    /// Its name.
+    /// Name of the stage.
     pub name: String,
-    /// Its beginning.
+    /// Beginning of the stage.
     pub from: MonoTime,
-    /// Its end.
+    /// End of the stage.
     pub to: MonoTime,
 }
 
 impl Exchange {
-    /// From the request to the reply.
+    /// Returns the time from the request to the reply.
     pub fn whole(&self) -> Span {
         self.ended - self.began
     }
 
-    /// What a restart holds of it: from starting the program to its reply. A program does not say when it is ready, so
-    /// that what of this was its coming up is not known.
+    /// Returns the interval from the restart of the program to its reply, if it was restarted. A program does not
+    /// report when it is ready, so that the duration of the start itself is unknown.
     pub fn restart(&self) -> Option<(MonoTime, MonoTime)> {
         self.restarted.map(|from| (from, self.ended))
     }
 
-    /// The stages of a model. Without any of its own, all from request to reply is `inference`. With
-    /// `preprocessing`, `inference` or `postprocessing` these have the durations that the program told, one after
-    /// the other from the request on, and what remains is `ipc`. Stages of other names begin with the request and add to
-    /// nothing.
+    /// Returns the stages of a model.
     ///
-    /// After a restart only what the program told is a stage: it stands at the end, and all before it is `restart`.
+    /// If the program reports none of `preprocessing`, `inference` and `postprocessing`, the whole time from request
+    /// to reply is `inference`. Otherwise these stages have the reported durations and follow each other from the
+    /// request on; the rest is `ipc`. Stages with other names begin with the request and are not part of the sum.
+    ///
+    /// After a restart only the reported stages count: they end with the reply, and the time before them is
+    /// `restart`.
     ///
     /// # Errors
-    /// [`ExchangeError::Stages`] when the stages add up to more than there was.
+    /// [`ExchangeError::Stages`] if the stages add up to more than the whole.
     pub fn stages(&self) -> Result<Vec<Timed>, ExchangeError> {
         let timed = |name: &str, from, to| Timed { name: name.to_owned(), from, to };
         let is_stage = |name: &String| STAGES.contains(&name.as_str());
@@ -67,6 +69,8 @@ impl Exchange {
                 stages.push(timed(name, self.began, self.began + *span));
             }
         }
+        // `restart` is a node and no stage: it belongs to the failure before it, not to the loop, and would distort
+        // the sum of the stages.
         if let Some(from) = self.restarted {
             stages.push(timed(RESTART, from, begins));
         } else if !stages.iter().any(|stage| is_stage(&stage.name)) {
@@ -83,12 +87,12 @@ mod tests {
     use super::*;
     use crate::exec::{Notes, Said};
 
-    /// Stages of a program that told these milliseconds and replied after ten.
+    /// Returns the stages of a program that reported these durations (milliseconds) and replied after 10 ms.
     fn stages(told: &[(&str, i64)]) -> Result<Vec<(String, i64, i64)>, ExchangeError> {
         after(None, told)
     }
 
-    /// The same of one that was started anew so many milliseconds before the request.
+    /// Returns the stages of a program that was restarted the given number of milliseconds before the request.
     fn after(restart: Option<i64>, told: &[(&str, i64)]) -> Result<Vec<(String, i64, i64)>, ExchangeError> {
         let stages = told.iter().map(|(name, ms)| ((*name).to_owned(), Span::from_millis(*ms))).collect();
         let (began, ended) = (MonoTime::from_nanos(0), MonoTime::from_nanos(10_000_000));

@@ -1,12 +1,14 @@
-//! When a process that died is started anew. No I/O.
+//! Delays before restarts of a process that died. No I/O.
 
 use peernet_clock::{MonoTime, Span};
 
-/// The pauses before a process is started anew: none after one that worked, growing ones while it dies at once.
+/// Exponential backoff for restarts: no delay after a process that worked, growing delays while processes die without
+/// having worked.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Restarts {
-    /// Ends in a row without any work in between.
+    /// Number of consecutive ends without a successful call in between.
     vain: u32,
+    /// Earliest time of the next start.
     until: Option<MonoTime>,
 }
 
@@ -14,12 +16,12 @@ impl Restarts {
     const FIRST: Span = Span::from_millis(100);
     const LONGEST: Span = Span::from_seconds(10);
 
-    /// It did what it is there for.
+    /// Resets the delay after a successful call.
     pub fn worked(&mut self) {
         *self = Self::default();
     }
 
-    /// It died, or could not be started.
+    /// Records that the process died or could not be started.
     pub fn died(&mut self, now: MonoTime) {
         let pause = match self.vain {
             0 => Span::ZERO,
@@ -31,7 +33,7 @@ impl Restarts {
         self.until = Some(now + pause);
     }
 
-    /// How long to wait before the next start; `None` when it may be started now.
+    /// Returns the time left before the next start; `None` if the process may be started now.
     pub fn wait(&self, now: MonoTime) -> Option<Span> {
         self.until.map(|until| until - now).filter(|left| *left > Span::ZERO)
     }

@@ -1,4 +1,4 @@
-//! A process that runs.
+//! A running process.
 
 use std::io;
 use std::os::fd::{AsFd, OwnedFd};
@@ -15,20 +15,21 @@ use super::pipe::{self, PipeError, Reader, Wait};
 use super::voice::Listening;
 use super::{Ended, Fault, Launch, ProcessError};
 
-/// How long before its end a process that ends by itself has closed its pipes, at most.
+/// Longest time between the moment a process closes its pipes as it ends and its end.
 const GOING: Span = Span::from_millis(200);
-/// How long one that closed a pipe and goes on is given to end by itself, so that it can be said how.
+/// Time that a process that closed a pipe and still runs has to end by itself, so that its exit status can be
+/// reported.
 const DYING: Span = Span::from_millis(1000);
-/// How long its last words are waited for once it is gone.
+/// Longest wait for the rest of its standard error after its end.
 const LAST_WORDS: Duration = Duration::from_millis(200);
 
-/// A process, its pipes, and the thread that listens to its standard error. Dropping it kills it and its group.
+/// A process, its pipes, and the thread that reads its standard error. Dropping it kills the process and its group.
 #[derive(Debug)]
 pub struct Process {
     group: Group,
-    /// Tells when it is gone; a kernel before 5.3 has none.
+    /// Descriptor that becomes readable when the process ends (pidfd_open(2)); kernels before 5.3 have none.
     pidfd: Option<OwnedFd>,
-    /// `None` once it has been told that nothing more will come.
+    /// Write end of its standard input; `None` once it is closed.
     input: Option<OwnedFd>,
     output: Reader,
     voice: Listening,
@@ -40,15 +41,15 @@ pub struct Process {
 }
 
 impl Process {
-    /// Starts it.
+    /// Starts a process.
     ///
     /// # Errors
-    /// [`ProcessError::Start`] when the program is not there or cannot be run.
+    /// [`ProcessError::Start`] if the program does not exist or cannot be run.
     pub fn start(launch: &Launch, clock: &SharedClock) -> Result<Self, ProcessError> {
         let failed = |error| ProcessError::Start { program: launch.describe(), error };
         let mut group = Group::start(launch.command()).map_err(failed)?;
         let pipes = Self::pipes(&mut group, launch).inspect_err(|_| {
-            // It was killed: what its status is tells nothing more.
+            // The process was killed, so that its status means nothing.
             let _ = group.finish();
         });
         let (input, output, voice) = pipes.map_err(failed)?;
@@ -66,7 +67,7 @@ impl Process {
         })
     }
 
-    /// Its two pipes, and the thread at the third.
+    /// Returns its standard input and output, and starts the thread that reads its standard error.
     fn pipes(group: &mut Group, launch: &Launch) -> io::Result<(OwnedFd, OwnedFd, Listening)> {
         let missing = || io::Error::other("it came without its pipes");
         let child = group.leader();
@@ -79,10 +80,11 @@ impl Process {
         Ok((input, output, voice))
     }
 
-    /// Writes all parts to its standard input, without copying them together.
+    /// Writes all parts to its standard input, without joining them in one buffer.
     ///
     /// # Errors
-    /// When it has ended, or does not take it all until the given moment; then nothing more can be said to it.
+    /// If the process has ended, or does not read everything before the deadline `until`; then no further write
+    /// succeeds.
     pub fn write(&mut self, parts: &[&[u8]], until: MonoTime) -> Result<(), ProcessError> {
         let result = match &self.input {
             Some(input) => {
@@ -94,43 +96,43 @@ impl Process {
         result.map_err(|error| self.explain(error))
     }
 
-    /// Exactly `length` bytes from its standard output.
+    /// Reads exactly `length` bytes from its standard output.
     ///
     /// # Errors
-    /// When it has ended, or does not send it all until the given moment.
+    /// If the process has ended, or does not send all bytes before the deadline `until`.
     pub fn read_exact(&mut self, length: usize, until: MonoTime) -> Result<Bytes, ProcessError> {
         let wait = waiting(&self.clock, self.pidfd.as_ref(), until);
         self.output.read_exact(length, wait).map_err(|error| self.explain(error))
     }
 
-    /// The next line of its standard output without its end, of at most `most` bytes.
+    /// Reads the next line of its standard output, without the line feed, of at most `most` bytes.
     ///
     /// # Errors
-    /// When it has ended, sends a longer line, or none until the given moment.
+    /// If the process has ended, sends a longer line, or sends no whole line before the deadline `until`.
     pub fn read_line(&mut self, most: usize, until: MonoTime) -> Result<Bytes, ProcessError> {
         let wait = waiting(&self.clock, self.pidfd.as_ref(), until);
         self.output.read_until(b'\n', most, wait).map_err(|error| self.explain(error))
     }
 
-    /// Whether it has written something that nobody has read yet.
+    /// Returns whether there is output that was not read yet.
     pub fn has_more(&self) -> bool {
         self.output.has_more()
     }
 
-    /// Returns what the process has written of its next line, without waiting for more: for messages.
+    /// Returns the part of its next line that has been written so far, without waiting. For messages only.
     pub fn peek_line(&mut self) -> String {
         let wait = waiting(&self.clock, self.pidfd.as_ref(), self.clock.mono());
         String::from_utf8_lossy(self.output.peek_line(wait)).into_owned()
     }
 
-    /// Kills it and its group.
+    /// Kills the process and its group.
     pub fn kill(mut self) -> Ended {
         self.reap(None);
         self.ended()
     }
 
-    /// Ends it: closes its input, asks after half the grace (SIGTERM) and kills it with its group when that is over.
-    /// Blocks no longer than that.
+    /// Ends the process: closes its standard input, sends SIGTERM after half of `grace`, and kills the group when
+    /// `grace` is over. Blocks no longer than `grace`.
     pub fn end(mut self, grace: Span) -> Ended {
         self.input = None;
         let half = Span::from_nanos(grace.nanos() / 2);
@@ -146,7 +148,8 @@ impl Process {
     /// Converts the error of a pipe to that of the process; waits for the exit status of a process that closed its end.
     fn explain(&mut self, error: PipeError) -> ProcessError {
         error.into_process_error().unwrap_or_else(|fault| {
-            // One that ends closes its pipes as well: that is worth telling only of one that goes on.
+            // A process that ends closes its pipes as well. A closed pipe is a fault only of a process that still
+            // runs.
             let goes_on = !self.ends_within(GOING);
             self.input = None;
             if goes_on {
@@ -162,13 +165,14 @@ impl Process {
         Ended { status: self.status, fault: self.fault, killed: self.killed, asked: self.asked, last_lines }
     }
 
-    /// Waits for its end without taking its status. Where the kernel cannot tell, it gets no grace.
+    /// Waits for the end of the process without collecting its status. If the kernel has no pidfd, this does not
+    /// wait.
     fn ends_within(&self, patience: Span) -> bool {
         let until = self.clock.mono() + patience;
         self.status.is_some() || waiting(&self.clock, self.pidfd.as_ref(), until).wait_for_exit()
     }
 
-    /// Kills what is left of it and its group; `fault` is what it did before.
+    /// Kills the rest of the process and its group; `fault` is what the process did wrong before.
     fn reap(&mut self, fault: Option<Fault>) {
         if self.status.is_none() {
             let ended = self.ends_within(Span::ZERO);

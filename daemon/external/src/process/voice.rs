@@ -1,4 +1,4 @@
-//! What a process says on its standard error.
+//! The standard error of a process, passed on to the log.
 
 use std::collections::VecDeque;
 use std::io::{self, Read};
@@ -10,14 +10,14 @@ use std::time::Duration;
 
 use peernet_sample::printable_lines;
 
-/// Longest line in the log, in bytes; a longer one is cut into several.
+/// Longest line in the log, bytes; a longer one is split.
 const MAX_LINE: usize = 4096;
-/// Lines that are kept for the report of an end.
+/// Number of lines that are kept for the report of the process's end.
 const KEPT_LINES: usize = 12;
-/// Bytes of a line that are kept.
+/// Longest kept part of a line, bytes.
 const KEPT_BYTES: usize = 400;
 
-/// What a process is to the log.
+/// Log target of a process's standard error.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Voice {
     /// Target `peernet_external::python`.
@@ -35,7 +35,7 @@ impl Voice {
     }
 }
 
-/// The thread that passes lines on, and the last of them.
+/// The thread that logs the lines, and the last of them.
 #[derive(Debug)]
 pub(super) struct Listening {
     last: Arc<Mutex<VecDeque<String>>>,
@@ -48,7 +48,7 @@ impl Listening {
         let (end, over) = sync_channel(0);
         let keep = Arc::clone(&last);
         thread::Builder::new().name("stderr".to_owned()).spawn(move || {
-            // Its going tells that there is nothing more to come.
+            // Dropping the sender reports that the standard error is closed.
             let _end = end;
             listen(stderr, |line| {
                 voice.say(&name, line);
@@ -58,7 +58,7 @@ impl Listening {
         Ok(Self { last, over })
     }
 
-    /// The last lines, once all is read or `patience` is over.
+    /// Returns the last lines, after the standard error is closed or `patience` has passed.
     pub(super) fn last_lines(&self, patience: Duration) -> Vec<String> {
         let _ = self.over.recv_timeout(patience);
         self.last.lock().unwrap_or_else(PoisonError::into_inner).iter().cloned().collect()

@@ -1,4 +1,4 @@
-//! Which Python, and how it is started.
+//! Choice and start of the Python interpreter.
 
 use std::env;
 use std::ffi::OsString;
@@ -9,27 +9,28 @@ use peernet_clock::{SharedClock, Span};
 use super::{PythonConfig, PythonError, SOURCE};
 use crate::process::{Launch, Process, ProcessError, Voice, find_program};
 
-/// The variable that names another Python.
+/// Environment variable that names another interpreter.
 const VARIABLE: &str = "PEERNET_PYTHON";
-/// How a model learns for which device it was configured.
+/// Environment variable that contains the device for which the model is configured.
 const DEVICE: &str = "PEERNET_DEVICE";
-/// Reads the source, of a length it is told, from standard input and not a byte more, then runs it.
+/// Python code that reads the source, of the length in its first argument, from standard input and then runs it. It
+/// reads no byte beyond the source, because messages follow.
 const BOOTSTRAP: &str = "import os, sys\n\
     assert sys.version_info >= (3, 8), 'Python 3.8 or newer is needed, this is %s' % sys.version\n\
     source = b''\n\
     while len(source) < int(sys.argv[1]):\n    source += os.read(0, int(sys.argv[1]) - len(source))\n\
     exec(compile(source, '<peernet>', 'exec'), {'__name__': '<peernet>'})";
-/// Exits well when Python finds a module, without running anything of it.
+/// Python code that exits with status 0 if Python finds a module; it does not run the module.
 const FINDS: &str = "import importlib.util, sys\n\
     sys.path.insert(0, '')\n\
     sys.exit(importlib.util.find_spec(sys.argv[1]) is None)";
-/// How long Python may take to look for a module.
+/// Longest time for finding a module.
 const LOOK: Span = Span::from_seconds(20);
 
-/// The Python of a configuration.
+/// Returns the path of the configured interpreter.
 ///
 /// # Errors
-/// When it is not there.
+/// If it does not exist.
 pub(super) fn python(config: &PythonConfig) -> Result<PathBuf, PythonError> {
     let named = config.python.clone().map(PathBuf::into_os_string);
     let name = named
@@ -44,11 +45,11 @@ pub(super) fn python(config: &PythonConfig) -> Result<PathBuf, PythonError> {
         })
     };
     let found = find_program(&name).ok_or_else(missing)?;
-    // The process may run in another folder than this one.
+    // The process may run in another working directory.
     std::path::absolute(&found).map_err(|_| missing())
 }
 
-/// How an object's process is started. It reads the source first.
+/// Returns the description of an object's process. The process reads its source first.
 pub(super) fn launch(
     config: &PythonConfig,
     name: String,
@@ -72,11 +73,11 @@ pub(super) fn launch(
     })
 }
 
-/// Everything that can be found wrong without running a line of the user's code: the name, the folder, the Python, and
+/// Checks everything that can be checked without running the user's code: the name, the folder, the interpreter, and
 /// whether it finds the module.
 ///
 /// # Errors
-/// The first of these.
+/// The first failed check.
 pub(super) fn check(config: &PythonConfig, clock: &SharedClock) -> Result<(), PythonError> {
     config.check()?;
     let (module, _) = config.module_and_path()?;

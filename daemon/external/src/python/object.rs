@@ -1,4 +1,4 @@
-//! A user's object and the process it lives in.
+//! A user's object and the process in which it runs.
 
 use std::path::PathBuf;
 
@@ -14,39 +14,40 @@ use super::{Called, PythonConfig, PythonError, Stage, Times};
 use crate::digest;
 use crate::process::{Launch, ProcessError, Restarts};
 
-/// How long a process that is not needed any more may take to end.
+/// Time that a process has to end after it is no longer needed.
 const GRACE: Span = Span::from_millis(1000);
 
-/// What an object is used as.
+/// Role of an object in a pipeline.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Role {
-    /// It has `sample()`.
+    /// Sensor; the object has `sample()`.
     Sensor,
-    /// It has `infer(x)`, and may have `preprocess(x)` and `postprocess(y)`.
+    /// Model; the object has `infer(x)`, and may have `preprocess(x)` and `postprocess(y)`.
     Model,
 }
 
-/// What was found.
+/// Description of an object, as its process reports it.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Deserialize)]
 pub struct About {
-    /// The version of Python: `3.11.2`.
+    /// Version of Python, such as `3.11.2`.
     pub python: String,
-    /// Its program.
+    /// Path of the interpreter.
     executable: String,
-    /// The object in words: `class camera::Camera`.
+    /// Description of the object, such as `class camera::Camera`.
     pub what: String,
-    /// The user's own files that it is made of, that of its module first.
+    /// Users' own files that the object is made of, beginning with that of its module.
     files: Vec<PathBuf>,
-    /// Names and versions of the libraries that these import anywhere, and of all that was imported by then; a version may be empty.
+    /// Names and versions of the libraries that these files import anywhere, and of everything that was imported
+    /// during the start; a version may be empty.
     libraries: Vec<(String, String)>,
-    /// Whether there is more of either.
+    /// `true` if `files` or `libraries` is incomplete because of its limit.
     more: bool,
 }
 
 impl About {
-    /// What it is, for the run's page, as pairs such as (`Sensor`, `the Python class camera::Camera, Python 3.11.2`), with the
-    /// `role` before each name. Reads the files for their hashes.
+    /// Returns facts for the run's page, such as (`Sensor`, `the Python class camera::Camera, Python 3.11.2`). The
+    /// name of each begins with `role`. Reads the files for their hashes.
     pub fn facts(&self, role: &str) -> Vec<(String, String)> {
         let mut facts = vec![(role.to_owned(), format!("the Python {}, Python {}", self.what, self.python))];
         if !self.executable.is_empty() {
@@ -68,7 +69,7 @@ impl About {
     }
 }
 
-/// A Python object in a process of its own, which is started anew when it dies. Dropping it ends the process.
+/// Python object in a process of its own, which is restarted when it dies. Dropping it ends the process.
 #[derive(Debug)]
 pub struct PythonObject {
     config: PythonConfig,
@@ -78,25 +79,26 @@ pub struct PythonObject {
     about: About,
     worker: Option<Worker>,
     restarts: Restarts,
-    /// Why it died last, for who asks while it rests.
+    /// Text of the last failure, returned to callers while the process is not restarted.
     last: String,
 }
 
 impl PythonObject {
-    /// Checks without running any of the user's code whether an object can be had: its name, folder, Python, and whether
-    /// Python finds the module. Blocks for some tens of milliseconds.
+    /// Checks whether an object exists without running any of the user's code: its name, folder and interpreter, and
+    /// whether Python finds the module. Blocks for some tens of milliseconds.
     ///
     /// # Errors
-    /// The first that is wrong.
+    /// The first failed check.
     pub fn check(config: &PythonConfig, clock: &SharedClock) -> Result<(), PythonError> {
         interpreter::check(config, clock)
     }
 
-    /// Starts the process, imports the module and makes the object; blocks until that is done. `name` is what its
-    /// output is logged under, `device` what the variable `PEERNET_DEVICE` tells it.
+    /// Starts the process, imports the module and creates the object; blocks until that is done.
+    ///
+    /// `name` is the owner in log messages; `device` becomes the environment variable `PEERNET_DEVICE`.
     ///
     /// # Errors
-    /// When the object cannot be had.
+    /// If the object cannot be created.
     pub fn start(
         config: &PythonConfig,
         role: Role,
@@ -119,13 +121,13 @@ impl PythonObject {
         Ok(object)
     }
 
-    /// What was found.
+    /// Returns the description of the object.
     pub fn about(&self) -> &About {
         &self.about
     }
 
-    /// Calls the object with a value: `sample()` takes none. Blocks until it has answered, its time is over, or its
-    /// process is gone; the process is then started anew by the next call.
+    /// Calls the object with a value; `sample()` takes none. Blocks until the object has answered, the timeout is
+    /// over, or the process has ended. After a failure the next call restarts the process.
     pub fn call(&mut self, parts: &[Part]) -> Called {
         let asked = self.clock.mono();
         let restarted = self.worker.is_none().then_some(asked);
@@ -133,7 +135,8 @@ impl PythonObject {
             let begun = self.clock.mono();
             let until = begun + milliseconds(self.config.timeout_ms.get());
             match worker.call(parts, until) {
-                // Whatever else is in its pipe would belong to nothing: only one that answered is kept.
+                // A process is kept only after an answer: what is left in the pipe after a failure would be taken for
+                // the answer to the next call.
                 Ok(answer) => {
                     self.worker = Some(worker);
                     self.restarts.worked();
@@ -179,7 +182,7 @@ impl PythonObject {
         }
     }
 
-    /// The process, or a new one when the last is gone and has rested enough.
+    /// Returns the running process, or a new one if the last has died and its delay is over.
     fn living(&mut self) -> Result<Worker, PythonError> {
         if let Some(worker) = self.worker.take() {
             return Ok(worker);
@@ -199,7 +202,7 @@ impl PythonObject {
         self.begin()
     }
 
-    /// Starts a process and waits until the object is made.
+    /// Starts a process and waits until the object is created.
     fn begin(&mut self) -> Result<Worker, PythonError> {
         let (module, path) = self.config.module_and_path()?;
         let allowed = milliseconds(self.config.start_timeout_ms.get());
@@ -237,7 +240,7 @@ impl PythonObject {
         PythonError::Start { object: self.config.object.clone(), python, reason }
     }
 
-    /// Why a call failed, and its process goes.
+    /// Converts the failure of a call after which the process cannot be used any more.
     fn trouble(&self, trouble: Trouble, worker: Worker) -> PythonError {
         let object = self.config.object.clone();
         match trouble {

@@ -1,8 +1,9 @@
-//! Memory that this process and the worker both have: what is large crosses in it, copied once on each side, where a
-//! pipe would copy it through the kernel page by page.
+//! Memory that is shared with the worker, for large parts.
 //!
-//! Nobody writes while the other reads: a call is a question and then an answer, and both sides copy out what they got
-//! before they say anything more.
+//! A pipe copies through the kernel page by page, which takes 22 µs per crossing at 150 kB on the reference machine;
+//! two `memcpy` take 3 µs. Neither side writes while the other one reads: a call is a request followed by a reply,
+//! and each side copies out what it received before it sends its next message. A view instead of the second copy
+//! would change under a user who keeps a value beyond the next call.
 
 use std::fs::File;
 use std::io;
@@ -15,16 +16,16 @@ use peernet_sample::Part;
 use rustix::fs::{FallocateFlags, MemfdFlags, SealFlags, fallocate, fcntl_add_seals, memfd_create};
 use rustix::io::Errno;
 
-/// Parts shorter than this cross in the pipe, with the header: a page.
+/// Shortest part that is passed in shared memory, bytes: one page. Shorter parts follow the header in the pipe.
 const LEAST: usize = 4 << 10;
-/// Every part begins at a multiple of this: a cache line.
+/// Alignment of each part, bytes: a cache line.
 const ALIGNMENT: usize = 64;
-/// Room to begin with.
+/// Initial size, bytes.
 const FIRST: usize = 1 << 20;
-/// Memory that is kept from call to call; what one large call took beyond it is given back.
+/// Memory that is kept between calls, bytes. Memory beyond it is returned to the system after a call.
 const MOST_KEPT: u64 = 64 << 20;
 
-/// The memory, as this side has it.
+/// Shared memory, as mapped in this process.
 #[derive(Debug)]
 pub(super) struct Window {
     file: Arc<File>,
@@ -32,13 +33,13 @@ pub(super) struct Window {
 }
 
 impl Window {
-    /// New memory, which can only grow: a side that reads what it was told is there would otherwise die of the other's
-    /// shortening it.
+    /// Creates the memory. It is sealed so that it can grow but not shrink: otherwise a side that reads announced
+    /// bytes would be killed (SIGBUS) when the other side shortens the file.
     pub(super) fn new() -> io::Result<Self> {
         let flags = MemfdFlags::CLOEXEC | MemfdFlags::ALLOW_SEALING;
         let create = |flags| memfd_create(c"peernet-window", flags);
         let file = match create(flags | MemfdFlags::NOEXEC_SEAL) {
-            // Before Linux 6.3 nobody could ask for it; after it, a system may insist.
+            // Before Linux 6.3 the flag is not known. Newer systems may require it.
             Err(Errno::INVAL) => create(flags)?,
             file => file?,
         };
@@ -48,12 +49,12 @@ impl Window {
         Ok(Self { map: MmapRaw::map_raw(&file)?, file: Arc::new(file) })
     }
 
-    /// What the other side gets.
+    /// Returns the file that the other process inherits.
     pub(super) fn file(&self) -> Arc<File> {
         Arc::clone(&self.file)
     }
 
-    /// Copies in the parts that are large enough, and says where each begins.
+    /// Copies the parts that are large enough into the memory. Returns the position of each; `None` for a short part.
     pub(super) fn put(&mut self, parts: &[Part]) -> io::Result<Vec<Option<u64>>> {
         let mut end = 0_usize;
         let places: Vec<_> = parts
@@ -67,7 +68,7 @@ impl Window {
             })
             .collect();
         if end > self.map.len() {
-            // The other side may have made it longer for an answer that then did not come.
+            // The other side may have extended the file for a reply that it did not finish.
             if (end as u64) > self.file.metadata()?.len() {
                 self.file.set_len(end.next_power_of_two() as u64)?;
             }
@@ -88,12 +89,12 @@ impl Window {
         Ok(places.into_iter().map(|at| at.map(|at| at as u64)).collect())
     }
 
-    /// Copies out what lies at a place; `None` when there is no such place.
+    /// Copies bytes out of the memory; returns `None` if they are not within it.
     pub(super) fn take(&mut self, at: u64, length: usize) -> io::Result<Option<Bytes>> {
         let reach = |at: usize| Some((at, at.checked_add(length)?));
         let Some((at, end)) = usize::try_from(at).ok().and_then(reach) else { return Ok(None) };
         if end > self.map.len() && end as u64 <= self.file.metadata()?.len() {
-            // The other side made it longer.
+            // The other side extended the file.
             self.map = MmapRaw::map_raw(&*self.file)?;
         }
         if end > self.map.len() {
@@ -109,7 +110,7 @@ impl Window {
         Ok(Some(bytes.into()))
     }
 
-    /// Gives back what one large call took. Only between calls.
+    /// Returns memory beyond `MOST_KEPT` to the system. To be called between calls only.
     pub(super) fn relax(&self) {
         let length = self.map.len() as u64;
         if length > MOST_KEPT {

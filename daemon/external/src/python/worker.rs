@@ -1,4 +1,4 @@
-//! The process that runs `worker.py`, and how it is spoken with.
+//! The process that runs `worker.py`, and the exchange of messages with it.
 
 use std::io;
 use std::os::fd::{AsRawFd, RawFd};
@@ -12,17 +12,17 @@ use super::frame::{self, FrameError, MAX_BYTES, PREFIX, PartHead, Reply, Request
 use super::window::Window;
 use crate::process::{Ended, Launch, Process, ProcessError};
 
-/// The reply to a call with the bytes that came with it.
+/// Reply of the worker, with the bytes of its parts.
 pub(super) type Answer = (Reply, Vec<Bytes>);
 
-/// A process and the memory that it shares with this one.
+/// Process with the memory that it shares with this one.
 #[derive(Debug)]
 pub(super) struct Worker {
     process: Process,
     window: Window,
 }
 
-/// Why it cannot be spoken with any more.
+/// Failure after which the process cannot be used any more.
 #[derive(Debug, thiserror::Error)]
 pub(super) enum Trouble {
     #[error(transparent)]
@@ -41,12 +41,12 @@ impl Worker {
         Ok(Self { process: Process::start(&launch, clock)?, window })
     }
 
-    /// The number under which it finds the shared memory.
+    /// Returns the descriptor number under which the process finds the shared memory.
     pub(super) fn window(&self) -> RawFd {
         self.window.file().as_raw_fd()
     }
 
-    /// Hands it its source and what it shall be.
+    /// Sends the process its source and the settings of the object.
     pub(super) fn become_object(
         &mut self,
         settings: &Request<'_>,
@@ -57,7 +57,7 @@ impl Worker {
         self.hear(until)
     }
 
-    /// Calls its object.
+    /// Calls the object.
     pub(super) fn call(&mut self, parts: &[Part], until: MonoTime) -> Result<Answer, Trouble> {
         let places = self.window.put(parts).map_err(Trouble::Memory)?;
         let heads = parts.iter().zip(&places).map(|(part, at)| PartHead::of(part, *at)).collect();
@@ -71,12 +71,12 @@ impl Worker {
         Ok(answer)
     }
 
-    /// Kills it.
+    /// Kills the process.
     pub(super) fn kill(self) -> Ended {
         self.process.kill()
     }
 
-    /// Ends it.
+    /// Ends the process.
     pub(super) fn end(self, grace: Span) -> Ended {
         self.process.end(grace)
     }
@@ -95,7 +95,7 @@ impl Worker {
         Ok((reply, bytes))
     }
 
-    /// The bytes of a part, from where they are.
+    /// Returns the bytes of a part, from the shared memory or from the pipe.
     fn take(&mut self, part: &PartHead, until: MonoTime) -> Result<Bytes, Trouble> {
         let length = part.length as usize;
         let Some(at) = part.at else { return Ok(self.process.read_exact(length, until)?) };

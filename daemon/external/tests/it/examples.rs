@@ -1,4 +1,4 @@
-//! The programs of `docs/examples/external`, with samples of one part and of several.
+//! Tests of the programs in `docs/examples/external`, with samples of one part and of several parts.
 
 use std::fs;
 use std::path::PathBuf;

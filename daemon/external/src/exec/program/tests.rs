@@ -1,4 +1,4 @@
-//! Real programs: most of them a few lines of shell.
+//! Tests with real programs, most of them a few lines of shell.
 
 use std::num::NonZeroU64;
 use std::os::unix::fs::PermissionsExt;
@@ -20,7 +20,7 @@ fn start(role: Role, script: &str, timeout_ms: u64) -> Program {
     Program::start(&config, role, "the program of a test", &clock()).expect("sh is there")
 }
 
-/// Long enough for a busy machine.
+/// Timeout that is long enough on a busy machine, milliseconds.
 const PATIENT: u64 = 60_000;
 
 fn echo() -> Sample {
@@ -90,7 +90,7 @@ fn after_its_end_it_is_started_anew() {
     assert!(program.ask(Request::Next).is_ok(), "the second one knows what to do");
 }
 
-/// A program and a request for each role.
+/// Returns a program and a request for each role.
 fn of_each_role<T>(script: &str, mut ask: impl FnMut(Program, Request<'_>) -> T) -> [T; 3] {
     let sample = echo();
     let requests = [
@@ -101,7 +101,7 @@ fn of_each_role<T>(script: &str, mut ask: impl FnMut(Program, Request<'_>) -> T)
     requests.map(|(role, request)| ask(start(role, script, PATIENT), request))
 }
 
-/// What is said of the first request in each role.
+/// Returns the error of the first request in each role.
 fn failures(script: &str) -> [String; 3] {
     of_each_role(script, |mut program, request| {
         program.ask(request).expect_err("nothing can come").to_string()
@@ -120,7 +120,7 @@ fn one_that_closes_its_output_is_told_so() {
     for error in failures("read -r line; exec >&-; cat > /dev/null; exit 3") {
         assert!(error.contains("closed its standard output and ended with exit status 3"), "{error}");
     }
-    // Part of a reply was there.
+    // The program had written part of its reply.
     for error in failures("read -r line; printf 'value x'; exit 3") {
         assert!(error.contains("the process ended with exit status 3"), "{error}");
     }

@@ -6,7 +6,7 @@ use proptest::prelude::*;
 use super::*;
 use crate::exec::{MAX_LINE, Request};
 
-/// Feeds all that a program wrote; `None` when it ended before its reply was whole.
+/// Feeds the whole output of a program; returns `None` if the output ends before the reply is complete.
 fn feed(role: Role, written: &[u8]) -> Result<Option<(Reply, usize)>, FramingError> {
     let mut from = Cursor::new(written);
     let mut assembler = Assembler::new(role);
@@ -136,14 +136,14 @@ fn lines_and_parts_are_bounded() {
 }
 
 proptest! {
-    /// Whatever a program writes, there is a reply, an error, or more to be read.
+    /// Any output leads to a reply, an error, or a request for more input.
     #[test]
     fn garbage_never_panics(written in prop::collection::vec(any::<u8>(), 0..MAX_LINE), role in 0..3) {
         let role = [Role::Sensor, Role::Model, Role::Actuator][role as usize];
         let _ = feed(role, &written);
     }
 
-    /// The same for what looks like the framing.
+    /// Output that resembles the framing does not cause a panic either.
     #[test]
     fn nearly_right_words_never_panic(
         words in prop::collection::vec("(answer|part|stage|value|error|end|done|version|sequence|label) ?[0-9a-z.:x/-]{0,12} ?[0-9a-z.:x/-]{0,8}\n", 0..20),
@@ -155,7 +155,7 @@ proptest! {
         }
     }
 
-    /// What is sent to a model reads back as an answer: both directions write parts alike.
+    /// The request to a model can be read as an answer, because both directions encode parts in the same way.
     #[test]
     fn what_we_write_reads_back(payloads in prop::collection::vec(prop::collection::vec(any::<u8>(), 0..200), 1..5)) {
         let parts: Vec<_> = payloads
@@ -171,13 +171,13 @@ proptest! {
             .collect();
         let sample = Sample { parts, source: String::new(), label: None };
         let written = Request::Answer { answer: &sample, source: "" }.pieces().concat();
-        // A source of "-" is the only word more than in a reply.
+        // The source `-` is the only word that a reply does not have.
         let (lines, _) = feed_without_source(&written);
         prop_assert_eq!(lines, sample.parts);
     }
 }
 
-/// Reads what we write, leaving out the source at the end of each header.
+/// Parses a request after removing the source at the end of each header.
 fn feed_without_source(written: &[u8]) -> (Vec<Part>, usize) {
     let mut from = Cursor::new(written);
     let mut assembler = Assembler::new(Role::Model);

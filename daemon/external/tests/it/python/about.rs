@@ -1,11 +1,11 @@
-//! What is told of an object, so that a run can be done again.
+//! Facts about an object, by which a run can be repeated.
 
 use std::fs;
 use std::path::Path;
 
 use super::Module;
 
-/// The files of a fact, each with its hash, which is checked, as paths below a folder.
+/// Returns the files of a fact as paths below a folder, after checking their hashes.
 fn files(facts: &[(String, String)], folder: &Path) -> Vec<String> {
     let folder = folder.canonicalize().expect("is there");
     let (_, told) = facts.iter().find(|(name, _)| name == "Model files").expect("they are told");
@@ -57,7 +57,7 @@ class Own:
     let never = "raise SystemExit('nobody is to run this')\n";
     for (file, text) in [
         ("rig/__init__.py", ""),
-        // A cycle, and a part that is broken, imported by a function that nobody calls.
+        // A cycle of imports, and a broken file that is imported by a function that is never called.
         ("rig/lens.py", "from . import glass\ndef never():\n    from .broken import pieces\n"),
         ("rig/glass.py", "import rig.lens as whole\n"),
         ("rig/broken.py", "def (\n"),
@@ -105,7 +105,7 @@ class Own:
     };
     write("driver.py", "import gears\n");
     write("gears.py", "");
-    // As `pip install --target` leaves it.
+    // Layout of `pip install --target`.
     write("bought/__init__.py", "import bought.inside\n");
     write("bought/inside.py", "");
     write("Some_Name-2.5.dist-info/RECORD", "bought/__init__.py,sha256=x,20\nbought/inside.py,sha256=x,0\n");

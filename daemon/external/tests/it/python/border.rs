@@ -1,4 +1,4 @@
-//! The border between two processes: sizes, times, ends.
+//! Transfer of values between the two processes: sizes, times and the end of the process.
 
 use std::fs;
 use std::path::Path;

@@ -1,4 +1,4 @@
-//! What users' code does wrong, and that the next call works all the same.
+//! Errors of users' code, after which the next call still succeeds.
 
 use std::num::NonZeroU64;
 

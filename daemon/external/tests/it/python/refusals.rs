@@ -1,4 +1,4 @@
-//! What is refused at the start, or by a check that runs nothing of the user's.
+//! Objects that are refused at the start, or by a check that does not run users' code.
 
 use std::fs;
 use std::path::PathBuf;

@@ -1,11 +1,11 @@
-//! What crosses, and as what.
+//! Types and values that are transferred, and the form in which they arrive.
 
 use peernet_external::python::{Images, PICKLE};
 use peernet_sample::{Description, ElementType, MediaType, Part, PixelFormat};
 
 use super::{Module, bytes, failure, value};
 
-/// Yields one value after the other.
+/// Source of a sensor that yields one value after the other.
 const SENSOR: &str = "
 import numpy, PIL.Image
 class Own:
