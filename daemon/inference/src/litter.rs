@@ -1,26 +1,26 @@
-//! Temporary folders that would outlive a process which does not wait for its models.
+//! Temporary folders to be removed at the end of the process, even if models still use them.
 
 use std::collections::BTreeSet;
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-/// The temporary folders of a bank's models; clones are the same.
+/// Set of the temporary folders of a bank's models; clones share the set.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Litter(Arc<Mutex<BTreeSet<PathBuf>>>);
 
 impl Litter {
-    /// A folder was made.
+    /// Adds a folder that was created.
     pub(crate) fn made(&self, folder: &Path) {
         self.lock().insert(folder.to_owned());
     }
 
-    /// Its owner removes it.
+    /// Removes a folder from the set, because its owner deletes it.
     pub(crate) fn removed(&self, folder: &Path) {
         self.lock().remove(folder);
     }
 
-    /// Removes what is there, in use or not: files that are mapped stay until the process ends.
+    /// Deletes all folders in the set, even if they are in use: mapped files stay readable until the process ends.
     pub(crate) fn sweep(&self) {
         for folder in std::mem::take(&mut *self.lock()) {
             if let Err(error) = fs::remove_dir_all(&folder) {

@@ -1,4 +1,4 @@
-//! Temporary folders that go even when their owner was killed: whoever makes the next one removes them.
+//! Temporary folders that are removed even if their owner was killed: the creation of the next one removes them.
 
 use std::fs::{self, File, TryLockError};
 use std::io;
@@ -7,25 +7,25 @@ use std::path::Path;
 
 use tempfile::TempDir;
 
-/// How the names of all begin.
+/// Prefix of the names of all such folders.
 const PREFIX: &str = "peernet-";
-/// A file in each, locked by the owner as long as that lives. Folders without it are not ours to remove.
+/// Name of a file in each folder, which the owner keeps locked while it lives. Folders without it are never removed.
 const HELD: &str = ".held";
 
-/// A temporary folder; gone when this is dropped, or else when the next one is made after its owner's end.
+/// Temporary folder. Dropping it deletes the folder; if its owner was killed, the next creation does.
 #[derive(Debug)]
 pub struct Scratch {
     folder: TempDir,
-    /// The lock goes with the process, however that ends.
+    /// The lock is released when the process ends, for whatever reason.
     _held: File,
 }
 
 impl Scratch {
-    /// Makes one among the system's temporary files, `peernet-KIND-…`, and removes those of this user's processes that
-    /// are no more.
+    /// Creates a folder `peernet-KIND-…` among the system's temporary files, and removes those of this user's
+    /// processes that have ended.
     ///
     /// # Errors
-    /// When it cannot be made.
+    /// If it cannot be created.
     pub fn new(kind: &str) -> io::Result<Self> {
         Self::new_in(&std::env::temp_dir(), kind)
     }
@@ -37,22 +37,22 @@ impl Scratch {
             let file = folder.path().join(HELD);
             let held = File::create_new(&file)?;
             match held.try_lock() {
-                // Another program may have found it before it was locked.
+                // Another program may have found and removed the folder before it was locked.
                 Err(TryLockError::WouldBlock) => {}
                 Ok(()) if !file.exists() => {}
-                // Where nothing can be locked, nobody takes it for abandoned.
+                // On a file system without locks no program treats the folder as abandoned.
                 Ok(()) | Err(TryLockError::Error(_)) => return Ok(Self { folder, _held: held }),
             }
         }
     }
 
-    /// Where it is.
+    /// Returns the path of the folder.
     pub fn path(&self) -> &Path {
         self.folder.path()
     }
 }
 
-/// Removes what processes of this user left that were killed.
+/// Removes the folders of this user's processes that were killed.
 fn sweep(parent: &Path) {
     let user = rustix::process::geteuid().as_raw();
     for entry in fs::read_dir(parent).into_iter().flatten().filter_map(Result::ok) {
@@ -62,7 +62,7 @@ fn sweep(parent: &Path) {
         if !is_ours || !file.is_file() {
             continue;
         }
-        // Held until the folder is gone, so that nobody takes it meanwhile.
+        // The lock is held until the folder is deleted, so that no other program takes it meanwhile.
         let Ok(held) = File::open(&file) else { continue };
         if held.try_lock().is_ok()
             && let Err(error) = fs::remove_dir_all(&folder)

@@ -1,4 +1,4 @@
-//! The models of the bank's folders that are in memory: few, and never one too many.
+//! Cache of the loaded models of the bank's folders, limited in number.
 
 use std::path::Path;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -9,10 +9,11 @@ use super::shelf::{Shelf, Stamp};
 use super::{BankConfig, ModelFolders};
 use crate::LoadError;
 
+/// Models of the folders that are loaded or being loaded.
 pub(super) struct Stock {
     config: BankConfig,
     folders: ModelFolders,
-    /// The one that was asked for longest ago comes first.
+    /// Entries, ordered by their last request; the oldest comes first.
     shelves: Mutex<Vec<Arc<Shelf>>>,
 }
 
@@ -22,7 +23,7 @@ impl Stock {
         Self { config, folders, shelves: Mutex::default() }
     }
 
-    /// The names of the models on disk that can be asked for.
+    /// Returns the names of the models on disk that can be requested.
     pub(super) fn names(&self) -> Vec<Slug> {
         if self.config.devices.is_empty() {
             return Vec::new();
@@ -32,12 +33,11 @@ impl Stock {
         usable.map(|found| found.name).collect()
     }
 
-    /// The place of a model, on the first device when none is named. Another model may have had to go: blocks while its
-    /// threads end.
+    /// Returns the entry of a model, on the first device if none is named. May unload another model, and blocks while
+    /// its threads end.
     ///
     /// # Errors
-    /// When there is no such model, something is wrong with it, the device is not offered, or all places are taken by
-    /// models in use.
+    /// If the model does not exist or has an error, if the device is not offered, or if all entries are in use.
     pub(super) fn shelf(&self, name: &Slug, device: Option<&str>) -> Result<Arc<Shelf>, LoadError> {
         let found = self.folders.find(name.as_str())?;
         found.card?;
@@ -63,7 +63,7 @@ impl Stock {
             shelves.push(Arc::clone(&shelf));
             (shelf, unloaded)
         };
-        // Before the next one is loaded, so that there is never one more in memory.
+        // The old models are unloaded before the caller loads the new one, so that the limit is never exceeded.
         for old in unloaded {
             tracing::info!(model = %old.config.name(), device = old.config.device(), "unloaded a model of the bank");
             old.clear();
@@ -71,9 +71,9 @@ impl Stock {
         Ok(shelf)
     }
 
-    /// Takes a shelf away on which nothing could be put.
+    /// Removes an entry whose model could not be loaded.
     pub(super) fn discard(&self, failed: &Arc<Shelf>) {
-        // Others may be trying again just now; the last of them takes it away.
+        // Other callers may be retrying at this moment; then the last of them removes the entry.
         self.lock().retain(|shelf| {
             !(Arc::ptr_eq(shelf, failed) && Arc::strong_count(shelf) == 2 && shelf.is_idle())
         });
@@ -83,7 +83,7 @@ impl Stock {
         self.lock().clone()
     }
 
-    /// What is wrong with the folders; the second is the key.
+    /// Checks the folders and limits; returns each error with its key.
     pub(super) fn check(&self) -> Vec<(&'static str, LoadError)> {
         let mut errors: Vec<_> = self.folders.check().into_iter().map(|error| ("folders", error)).collect();
         let (value, most) = (self.config.most_loaded.get(), BankConfig::MOST_LOADED);
@@ -103,7 +103,8 @@ impl Stock {
         errors
     }
 
-    /// Nothing in here can panic half-way, so that a poisoned lock still guards a whole state.
+    /// Locks the entries. No code panics while it holds the lock, so that the state behind a poisoned lock is
+    /// consistent.
     fn lock(&self) -> MutexGuard<'_, Vec<Arc<Shelf>>> {
         self.shelves.lock().unwrap_or_else(PoisonError::into_inner)
     }
@@ -113,7 +114,7 @@ fn is(shelf: &Shelf, name: &Slug, device: &str) -> bool {
     shelf.config.name() == name && shelf.config.device() == device
 }
 
-/// Takes out what has to go so that the wanted model finds its place.
+/// Removes and returns the entries that have to be unloaded for the requested model.
 fn make_room(
     shelves: &mut Vec<Arc<Shelf>>,
     name: &Slug,
@@ -121,7 +122,7 @@ fn make_room(
     stamp: &Stamp,
     most: usize,
 ) -> Result<Vec<Arc<Shelf>>, LoadError> {
-    // Under the lock nobody can take a shelf in hand that is in the list alone.
+    // While the lock is held, no caller can get hold of an entry that only the list holds.
     let idle = |shelf: &Arc<Shelf>| Arc::strong_count(shelf) == 1 && shelf.is_idle();
     if let Some(at) = shelves.iter().position(|shelf| is(shelf, name, device)) {
         if shelves[at].stamp.as_ref() == Some(stamp) {

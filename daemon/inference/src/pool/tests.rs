@@ -12,7 +12,7 @@ use crate::model::echo::{Echo, EchoConfig};
 
 type Compute = dyn Fn(&Sample) -> Result<Sample, InferenceError> + Send + Sync;
 
-/// A model that computes what a test tells it to.
+/// Model that runs a function of the test.
 struct Told(Arc<Compute>);
 
 impl Model for Told {
@@ -63,7 +63,7 @@ fn job(text: &'static str, reply: impl FnOnce(Done) + Send + 'static) -> Job {
     Job { sample: sample(text), log, received: MonoTime::from_nanos(0), reply: Box::new(reply) }
 }
 
-/// A job whose result is awaited.
+/// Creates a job and the receiver of its result.
 fn awaited(text: &'static str) -> (Job, Receiver<Done>) {
     let (sender, receiver) = sync_channel(1);
     (job(text, move |done| sender.send(done).expect("is awaited")), receiver)
@@ -75,7 +75,7 @@ fn run(pool: &Pool, text: &'static str) -> Done {
     done.recv().expect("is answered")
 }
 
-/// A computation that reports its beginning and waits to be let go.
+/// Returns a computation that reports its beginning and waits until the test releases it.
 fn gated() -> (impl Fn(&Sample) -> Result<Sample, InferenceError> + Send + Sync, Receiver<()>, SyncSender<()>)
 {
     let (begun, begins) = sync_channel(8);

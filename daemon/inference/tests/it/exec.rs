@@ -5,7 +5,7 @@ use peernet_sample::{Description, MediaType, Sample};
 
 use super::{bank, jpeg, loaded, run, slug};
 
-/// Answers with what it was told and where it runs; says how long it took where the sample asks for it.
+/// Program that answers with its input and its device, and reports durations if the sample asks for them.
 const MODEL: &str = r#"
 while read -r word bytes media shape source; do
     sample=$(head -c "$bytes")

@@ -1,4 +1,4 @@
-//! Folders of models: what is found in them, and what a bank makes of it.
+//! Folders of models: the models that are found in them, and a bank of such folders.
 
 use std::fs;
 use std::os::unix::fs::symlink;
@@ -10,7 +10,7 @@ use peernet_inference::{Bank, BankConfig, LoadError, MODEL_HASH, OnnxRuntimeConf
 
 use super::{clock, demo, slug};
 
-/// Puts the demo model into a folder under a name.
+/// Copies the demo model into a folder under a name.
 fn put(folder: &Path, name: &str) -> PathBuf {
     let model = folder.join(name);
     fs::create_dir_all(&model).expect("made");

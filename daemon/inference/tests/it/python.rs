@@ -17,7 +17,7 @@ class Net:
     def postprocess(self, y): return [y, os.environ['PEERNET_DEVICE'], os.environ['COLOUR']]
 ";
 
-/// The object of the module `net` with more lines of configuration.
+/// Returns the table of an object in the module `net`, with additional lines.
 fn model(folder: &tempfile::TempDir, object: &str, more: &str) -> String {
     fs::write(folder.path().join("net.py"), MODEL).expect("can be written");
     format!("name = 'p'\nkind = 'python'\nobject = '{object}'\nfolder = {:?}\n{more}", folder.path())

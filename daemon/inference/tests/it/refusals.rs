@@ -31,7 +31,7 @@ fn two_models_of_one_name_are_found_by_the_check() {
     assert!(matches!(errors.as_slice(), [(1, LoadError::Duplicate(name))] if name == "a"), "{errors:?}");
 }
 
-/// The library that tests run with is built for the CPU alone.
+/// The library of the tests is built for the CPU only.
 #[test]
 fn a_device_that_the_library_lacks_is_refused_with_the_reason() {
     for (device, provider) in [
@@ -64,7 +64,7 @@ fn a_second_library_is_refused_in_one_process() {
     assert!(matches!(error, LoadError::Library(LibraryError::AnotherLoaded { .. })), "{error}");
 }
 
-/// A model's folder made of the demo's files, changed.
+/// Creates a model's folder from changed files of the demo, and a bank of it.
 fn changed(model: &[u8], card: &str) -> (tempfile::TempDir, Bank) {
     let folder = tempfile::tempdir().expect("can be made");
     fs::write(folder.path().join("model.onnx"), model).expect("can be written");

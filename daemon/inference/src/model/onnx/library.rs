@@ -1,4 +1,4 @@
-//! Finding and loading ONNX Runtime's library.
+//! Search and loading of ONNX Runtime's library.
 
 use std::error::Error;
 use std::path::{Path, PathBuf};
@@ -12,7 +12,7 @@ use super::OnnxRuntimeConfig;
 use super::search::{Candidate, Surroundings};
 use crate::LibraryError;
 
-/// The loaded library: one per process, for as long as the process lives.
+/// The loaded library. A process can load one library, which stays loaded until the process ends.
 pub(super) struct Runtime {
     environment: Environment,
     library: PathBuf,
@@ -21,7 +21,7 @@ pub(super) struct Runtime {
 static LOADED: Mutex<Option<Arc<Runtime>>> = Mutex::new(None);
 
 impl Runtime {
-    /// The library that the configuration and the surroundings lead to, loaded on the first call.
+    /// Returns the library that the search finds; loads it on the first call.
     pub(super) fn get(config: &OnnxRuntimeConfig) -> Result<Arc<Self>, LibraryError> {
         let surroundings = Surroundings::of_this_process(config.library.as_deref());
         let mut loaded = LOADED.lock().unwrap_or_else(PoisonError::into_inner);
@@ -47,21 +47,21 @@ impl Runtime {
         &self.environment
     }
 
-    /// The file, or the name by which the system found it.
+    /// Returns the file, or the name under which the system found it.
     pub(super) fn library(&self) -> &Path {
         &self.library
     }
 
-    /// The file behind all links, whose name ends with the version, and of what it was built.
+    /// Describes the library: the file behind all links, whose name ends with the version, and the build.
     pub(super) fn describe(&self) -> String {
         let file = self.library.canonicalize().unwrap_or_else(|_| self.library.clone());
-        // How its compiler was called is long, and follows from the rest.
+        // The call of the compiler is left out: it is long and follows from the rest.
         let build = ort::info().trim_start_matches("ORT Build Info: ");
         let build = build.split_once(", cmake").map_or(build, |(build, _)| build);
         format!("{}, {build}", file.display())
     }
 
-    /// The names that the system's loader knows the library by: with and without the version of its interface.
+    /// Loads the library by the names that the system's loader knows, with and without the version of its interface.
     fn load_from_system(looked: &mut Vec<String>) -> Result<Self, LibraryError> {
         for name in ["libonnxruntime.so.1", "libonnxruntime.so"] {
             match ort::init_from(name) {
@@ -111,7 +111,7 @@ impl Runtime {
     }
 }
 
-/// The library's own messages, into this program's log.
+/// Passes the library's messages on to this program's log.
 fn log(level: LogLevel, _category: &str, _id: &str, place: &str, message: &str) {
     match level {
         LogLevel::Verbose | LogLevel::Info => tracing::debug!(place, "onnxruntime: {message}"),
@@ -122,7 +122,7 @@ fn log(level: LogLevel, _category: &str, _id: &str, place: &str, message: &str) 
 
 fn reason(error: &LoadDynamicError) -> String {
     match error {
-        // The loader's own words are one level down.
+        // The loader's message is the source of the error.
         LoadDynamicError::Dlopen { error, .. } => {
             error.source().map_or(error.to_string(), ToString::to_string)
         }

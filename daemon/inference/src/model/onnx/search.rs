@@ -1,29 +1,29 @@
-//! Where ONNX Runtime's library may be.
+//! Search for ONNX Runtime's library.
 
 use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 
 use crate::LibraryError;
 
-/// What the search depends on.
+/// Settings on which the search depends.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Surroundings {
-    /// `[onnxruntime] library`.
+    /// The key `library` of `[onnxruntime]`.
     pub(super) configured: Option<PathBuf>,
-    /// `ORT_DYLIB_PATH`.
+    /// The variable `ORT_DYLIB_PATH`.
     pub(super) variable: Option<OsString>,
     /// The current directory.
     pub(super) current: PathBuf,
-    /// This program's file.
+    /// The file of this program.
     pub(super) executable: PathBuf,
 }
 
-/// A file that was found.
+/// Library file that was found.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) struct Candidate {
-    /// The file, links resolved.
+    /// The file, with links resolved.
     pub(super) path: PathBuf,
-    /// Which step of the search led to it.
+    /// Step of the search that led to it.
     pub(super) origin: &'static str,
 }
 
@@ -41,10 +41,10 @@ impl Surroundings {
         }
     }
 
-    /// The first file in the order of the search, and where it was looked for before; the system's library path,
-    /// the last step, is the loader's business.
+    /// Returns the first file in the order of the search, and the places that were searched before it. The last step,
+    /// the system's library path, is left to the loader.
     ///
-    /// What was named explicitly is taken or is an error: nothing else is quietly used in its place.
+    /// A library that is named explicitly is used or is an error: it is never replaced by another one.
     pub(super) fn search(&self) -> Result<(Option<Candidate>, Vec<String>), LibraryError> {
         let mut looked = Vec::new();
         let variable = self.variable.as_ref().map(PathBuf::from);
@@ -78,7 +78,8 @@ impl Surroundings {
         Ok((None, looked))
     }
 
-    /// Beside the current directory, beside the program and all folders above it, and where the package puts it.
+    /// Returns the folders to search: below the current directory, below the program's folder and all folders above
+    /// it, and where the package installs the library.
     fn folders(&self) -> Vec<PathBuf> {
         let mut folders = vec![self.current.join(FOLDER)];
         folders.extend(self.executable.ancestors().skip(1).map(|ancestor| ancestor.join(FOLDER)));
@@ -89,7 +90,7 @@ impl Surroundings {
     }
 }
 
-/// The library at a path: the file itself, or the one in the folder.
+/// Returns the library at a path: the file itself, or the one in the folder.
 fn file_at(path: &Path) -> Option<PathBuf> {
     let resolved = |path: &Path| path.canonicalize().ok().filter(|path| path.is_file());
     resolved(path).or_else(|| NAMES.iter().find_map(|name| resolved(&path.join(name))))
