@@ -1,4 +1,4 @@
-//! `exec`: hands each answer to a program of the user's own.
+//! Actuator kind `exec`, which passes each answer to a program of the user.
 
 use peernet_clock::SharedClock;
 pub use peernet_external::exec::ExecConfig;
@@ -9,7 +9,7 @@ use peernet_sample::Sample;
 
 use crate::{Actuator, ActuatorError, ActuatorKind};
 
-/// A program that is told each answer, and says when it has acted.
+/// Program that receives each answer and replies after it has acted.
 struct Exec {
     command: String,
     program: Program,
@@ -41,7 +41,7 @@ impl ActuatorKind for ExecConfig {
     }
 
     fn check(&self) -> Result<(), ActuatorError> {
-        // The program's own check, which does not run it.
+        // This check does not run the program.
         Self::check(self).map_err(ActuatorError::Command)
     }
 }

@@ -1,25 +1,25 @@
-//! Rectangles of a picture.
+//! Cropping of pictures.
 
 use crate::size::check_size;
 use crate::{ImageError, Picture};
 
-/// A rectangle to be cut out.
+/// Rectangle to be cut out of a picture.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Crop {
-    /// Pixels.
+    /// Width, pixels.
     pub width: u32,
-    /// Pixels.
+    /// Height, pixels.
     pub height: u32,
-    /// Left edge in pixels; centred, rounded to the left, when not given.
+    /// Left edge, pixels; `None` for the centre, rounded to the left.
     pub x: Option<u32>,
-    /// Upper edge in pixels; centred, rounded upwards, when not given.
+    /// Upper edge, pixels; `None` for the centre, rounded upwards.
     pub y: Option<u32>,
 }
 
-/// Makes `target` the rectangle `crop` of `picture`.
+/// Copies the rectangle `crop` of `picture` to `target`.
 ///
 /// # Errors
-/// When the rectangle is empty or reaches beyond the picture.
+/// If the rectangle is empty or reaches beyond the picture.
 pub fn crop(picture: &Picture, crop: Crop, target: &mut Picture) -> Result<(), ImageError> {
     let Crop { width, height, x, y } = crop;
     check_size(u64::from(width), u64::from(height))?;

@@ -1,7 +1,8 @@
-//! From files to pixels.
+//! Decoding of files to pixels.
 //!
-//! JPEG is decoded whole, by a SIMD decoder. Decoding at a half, a quarter or an eighth of the size, as the format
-//! allows, was measured and left out: entropy decoding takes most of the time and stays the same.
+//! JPEG is decoded at full size, by a SIMD decoder. Decoding at a half, a quarter or an eighth of the size, which the
+//! format allows, was measured and is not used: entropy decoding takes most of the time and stays the same, and the
+//! pixels change.
 
 use std::io::Cursor;
 
@@ -21,7 +22,7 @@ use crate::{ImageError, Picture};
 const JPEG: &[u8] = &[0xff, 0xd8, 0xff];
 const PNG: &[u8] = b"\x89PNG\r\n\x1a\n";
 
-/// The format of a file by its first bytes, whatever its name or description says.
+/// Returns the format of a file by its first bytes, regardless of its name and description.
 pub(crate) fn recognise(file: &[u8]) -> Result<MediaType, ImageError> {
     match file {
         file if file.starts_with(JPEG) => Ok(MediaType::Jpeg),
@@ -30,12 +31,13 @@ pub(crate) fn recognise(file: &[u8]) -> Result<MediaType, ImageError> {
     }
 }
 
-/// Decodes a JPEG or PNG file into `picture`, in the wanted order of channels.
+/// Decodes a JPEG or PNG file into `picture`, in the given order of channels.
 ///
-/// Transparency is dropped; colour profiles and the orientation tag are ignored, as most training code does.
+/// Transparency is dropped; colour profiles and the orientation tag are ignored, as in most training code.
 ///
 /// # Errors
-/// When it is neither, damaged or cut off, or too large; `picture` then holds something undefined.
+/// If the file has another format, is damaged or truncated, or is too large. The contents of `picture` are undefined
+/// then.
 pub fn decode(file: &[u8], format: PixelFormat, picture: &mut Picture) -> Result<(), ImageError> {
     if recognise(file)? == MediaType::Jpeg {
         decode_jpeg(file, format, picture)
@@ -44,10 +46,10 @@ pub fn decode(file: &[u8], format: PixelFormat, picture: &mut Picture) -> Result
     }
 }
 
-/// Makes `picture` the picture in a payload part: a file is decoded, pixels are copied.
+/// Reads the picture in a payload part into `picture`: a file is decoded, pixels are copied.
 ///
 /// # Errors
-/// As [`decode`], and when the part is something else.
+/// As [`decode`], and if the part is not a picture.
 pub fn read_part(part: &Part, format: PixelFormat, picture: &mut Picture) -> Result<(), ImageError> {
     match &part.description.media {
         MediaType::Jpeg | MediaType::Png => decode(&part.bytes, format, picture),
@@ -69,7 +71,7 @@ fn decode_jpeg(file: &[u8], format: PixelFormat, picture: &mut Picture) -> Resul
     decoder.decode_into(target).map_err(|error| jpeg_error(&error))
 }
 
-/// A decoder that has read the header, and the size in it, which is a possible one.
+/// Decoder that has read the header, with the size from the header after its check.
 pub(crate) struct Opened<D> {
     decoder: D,
     pub(crate) width: u32,
@@ -88,7 +90,7 @@ pub(crate) fn open_jpeg(
     Ok(Opened { decoder, width, height })
 }
 
-/// Strict: a picture whose data end early is an error, not a picture that is grey below.
+/// Returns strict options: truncated data are an error instead of a picture with a grey lower part.
 fn jpeg_options(format: PixelFormat) -> DecoderOptions {
     let colours = match format {
         PixelFormat::Rgb8 => ColorSpace::RGB,
@@ -109,7 +111,7 @@ fn damaged_jpeg(reason: &str) -> ImageError {
     ImageError::Damaged { format: "jpeg", reason: reason.to_owned() }
 }
 
-/// Bit depths, palettes and transparency are all brought to eight bits per channel.
+/// Decodes a PNG file. Bit depths, palettes and transparency are converted to eight bits per channel.
 fn decode_png(file: &[u8], format: PixelFormat, picture: &mut Picture) -> Result<(), ImageError> {
     let Opened { decoder, width, height } = open_png(file)?;
     let as_wanted = matches!(
@@ -136,7 +138,7 @@ fn png_error(error: &image::ImageError) -> ImageError {
     ImageError::Damaged { format: "png", reason: tidy(&error.to_string()) }
 }
 
-/// Error texts of other libraries on one line, without full stop.
+/// Returns the error text of another library in one line, without full stop.
 fn tidy(text: &str) -> String {
     printable_line(text).split_whitespace().collect::<Vec<_>>().join(" ").trim_end_matches('.').to_owned()
 }

@@ -1,19 +1,20 @@
-//! Right answers as words, as data sets and models write them.
+//! Labels: expected answers as words, as data sets and models write them.
 
 use crate::printable::printable_line;
 
-/// How many words are enough to show what all are like.
+/// Number of words in a list of examples.
 const EXAMPLES: usize = 5;
-/// Most characters of one that is shown.
+/// Longest word that is shown in full, characters.
 const LONGEST: usize = 40;
 
-/// What of a label counts: two that are alike in this name one class. Folders are often named `Golden_Retriever` for
-/// `golden retriever`, so case is ignored, and hyphens and underscores count as spaces.
+/// Returns the form of a label in which labels are compared: labels with equal forms name one class. Folders are
+/// often named `Golden_Retriever` for `golden retriever`, so that case is ignored, and hyphens and underscores count
+/// as spaces.
 pub fn plain_label(label: &str) -> String {
     label.trim().chars().map(|c| if matches!(c, '_' | '-') { ' ' } else { c.to_ascii_lowercase() }).collect()
 }
 
-/// The first few of some words, for people: `tench, goldfish, …`.
+/// Returns the first words as a list for people: `tench, goldfish, …`.
 pub fn examples<'a>(words: impl IntoIterator<Item = &'a str>) -> String {
     let mut words = words.into_iter();
     let mut shown: Vec<String> = words.by_ref().take(EXAMPLES).map(shorten).collect();

@@ -1,4 +1,4 @@
-//! `crop`: cuts a rectangle out of pictures.
+//! Transform `crop`, which cuts a rectangle out of pictures.
 
 use peernet_imaging::{Crop, Picture, crop, read_part};
 use peernet_logger::Recorder;
@@ -8,18 +8,18 @@ use serde::{Deserialize, Serialize};
 use super::{TransformKind, change, channels, check_size};
 use crate::{SensorError, Transform};
 
-/// `{ kind = "crop", … }`
+/// Configuration of the transform: `{ kind = "crop", … }`.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct CropConfig {
-    /// Pixels.
+    /// Width of the rectangle, pixels.
     pub width: u32,
-    /// Pixels.
+    /// Height of the rectangle, pixels.
     pub height: u32,
-    /// Left edge in pixels; without it the rectangle is centred.
+    /// Left edge, pixels. Default: centred.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub x: Option<u32>,
-    /// Upper edge in pixels; without it the rectangle is centred.
+    /// Upper edge, pixels. Default: centred.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub y: Option<u32>,
 }

@@ -56,7 +56,7 @@ class Own:
     let folder = Some(folder.path().to_owned());
     let config = SensorConfig::Python(PythonConfig { folder, ..PythonConfig::of("own::Own") });
     let mut sensor = config.open(&real_clock()).expect("is there");
-    // Each process gives two and dies.
+    // Each process gives two samples and dies.
     for (restarted, gives) in [(false, true), (false, true), (false, false), (true, true), (false, true)] {
         let mut log = recorder();
         assert_eq!(sensor.sample(&mut log).is_ok(), gives);
