@@ -1,7 +1,7 @@
 //! Permissions of files and folders that only their owner and group may use: databases, spools, host ids.
 //!
-//! Only the permissions of everybody else are taken away. Those of the group are the operator's business, who may have let a
-//! group of people read, or write, on purpose.
+//! Only the permissions of other users are removed. Those of the group stay, because the operator may have granted
+//! them on purpose.
 
 use std::ffi::OsString;
 use std::fs::{self, File, Metadata, Permissions};
@@ -12,31 +12,34 @@ use std::path::{Path, PathBuf};
 use rustix::fs::Mode;
 use rustix::process::{geteuid, umask};
 
-/// The permission bits of everybody who is neither the owner nor in the group.
+/// Permission bits of users who are neither the owner nor in the group.
 const OTHERS: u32 = 0o007;
 
-/// Set for folders in which everybody may make files, such as `/tmp`.
+/// Mode bit of folders in which every user may create files, such as `/tmp`.
 const STICKY: u32 = 0o1000;
 
-/// The first bytes of each database of SQLite (<https://www.sqlite.org/fileformat.html>).
+/// First bytes of every SQLite database (<https://www.sqlite.org/fileformat.html>).
 const HEADER: &[u8] = b"SQLite format 3\0";
 
-/// What SQLite and PEERNet put beside a database or spool, behind its name.
+/// Suffixes of the files that SQLite and PEERNet put beside a database or spool; the empty one stands for the file
+/// itself.
 const BESIDE: [&str; 6] = ["", "-wal", "-shm", "-lock", "-reserve", "-condemned"];
 
-/// Makes all files and folders that this process creates from now on inaccessible to others: 0640 and 0750 with the usual
-/// umask of 022. Programs that it starts inherit this.
+/// Makes all files and folders that this process creates afterwards inaccessible to other users: 0640 and 0750 with
+/// the usual umask of 022. Child processes inherit this.
 ///
-/// Call it before there are threads: the umask belongs to the process.
+/// To be called before threads are started: the umask belongs to the process.
 pub fn create_without_others() {
     let before = umask(Mode::from_raw_mode(0o077));
     umask(before | Mode::from_raw_mode(OTHERS));
 }
 
-/// Takes away what others may do with a database or spool of this user and with the files beside it. Returns the files
-/// that were changed. A file with other contents is left alone: a mistyped path may lead to one that others need.
+/// Removes the permissions of other users from a database or spool of this user and from the files beside it. Returns
+/// the changed files.
+///
+/// A file with other contents is left unchanged: a mistyped path may lead to a file that other users need.
 pub fn close_database(path: &Path) -> Vec<PathBuf> {
-    // SQLite names the files beside it after the file itself.
+    // SQLite names the files beside it after the resolved path.
     let path = fs::canonicalize(path).unwrap_or_else(|_| path.to_owned());
     if !may_be_database(&path) {
         return Vec::new();
@@ -52,7 +55,7 @@ pub fn close_database(path: &Path) -> Vec<PathBuf> {
         .collect()
 }
 
-/// Tells whether a file is an SQLite database, is empty or is not there: what SQLite opens or makes.
+/// Returns whether a file is an SQLite database, is empty or does not exist. SQLite opens or creates such files.
 fn may_be_database(path: &Path) -> bool {
     let mut begin = Vec::new();
     let read = File::open(path).and_then(|file| file.take(HEADER.len() as u64).read_to_end(&mut begin));
@@ -62,9 +65,11 @@ fn may_be_database(path: &Path) -> bool {
     }
 }
 
-/// Takes away what others may do with a folder of this user, and with these files in it. Returns what was changed.
+/// Removes the permissions of other users from a folder of this user and from these files in it. Returns the changed
+/// paths.
 ///
-/// A folder that is the current one, or in which everybody may make files (`/tmp`), has other purposes and is left alone.
+/// The current folder, and a folder in which every user may create files (`/tmp`), has other purposes as well and is
+/// left unchanged.
 pub fn close_folder(folder: &Path, files: &[&str]) -> Vec<PathBuf> {
     let is_shared = fs::metadata(folder).is_ok_and(|about| about.mode() & STICKY != 0);
     let current = std::env::current_dir().and_then(fs::canonicalize);
@@ -74,7 +79,7 @@ pub fn close_folder(folder: &Path, files: &[&str]) -> Vec<PathBuf> {
     paths.filter(|path| close(path)).collect()
 }
 
-/// Logs what was changed, in one line; nothing of nothing.
+/// Logs the changed paths in one line; logs nothing if there are none.
 pub fn log_changes(changed: &[PathBuf]) {
     if !changed.is_empty() {
         let files = changed.iter().map(|path| path.display().to_string()).collect::<Vec<_>>().join(", ");
@@ -103,7 +108,8 @@ fn close_or_fail(path: &Path) -> io::Result<bool> {
     Ok(true)
 }
 
-/// Whether it is a file or folder of this user; what a link leads to may be anything.
+/// Returns whether a path is a file or folder of this user. The target of a link may be anything, so that links do
+/// not count.
 fn is_ours(about: &Metadata) -> bool {
     (about.is_file() || about.is_dir()) && about.uid() == geteuid().as_raw()
 }

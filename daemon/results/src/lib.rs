@@ -1,4 +1,5 @@
-//! Results of a run: `data.csv`, `run.json`, `summary.{md,csv,tex}`; written while it runs and read back.
+//! Results of a run: `data.csv`, `run.json` and `summary.{md,csv,tex}`, which are written during the run and read
+//! back.
 //!
 //! ```text
 //! iteration ── Row ──┬─ RowWriter ──────── data.csv ──┐

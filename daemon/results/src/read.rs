@@ -1,4 +1,4 @@
-//! Results read back.
+//! Reading of results.
 
 use std::path::{Path, PathBuf};
 
@@ -12,7 +12,7 @@ use super::FolderError;
 use super::file_names::{DATA, RECORD};
 use super::parse::Reading;
 
-/// Rows at the beginning that the published figures leave out.
+/// Number of rows at the beginning that the published figures leave out.
 const PUBLISHED_WARM_UP: usize = 5;
 
 pub(crate) fn open(path: &Path, wanted: &dyn Fn(&str) -> bool) -> Result<Loaded, FolderError> {
@@ -24,9 +24,9 @@ pub(crate) fn open(path: &Path, wanted: &dyn Fn(&str) -> bool) -> Result<Loaded,
     if !data.is_file() {
         return Err(FolderError::NoResults(folder));
     }
-    // It is of these rows, not of whatever else lies in the folder.
+    // The record belongs to `data.csv` only, not to other files in the folder.
     let record = if data.ends_with(DATA) { record(&folder.join(RECORD))? } else { None };
-    // Whoever writes a record flags its rows.
+    // A program that writes a record marks the warm-up rows.
     let warm_up = if record.is_none() { PUBLISHED_WARM_UP } else { 0 };
     let (rows, flagged) = Reading::of(&data, warm_up, wanted).map_err(failed(&data))?;
     let record = record.unwrap_or_else(|| {
@@ -48,7 +48,7 @@ fn record(path: &Path) -> Result<Option<RunRecord>, FolderError> {
     }
 }
 
-/// What can be said of rows that nothing stands beside.
+/// Returns the record of rows without a record file.
 fn alone(path: &Path, rows: &Rows, flagged: bool) -> RunRecord {
     let name = path.canonicalize().unwrap_or_else(|_| path.to_owned());
     let name = if path.is_file() { name.file_stem() } else { name.file_name() };

@@ -1,4 +1,4 @@
-//! `data.csv` while it grows.
+//! Writer of `data.csv` during the run.
 
 use std::fs::{File, OpenOptions};
 use std::io::{ErrorKind, Seek, SeekFrom, Write};
@@ -9,36 +9,36 @@ use peernet_analysis::rows::Row;
 
 use super::cells::{self, Header};
 
-/// Seconds of the rows' own time between two writes.
+/// Longest time between two writes, seconds of the rows' own time.
 const EVERY: f64 = 1.0;
-/// Bytes after which rows are written however little time has passed.
+/// Number of waiting bytes after which rows are written before that time is over.
 const MANY_BYTES: usize = 256 * 1024;
 
 /// Writes rows to `data.csv` as they come: at least once a second, and at the end.
 ///
-/// A disk that is full, or gone, loses nothing that was measured: what cannot be written stays in memory, is tried again
-/// with the next rows, and the file ends with the last row that is whole.
+/// A disk that is full or missing loses no measurement: rows that cannot be written stay in memory and are tried
+/// again with the next rows, and the file ends with its last complete row.
 #[derive(Debug)]
 pub struct RowWriter {
     path: PathBuf,
     file: File,
     header: Header,
-    /// Bytes of the file that are whole rows.
+    /// Length of the file's complete rows, bytes.
     whole: u64,
-    /// Rows that are not in the file yet, all of them as long as the header.
+    /// Rows that are not in the file yet, each with as many cells as the header.
     waiting: Vec<u8>,
-    /// How many rows there were when it was last tried to make the file anew, and how many there are.
+    /// Number of rows at the last attempt to rewrite the file, and current number of rows.
     rows: (u64, u64),
     written_at: f64,
-    /// How many bytes were left waiting by the last try.
+    /// Number of bytes that were still waiting after the last attempt.
     tried: usize,
-    /// Whether there may be part of a row behind the whole ones.
+    /// `true` if part of a row may follow the complete rows.
     torn: bool,
     trouble: Option<WriteError>,
 }
 
 impl RowWriter {
-    /// Makes the file anew, with its header.
+    /// Creates the file with its header.
     pub(crate) fn begin(path: PathBuf) -> Result<Self, WriteError> {
         let header = Header::default();
         let file = File::create(&path).map_err(WriteError::at(&path))?;
@@ -60,23 +60,23 @@ impl RowWriter {
         Ok(writer)
     }
 
-    /// Where the file is.
+    /// Returns the path of the file.
     pub fn path(&self) -> &Path {
         &self.path
     }
 
-    /// Takes a row.
+    /// Adds a row.
     ///
-    /// A row may bring columns that no row before it had. They are put behind the others: the file is made anew, which
-    /// is done when it has at least doubled since the last time, so that it costs no more than writing does. What has no
-    /// column by then is left out until [`ResultFolder::finish`](super::ResultFolder::finish) puts it in.
+    /// A row may have columns that no earlier row had. They are appended: the file is rewritten if its number of rows
+    /// has at least doubled since the last rewriting, so that rewriting costs no more than writing. Values without a
+    /// column are left out until [`ResultFolder::finish`](super::ResultFolder::finish) adds them.
     pub fn write(&mut self, row: &Row) {
         if self.rows.1 >= 2 * self.rows.0 && !self.header.covers(row) {
             self.extend(row);
         }
         self.header.row(&mut self.waiting, row);
         self.rows.1 += 1;
-        // A clock that was set back must not stop the writing.
+        // The absolute difference, because a clock that was set back must not stop the writing.
         let many = self.waiting.len() >= self.tried + MANY_BYTES;
         if many || (row.at - self.written_at).abs() >= EVERY {
             self.flush();
@@ -84,22 +84,22 @@ impl RowWriter {
         }
     }
 
-    /// Writes what waits: call it when no rows come.
+    /// Writes the waiting rows; to be called when no rows come.
     pub fn flush(&mut self) {
         self.trouble = self.put().map_err(WriteError::at(&self.path)).err();
         self.tried = self.waiting.len();
     }
 
-    /// Why rows wait in memory; `None` while all is well.
+    /// Returns the reason that rows wait in memory; `None` if they were written.
     pub fn trouble(&self) -> Option<&WriteError> {
         self.trouble.as_ref()
     }
 
-    /// Writes what waits a last time, through to the disk.
+    /// Writes the waiting rows a last time and syncs the file.
     ///
     /// # Errors
-    /// When rows could not be written. The file ends with the last one that could;
-    /// [`ResultFolder::finish`](super::ResultFolder::finish) finds another place for all.
+    /// If rows cannot be written. The file then ends with the last row that was written;
+    /// [`ResultFolder::finish`](super::ResultFolder::finish) finds another place for all rows.
     pub fn end(mut self) -> Result<PathBuf, WriteError> {
         let written = self.put().and_then(|()| self.file.sync_all());
         written.map_err(WriteError::at(&self.path))?;
@@ -114,13 +114,13 @@ impl RowWriter {
         self.waiting.drain(..whole);
         if outcome.is_err() {
             self.torn = true;
-            // What a second error says is not what went wrong; it is tried again before the next writing.
+            // The first error is the one to report. This is tried again before the next write.
             let _ = self.mend();
         }
         outcome
     }
 
-    /// Takes away the part of a row that a failed writing may have left. Shortening works on a full disk, too.
+    /// Removes the part of a row that a failed write may have left. Truncating works on a full disk as well.
     fn mend(&mut self) -> std::io::Result<()> {
         if self.torn {
             self.file.set_len(self.whole)?;
@@ -130,7 +130,8 @@ impl RowWriter {
         Ok(())
     }
 
-    /// Makes the file anew with the columns of a row. When that fails all remains as it is, and is not tried again at once.
+    /// Rewrites the file with the columns of a row. After a failure everything stays as it is, and the next attempt
+    /// is delayed.
     fn extend(&mut self, row: &Row) {
         self.rows.0 = self.rows.1;
         self.flush();
@@ -154,13 +155,13 @@ impl RowWriter {
             Ok((file, whole))
         });
         made.inspect_err(|_| {
-            // It is not there when it could not even be made.
+            // The new file does not exist if it could not be created.
             let _ = std::fs::remove_file(&beside);
         })
     }
 }
 
-/// Writes as `write_all` does, but tells how many bytes there was room for.
+/// Writes like `write_all`, but returns the number of written bytes also after an error.
 fn write_on(out: &mut impl Write, bytes: &[u8]) -> (usize, std::io::Result<()>) {
     let mut written = 0;
     while written < bytes.len() {
@@ -174,7 +175,7 @@ fn write_on(out: &mut impl Write, bytes: &[u8]) -> (usize, std::io::Result<()>) 
     (written, Ok(()))
 }
 
-/// How many of the bytes are whole rows. A line feed within quotes ends none.
+/// Returns the length of the complete rows. A line feed within quotes does not end a row.
 fn whole_rows(bytes: &[u8]) -> usize {
     let (mut quoted, mut end) = (false, 0);
     for (at, byte) in bytes.iter().enumerate() {

@@ -1,4 +1,4 @@
-//! Which database a command is about.
+//! Selection of the database that a command works on.
 
 use std::path::PathBuf;
 
@@ -20,10 +20,10 @@ pub(crate) struct Database {
 }
 
 impl Database {
-    /// The path of the database.
+    /// Returns the path of the database.
     ///
     /// # Errors
-    /// When the configuration cannot be read or has no aggregator.
+    /// If the configuration cannot be read or has no aggregator.
     pub(crate) fn path(self) -> Result<PathBuf, Failure> {
         match (self.database, self.config) {
             (Some(path), _) => Ok(path),
@@ -40,7 +40,7 @@ impl Database {
     }
 }
 
-/// All that is wrong with a configuration, a line each.
+/// Joins the problems of a configuration, one per line.
 pub(super) fn wrong_configuration(problems: &[Problem]) -> Failure {
     let lines: Vec<String> = problems.iter().map(ToString::to_string).collect();
     Failure::new(Exit::Configuration, anyhow!(lines.join("\n")))

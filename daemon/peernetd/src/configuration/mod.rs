@@ -1,4 +1,4 @@
-//! The configuration file: one TOML file for all roles; a role is on when its table is there.
+//! The configuration: one TOML file for all roles. A role is on if its table exists.
 
 mod load;
 mod locate;

@@ -1,4 +1,4 @@
-//! Files written and read back.
+//! Tests of files that are written and read back.
 
 use std::path::Path;
 
@@ -169,7 +169,7 @@ fn results_that_are_not_of_a_whole_run_say_so() {
 fn a_folder_that_cannot_be_written_loses_nothing() {
     let folder = tempfile::tempdir().expect("a folder");
     let result = ResultFolder::create(folder.path(), Overwrite::Refuse).expect("it is empty");
-    // Every write to it fails as on a full disk, root's as well.
+    // Every write to this file fails like on a full disk, also for root.
     std::os::unix::fs::symlink("/dev/full", folder.path().join("run.json")).expect("a link");
     let mut writer = result.writer().expect("writable");
     rows(10).iter().for_each(|row| writer.write(row));

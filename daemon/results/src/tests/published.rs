@@ -1,8 +1,8 @@
-//! What the published program wrote.
+//! Tests with files of the published program.
 
 use super::*;
 
-/// As pandas writes it, with the model's own stages and without a word about warm-up.
+/// File as pandas writes it, with the model's own stages and without a column for warm-up.
 const SAMPLE: &str = "\
 iteration,sensing,upload,preprocessing,inference,postprocessing,download,download-bytes,download-logger-bytes,upload-bytes,upload-logger-bytes,upload-throughput,download-throughput
 1,0.000912,0.018211,0.010112,0.080204,0.010095,0.000377,132.0,555.0,1343220.0,301.0,590200000.0,14600000.0

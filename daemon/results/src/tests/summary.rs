@@ -1,4 +1,4 @@
-//! Summaries as text.
+//! Tests of the text forms of summaries.
 
 use peernet_analysis::rows::Units;
 use peernet_logger::{Measure, Unit};

@@ -3,7 +3,7 @@ use serde_json::Value;
 
 use super::*;
 
-/// Cases that `tests/browser/numbers.mjs` holds the dashboard's script to as well.
+/// Test cases that `tests/browser/numbers.mjs` also applies to the dashboard's script.
 const CASES: &str = include_str!("../../tests/numbers.json");
 
 fn number(value: &Value) -> f64 {

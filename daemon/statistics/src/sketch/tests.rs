@@ -8,7 +8,7 @@ fn of(values: &[f64]) -> Sketch {
     sketch
 }
 
-/// The quantile from all numbers, and by how much it may be missed: 1 % of each neighbour's share in it.
+/// Returns the quantile of all numbers, and the permitted error: 1 % of each neighbour's share.
 fn exact(values: &[f64], q: f64) -> (f64, f64) {
     let mut sorted = values.to_vec();
     sorted.sort_by(f64::total_cmp);
@@ -18,8 +18,8 @@ fn exact(values: &[f64], q: f64) -> (f64, f64) {
     (between(lower, upper), between(lower.abs(), upper.abs()) * Sketch::RELATIVE_ERROR)
 }
 
-/// Durations, throughputs and temperatures as well as shapes that sketches find hard.
-/// Together they span a factor below the 6 × 10¹⁷ that a sketch tells apart.
+/// Generates durations, throughputs and temperatures, and distributions that are difficult for sketches. Together
+/// they span less than the factor of 6 × 10¹⁷ that a sketch distinguishes.
 fn numbers() -> impl Strategy<Value = Vec<f64>> {
     let uniform = 1e-6..1e7_f64;
     let signed = (-1e3..1e3_f64).prop_filter("counts as zero", |value| value.abs() >= Sketch::SMALLEST);

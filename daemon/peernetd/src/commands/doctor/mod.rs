@@ -1,4 +1,4 @@
-//! `peernetd doctor`
+//! The command `peernetd doctor`.
 
 mod print;
 mod repair;
@@ -45,7 +45,7 @@ pub(crate) struct Arguments {
     json: bool,
 }
 
-/// All that was looked at.
+/// Results of the examination.
 #[derive(Debug, Default, Serialize)]
 struct Examined {
     healthy: bool,
@@ -53,12 +53,12 @@ struct Examined {
     database: Option<Report>,
     #[serde(skip_serializing_if = "Option::is_none")]
     spool: Option<SpoolReport>,
-    /// What could not be looked at, and why.
+    /// Errors of files that could not be examined.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     unavailable: Vec<String>,
 }
 
-/// Looks at what is stored, and tells by the exit code whether something is wrong.
+/// Examines stored data; the exit code tells whether something is wrong.
 pub(crate) fn doctor(arguments: Arguments) -> Exit {
     let _log = log::temporary();
     let (full, json, repair) = (arguments.full, arguments.json, arguments.repair);

@@ -1,4 +1,4 @@
-//! What was found, for people.
+//! Text form of an examination.
 
 use peernet_analysis::table::text;
 use peernet_cli::output::say;
@@ -9,9 +9,9 @@ use peernet_store::maintenance::{Report, Severity};
 use super::Examined;
 use super::spool::SpoolReport;
 
-/// Lines of one table; all stand in the JSON form.
+/// Largest number of lines of a table; the JSON form has all.
 const LINES: usize = 20;
-/// Of what SQLite finds broken, and of findings.
+/// Largest number of problems that SQLite reports, and of findings.
 const FEW: usize = 10;
 
 pub(super) fn print(examined: &Examined, now: WallTime) {
@@ -131,7 +131,7 @@ fn spool(report: &SpoolReport, now: WallTime) {
     }
 }
 
-/// A table with an empty line after it; nothing for no rows.
+/// Prints a table with an empty line after it; prints nothing if there are no rows.
 fn section(header: &[&str], rows: impl Iterator<Item = Vec<String>>) {
     let rows: Vec<Vec<String>> = rows.collect();
     let Some(more) = (!rows.is_empty()).then(|| rows.len().saturating_sub(LINES)) else { return };
@@ -146,7 +146,7 @@ fn size(length: u64) -> String {
     bytes(length as f64).plain()
 }
 
-/// `3 min ago`, to the largest unit that fits.
+/// Formats an age in the largest unit that fits: `3 min ago`.
 fn ago(nanos: i64, now: WallTime) -> String {
     let seconds = (now - WallTime::from_unix_nanos(nanos)).seconds();
     let (value, unit) = match seconds.abs() {
@@ -155,7 +155,7 @@ fn ago(nanos: i64, now: WallTime) -> String {
         s if s < 172_800.0 => (s / 3_600.0, "h"),
         s => (s / 86_400.0, "days"),
     };
-    // Hosts' clocks may be ahead of this machine's.
+    // The clock of another host may be ahead of this machine's.
     let when = if seconds < -1.0 { "ahead" } else { "ago" };
     format!("{value:.0} {unit} {when}")
 }

@@ -1,4 +1,4 @@
-//! An agent's spool: what waits in it, whether each batch is what it was, and how much room is left.
+//! Examination of an agent's spool: waiting batches, their integrity, and free disk space.
 
 use std::path::{Path, PathBuf};
 
@@ -7,29 +7,29 @@ use peernet_agent::spool::{InspectError, Inspection, SpoolDamage, inspect};
 use peernet_store::maintenance::{Finding, Severity, free_bytes};
 use serde::Serialize;
 
-/// A disk with less room is as good as full.
+/// A disk with less free space counts as full, bytes.
 const LITTLE_ROOM: u64 = 16 << 20;
-/// What to do about a damaged spool.
+/// Advice about a damaged spool.
 const RENEW: &str = "stop the agent, move the file with its -wal to another folder and keep it, start the agent again: it \
                      makes a new one, and the aggregator records what was lost as a gap";
-/// What to do about a disk without room.
+/// Advice about a full disk.
 const MAKE_ROOM: &str = "make room: what is measured while the aggregator is away and does not fit into the agent's \
                          memory is lost, and counted";
 
-/// The state of a spool.
+/// State of a spool.
 #[derive(Clone, Debug, Default, Serialize)]
 pub(super) struct SpoolReport {
     pub(super) spool: PathBuf,
     #[serde(flatten)]
     pub(super) inspection: Inspection,
-    /// Size of the file and its log.
+    /// Size of the file and its log, bytes.
     pub(super) file_bytes: u64,
-    /// Room that is left on its disk, beside what the agent holds there for deleting.
+    /// Free space on its disk, bytes, without the agent's own reserve for deleting.
     pub(super) disk_free_bytes: u64,
     pub(super) findings: Vec<Finding>,
 }
 
-/// Reads the whole spool at one moment, beside a running agent if there is one.
+/// Reads the whole spool in one transaction; an agent may be running.
 pub(super) async fn examine(path: &Path) -> anyhow::Result<SpoolReport> {
     if !path.is_file() {
         bail!(
@@ -45,7 +45,7 @@ pub(super) async fn examine(path: &Path) -> anyhow::Result<SpoolReport> {
     report.room(path);
     match inspect(path).await {
         Ok(inspection) => report.take(inspection),
-        // SQLite needs some room even to read.
+        // SQLite needs some disk space even for reading.
         Err(InspectError::Read(error)) if report.disk_free_bytes < LITTLE_ROOM => {
             report.problem(format!("the spool cannot be read: {error}"), MAKE_ROOM);
         }
@@ -90,7 +90,8 @@ impl SpoolReport {
     }
 }
 
-/// What is said of events that were lost: for want of room, or with an agent that was killed.
+/// Returns the findings about lost events: those that were dropped for lack of space, and those that were lost with a
+/// killed agent.
 fn losses(dropped: i64, lost_when_killed: Option<i64>) -> Vec<Finding> {
     let finding = |events: i64, how: &str, advice: &str| {
         (events > 0).then(|| Finding {
