@@ -1,24 +1,24 @@
-//! A `peernetd` that lives more than once.
+//! A `peernetd` that is started several times.
 
 use peernet_clock::Span;
 use rustix::process::Signal;
 
 use crate::{Ended, FalseTime, Process, Site, Spooled};
 
-/// One configuration file and the process that runs it at the moment; what its earlier lives said is kept.
+/// A configuration file with the process that runs it. Data from the logs of earlier processes is kept.
 #[derive(Debug)]
 pub struct Daemon {
-    /// Its name; the file is `NAME.toml`.
+    /// Name of the daemon; the file is `NAME.toml`.
     pub name: String,
     configuration: String,
     process: Option<Process>,
-    /// What it is shown as the time; the kernel's when there is none.
+    /// Time that the process is shown; `None` for the kernel's.
     time: Option<FalseTime>,
     spooled: Vec<Spooled>,
 }
 
 impl Daemon {
-    /// Writes the configuration; starts nothing.
+    /// Writes the configuration without starting the process.
     pub fn new(site: &Site, name: &str, configuration: &str) -> Self {
         let (name, spooled) = (name.to_owned(), Vec::new());
         let mut daemon = Self { name, configuration: String::new(), process: None, time: None, spooled };
@@ -26,14 +26,14 @@ impl Daemon {
         daemon
     }
 
-    /// The same, started.
+    /// Writes the configuration and starts the process.
     pub fn started(site: &Site, name: &str, configuration: &str) -> Self {
         let mut daemon = Self::new(site, name, configuration);
         daemon.start(site);
         daemon
     }
 
-    /// Writes another configuration for the next life.
+    /// Writes another configuration for the next start.
     pub fn configure(&mut self, site: &Site, configuration: &str) {
         self.configuration = configuration.replace("NAME", &self.name);
         site.write(&self.file(), &self.configuration);
@@ -42,7 +42,7 @@ impl Daemon {
     /// Starts it without its pipelines: an agent that measures nothing.
     ///
     /// # Panics
-    /// When it runs already.
+    /// If it runs already.
     pub fn start_idle(&mut self, site: &Site) {
         let (idle, _) = self.configuration.split_once("[[pipeline]]").unwrap_or((&self.configuration, ""));
         let file = format!("{}-idle.toml", self.name);
@@ -57,7 +57,7 @@ impl Daemon {
     /// Starts it.
     ///
     /// # Panics
-    /// When it runs already.
+    /// If it runs already.
     pub fn start(&mut self, site: &Site) {
         self.start_from(site, &self.file());
     }
@@ -78,8 +78,8 @@ impl Daemon {
         }
     }
 
-    /// Waits until it is ready. One that ends instead, because of something in its surroundings that `mend` sets right, is
-    /// started again, as a service manager does. Returns how often that was.
+    /// Waits until it is ready. If it ends instead, because of a condition that `mend` corrects, it is started again,
+    /// as a service manager does. Returns the number of restarts.
     pub fn is_ready(&mut self, site: &Site, mut mend: impl FnMut()) -> u32 {
         let mut ended = 0;
         while !self.process().says("ready") {
@@ -94,20 +94,20 @@ impl Daemon {
         ended
     }
 
-    /// Whether it was started and neither stopped nor killed.
+    /// Returns whether it was started and neither stopped nor killed.
     pub fn runs(&self) -> bool {
         self.process.is_some()
     }
 
-    /// The process.
+    /// Returns the process.
     ///
     /// # Panics
-    /// When it does not run.
+    /// If it does not run.
     pub fn process(&self) -> &Process {
         self.process.as_ref().unwrap_or_else(|| panic!("{} does not run", self.name))
     }
 
-    /// Kills it (-9) and waits for its end.
+    /// Kills it (SIGKILL) and waits for its end.
     pub fn kill(&mut self) -> Ended {
         let ended = self.take().kill();
         assert_eq!(
@@ -121,12 +121,12 @@ impl Daemon {
         ended
     }
 
-    /// Stops it with SIGTERM. It must end well.
+    /// Stops it with SIGTERM.
     ///
     /// # Panics
-    /// When its exit code is not 0.
+    /// If its exit code is not 0.
     pub fn stop(&mut self) -> Ended {
-        // Before that it has not taken over the signals.
+        // The process handles signals only after it is ready.
         self.process().wait_for("ready");
         let ended = self.take().stop();
         assert_eq!(ended.code(), 0, "{}:\n{}", self.name, ended.log);
@@ -142,12 +142,12 @@ impl Daemon {
         self.spooled.extend(Spooled::all(&ended.log));
     }
 
-    /// What it said is in its spool, in all lives that are over.
+    /// Returns the batches that it reported as spooled, in all processes that have ended.
     pub fn spooled(&self) -> &[Spooled] {
         &self.spooled
     }
 
-    /// What it said so far, with the life under way.
+    /// Returns the batches that it reported as spooled so far, including the running process.
     pub fn spooled_now(&self) -> Vec<Spooled> {
         let now = self.process.as_ref().map(|process| Spooled::all(&process.log())).unwrap_or_default();
         self.spooled.iter().cloned().chain(now).collect()

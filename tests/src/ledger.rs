@@ -1,4 +1,4 @@
-//! What an aggregator's database holds, counted in every way it can be counted.
+//! Counts of everything that an aggregator's database stores.
 
 use std::collections::BTreeMap;
 use std::ops::RangeInclusive;
@@ -7,7 +7,7 @@ use std::path::Path;
 use crate::Spooled;
 use crate::truth::ask;
 
-/// A database, read as people read it.
+/// Contents of a database, counted in several ways.
 #[derive(Clone, Debug)]
 pub struct Ledger {
     /// Runs by id.
@@ -16,49 +16,49 @@ pub struct Ledger {
     pub hosts: BTreeMap<String, StoredHost>,
 }
 
-/// A run as it is stored.
+/// Stored counts of a run.
 #[derive(Clone, Debug, Default)]
 pub struct StoredRun {
-    /// Its host.
+    /// Name of its host.
     pub host: String,
-    /// Its pipeline.
+    /// Name of its pipeline.
     pub pipeline: String,
-    /// How it ended; empty while it goes on.
+    /// Reason of its end; empty while it is still running.
     pub reason: String,
-    /// Iterations that the run's own counters tell.
+    /// Number of iterations according to the counters in the run's row.
     pub counted: u64,
-    /// Successful ones without the warm-up, by those counters.
+    /// Number of successful iterations without warm-up, according to these counters.
     pub ok: u64,
-    /// Successful ones in the roll-up over the whole run, and in those of seconds.
+    /// Number of successful iterations in the roll-up of the whole run, and in those of seconds.
     pub rolled_up: (u64, u64),
     /// Numbers of the stored iterations.
     pub ranges: Vec<RangeInclusive<u64>>,
-    /// Iterations that have nodes.
+    /// Number of iterations that have nodes.
     pub with_nodes: u64,
-    /// Those of them whose nodes are not contiguous from 0.
+    /// Number of these whose nodes are not contiguous from 0.
     pub torn: u64,
-    /// All nodes.
+    /// Number of nodes.
     pub nodes: u64,
-    /// Events missing in the run's gaps.
+    /// Number of events that are missing in the run's gaps.
     pub missing: u64,
 }
 
-/// A host as it is stored.
+/// Stored counts of a host.
 #[derive(Clone, Debug, Default)]
 pub struct StoredHost {
-    /// Events.
+    /// Number of events.
     pub events: u64,
-    /// Nodes.
+    /// Number of nodes.
     pub nodes: u64,
-    /// Gaps, by the host's own counters.
+    /// Number of gaps, according to the host's counters.
     pub gaps: u64,
-    /// Events missing in them, by the host's own counters.
+    /// Number of events that are missing in them, according to the host's counters.
     pub missing: u64,
-    /// The same, by the gaps themselves.
+    /// Number of gaps and of missing events, according to the rows of the gaps.
     pub gap_rows: (u64, u64),
-    /// Batches put aside.
+    /// Number of quarantined batches.
     pub quarantined: u64,
-    /// Streams that it ever had.
+    /// Number of all its streams.
     pub streams: u64,
 }
 
@@ -134,20 +134,20 @@ impl Ledger {
         Self { runs, hosts: hosts.collect() }
     }
 
-    /// Iterations of all runs.
+    /// Returns the number of iterations of all runs.
     pub fn iterations(&self) -> u64 {
         self.runs.values().map(StoredRun::iterations).sum()
     }
 
-    /// Nodes of all runs.
+    /// Returns the number of nodes of all runs.
     pub fn nodes(&self) -> u64 {
         self.runs.values().map(|run| run.nodes).sum()
     }
 
-    /// Checks that everything is there once and whole, however it is counted: rows, counters, roll-ups, nodes.
+    /// Checks that rows, counters, roll-ups and nodes agree, so that everything is stored once and completely.
     ///
     /// # Panics
-    /// When the counts differ.
+    /// If the counts differ.
     pub fn agrees(&self) {
         for (id, run) in &self.runs {
             let iterations = run.iterations();
@@ -162,10 +162,11 @@ impl Ledger {
         assert_eq!(told, self.nodes(), "nodes by the hosts' counters and in the table: {self:?}");
     }
 
-    /// How many iterations of what was spooled are not there; checks that no line's range holds more than it says.
+    /// Returns the number of spooled iterations that are not stored; checks that no line's range contains more than
+    /// the line reports.
     ///
     /// # Panics
-    /// When a run is unknown or holds too many.
+    /// If a run is unknown or contains too many iterations.
     pub fn lacks(&self, spooled: &[Spooled]) -> u64 {
         let mut lost = 0;
         for line in spooled {
@@ -179,12 +180,12 @@ impl Ledger {
 }
 
 impl StoredRun {
-    /// How many iterations are stored.
+    /// Returns the number of stored iterations.
     pub fn iterations(&self) -> u64 {
         self.ranges.iter().map(|range| range.end() - range.start() + 1).sum()
     }
 
-    /// How many of those between two numbers are stored.
+    /// Returns the number of stored iterations between two numbers.
     pub fn within(&self, first: u64, last: u64) -> u64 {
         let shared = |range: &RangeInclusive<u64>| {
             let (first, last) = (first.max(*range.start()), last.min(*range.end()));
@@ -193,12 +194,12 @@ impl StoredRun {
         self.ranges.iter().map(shared).sum()
     }
 
-    /// How many are not there of those from 1 to the last that is.
+    /// Returns the number of missing iterations between 1 and the last stored one.
     pub fn holes(&self) -> u64 {
         self.ranges.last().map_or(0, |range| *range.end()) - self.iterations()
     }
 
-    /// Whether all from the first to the last are there.
+    /// Returns whether all iterations from the first to the last are stored.
     pub fn is_whole(&self) -> bool {
         matches!(self.ranges.as_slice(), [range] if *range.start() == 1)
     }

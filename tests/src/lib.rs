@@ -1,4 +1,5 @@
-//! The harness of the end-to-end tests: real processes of the real programs, in folders of their own.
+//! Harness of the end-to-end tests. The tests start the built programs, as a user or systemd does, in folders of
+//! their own.
 
 mod account;
 mod api;
@@ -50,5 +51,6 @@ pub use time::{Since, wall};
 
 use std::time::Duration;
 
-/// How long a test waits for something that should happen at once, on a machine that is busy with other tests.
+/// Longest wait for an event that should happen at once, on a machine that is busy with other tests. Such bounds only
+/// detect hanging programs; `make bench` measures speed.
 pub const PATIENCE: Duration = Duration::from_secs(60);

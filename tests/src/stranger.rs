@@ -1,4 +1,4 @@
-//! Somebody who speaks the event stream's protocol as he likes, over a real socket.
+//! A peer that sends any messages of the event stream's protocol over a real socket.
 
 use std::fmt::Debug;
 use std::sync::OnceLock;
@@ -16,15 +16,15 @@ use zeromq::{Message, Options, Socket, SocketType};
 
 use crate::{Chance, PATIENCE, Since, wall};
 
-/// How long an agent waits before it says hello again.
+/// Time after which an agent repeats its hello.
 const AGAIN: Duration = Duration::from_secs(1);
 
-/// A connection to an aggregator.
+/// Connection to an aggregator.
 pub struct Stranger {
     socket: Socket,
 }
 
-/// Connections live on in threads of their own while the test does something else.
+/// Returns the runtime whose threads keep connections alive while the test does something else.
 fn runtime() -> &'static Runtime {
     static RUNTIME: OnceLock<Runtime> = OnceLock::new();
     RUNTIME.get_or_init(|| {
@@ -42,7 +42,7 @@ impl Stranger {
     /// Connects to a port of this machine.
     ///
     /// # Panics
-    /// When that fails.
+    /// If that fails.
     pub fn at(port: u16) -> Self {
         let socket = runtime().block_on(async {
             let socket = Socket::new(SocketType::Dealer, Options::default());
@@ -55,7 +55,7 @@ impl Stranger {
     /// Sends a frame.
     ///
     /// # Panics
-    /// When the socket is closed.
+    /// If the socket is closed.
     pub fn send(&self, frame: &[u8]) {
         let message = Message::single(Bytes::copy_from_slice(frame));
         runtime().block_on(self.socket.send(message)).expect("sends");
@@ -66,10 +66,10 @@ impl Stranger {
         self.send(&codec::encode(message));
     }
 
-    /// The next message that comes.
+    /// Receives the next message.
     ///
     /// # Panics
-    /// When none comes within [`PATIENCE`].
+    /// If none arrives within [`PATIENCE`].
     pub fn hear(&self) -> ToAgent {
         self.hear_within(PATIENCE).expect("an answer in time")
     }
@@ -80,7 +80,7 @@ impl Stranger {
         Some(codec::decode(message.part_slice(0).expect("a frame")).expect("a message of the aggregator"))
     }
 
-    /// Answers a challenge with the proof of this hello; whether it was one.
+    /// Answers a challenge with the proof of this hello; returns whether `said` is a challenge.
     pub fn prove(&self, hello: &Hello, secret: &HostSecret, said: &ToAgent) -> bool {
         let ToAgent::Challenge { aggregator, stream, nonce, enrol, .. } = said else { return false };
         if *stream == hello.stream {
@@ -92,11 +92,11 @@ impl Stranger {
         true
     }
 
-    /// Says hello, and proves it, until what is answered is what `holds` looks for. As agents do: an aggregator that has no room for an
-    /// answer, or none for what follows from a hello, leaves it unanswered.
+    /// Sends a hello and its proof until an answer fulfils `holds`. The hello is repeated, as by agents: an
+    /// aggregator without room for an answer leaves a hello unanswered.
     ///
     /// # Panics
-    /// When it never is.
+    /// If no answer does.
     pub fn greet(&self, host: &Introduced, holds: impl Fn(&ToAgent) -> bool) {
         let hello = &host.hello;
         let began = Since::now();
@@ -112,7 +112,7 @@ impl Stranger {
         panic!("{} was not answered as it should be", hello.host.name);
     }
 
-    /// Hears until something is said that `holds` looks for.
+    /// Receives messages until `holds` returns a value.
     pub fn hear_until<T>(&self, mut holds: impl FnMut(&ToAgent) -> Option<T>) -> T {
         loop {
             if let Some(found) = holds(&self.hear()) {
@@ -128,7 +128,7 @@ impl Stranger {
         });
     }
 
-    /// Waits for a refusal and returns its words.
+    /// Waits for a refusal and returns its reason.
     pub fn hear_refusal(&self) -> String {
         self.hear_until(|said| match said {
             ToAgent::Refused { reason } => Some(reason.clone()),
@@ -137,19 +137,19 @@ impl Stranger {
     }
 }
 
-/// A host that the test makes up, with a stream of batches.
+/// Invented host with a stream of batches.
 #[derive(Clone, Debug)]
 pub struct Introduced {
-    /// The hello that it opens with.
+    /// The hello with which it opens the session.
     pub hello: Hello,
-    /// What it proves to be that host with.
+    /// The secret with which it proves its id.
     pub secret: HostSecret,
     newest: (u64, Chain),
     events: u64,
 }
 
 impl Introduced {
-    /// A host with a new stream.
+    /// Creates a host with a new stream.
     pub fn new(name: &str, chance: &mut Chance) -> Self {
         let host = HostDescription {
             id: HostId::random(),
@@ -177,12 +177,12 @@ impl Introduced {
         Self { hello, secret: HostSecret::random(), newest: (0, Chain::START), events: 0 }
     }
 
-    /// Says hello and waits until it is taken in.
+    /// Sends the hello and waits until the host is welcomed.
     pub fn enter(&self, stranger: &Stranger) {
         stranger.greet(self, |said| matches!(said, ToAgent::Welcome { .. }));
     }
 
-    /// The next batch of the stream, with so many events.
+    /// Returns the next batch of the stream, with this number of events.
     pub fn batch(&mut self, events: u32) -> Vec<u8> {
         let text = |n: u32| format!("event {n} of batch {}", self.newest.0 + 1);
         let body: Vec<u8> = (0..events)
@@ -201,7 +201,7 @@ impl Introduced {
         self.batch_of(events, &body, false)
     }
 
-    /// Says hello until that is refused; returns the words.
+    /// Sends the hello until it is refused; returns the reason.
     pub fn is_refused(&self, stranger: &Stranger) -> String {
         let words = std::cell::RefCell::new(String::new());
         stranger.greet(self, |said| match said {
@@ -214,17 +214,17 @@ impl Introduced {
         words.into_inner()
     }
 
-    /// The next batch of the stream, with these events.
+    /// Returns the next batch of the stream, with these events.
     ///
     /// # Panics
-    /// Never: plain data serialises.
+    /// Never: plain data can always be serialized.
     pub fn batch_with(&mut self, events: &[Event]) -> Vec<u8> {
         let encode = |event| rmp_serde::to_vec(event).expect("plain data serialises");
         let body: Vec<u8> = events.iter().flat_map(encode).collect();
         self.batch_of(events.len() as u32, &body, false)
     }
 
-    /// The next batch of the stream, of whatever bytes, correctly hashed.
+    /// Returns the next batch of the stream with any bytes, correctly hashed.
     pub fn batch_of(&mut self, events: u32, body: &[u8], compress: bool) -> Vec<u8> {
         let (newest, before) = self.newest;
         let (number, chain) = (newest + 1, before.then(events, body));
