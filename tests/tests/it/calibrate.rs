@@ -1,4 +1,5 @@
-//! `peernet calibrate` against a host whose clock is a second ahead, and `peernet recompute` of a stored run.
+//! Tests of `peernet calibrate` against a host whose clock is a second ahead, and of `peernet recompute` with a
+//! stored run.
 
 use std::process::{Command, Stdio};
 
@@ -6,7 +7,7 @@ use peernet_tests::{AGGREGATOR, Api, Ended, Process, Site, program, until};
 use rustix::process::{Pid, Signal, kill_process};
 use serde_json::Value;
 
-/// Another clock than that of `peernet`: a second ahead, under a name of its own.
+/// Cloud whose clock differs from that of `peernet`: a second ahead, with an identity of its own.
 const CLOUD: &str = r#"
 [agent]
 name = "cloud"
@@ -76,7 +77,7 @@ impl Plant {
         self.peernet(&[&["calibrate", &self.peer, "--result-loc", "results"], arguments].concat()).ended()
     }
 
-    /// A sweep that goes on until something ends it.
+    /// Starts a calibration that runs until it is ended.
     fn endless(&self) -> Process {
         let endless = ["--sizes", "100,1kB,10kB", "--repeats", "1000000", "--seconds", "600"];
         let running =
@@ -109,7 +110,7 @@ fn a_link_is_calibrated_whatever_the_clocks_show() {
     assert_eq!((&study["setting"]["cloud"], &study["setting"]["rehearsed"]), (&"cloud".into(), &true.into()));
     for (direction, ahead) in [("up", 1.0), ("down", -1.0)] {
         let direction = &study[direction];
-        // Both hosts read one kernel's clock: without the rehearsed second the raw stamps are the truth.
+        // Both hosts read the same kernel's clock, so that the raw stamps without the injected second are the truth.
         let over_samples =
             |path: &str| number(&direction["fits"].pointer(path).expect("a fit")["intercept"]["value"]);
         let (reported, raw) = (over_samples("/samples/least_squares"), over_samples("/raw"));
@@ -124,7 +125,7 @@ fn a_link_is_calibrated_whatever_the_clocks_show() {
             "the intercept is wrong by {error} s, claimed are {allowed} s"
         );
     }
-    // Which of them depends on how busy the machine is; a verdict about the clocks would be wrong.
+    // The verdict depends on the load of the machine; a verdict about the clocks would be wrong.
     let verdict = study["verdict"]["kind"].as_str().expect("there is a verdict");
     assert!(["trusted", "inconclusive", "contradicted"].contains(&verdict), "{}", study["verdict"]);
     let offset = number(&study["clocks"]["offset"]);
@@ -145,7 +146,7 @@ fn a_link_is_calibrated_whatever_the_clocks_show() {
     assert!(again.log.contains("--overwrite"), "{}", again.log);
 }
 
-/// Of every iteration that was answered, warm-up included: raw less the rehearsed second is the truth.
+/// Checks every answered iteration, warm-up included: the raw delay without the injected second is the truth.
 fn every_delay_lies_within_its_bounds(samples: &str) {
     let mut rows = samples.lines().map(|line| line.split(',').collect::<Vec<_>>());
     let header = rows.next().expect("there is a header");
@@ -158,7 +159,8 @@ fn every_delay_lies_within_its_bounds(samples: &str) {
         for (stage, ahead) in [("upload", 1.0), ("download", -1.0)] {
             let [raw, lo, hi] = ["raw", "lo", "hi"].map(|column| cell(format!("{stage}-{column}")));
             let truth = raw - ahead;
-            // The interval is of the free-running clocks, the raw difference of the wall clocks, which are read up to 3 µs later.
+            // The interval is for the free-running clocks, the raw difference for the wall clocks, which are read up
+            // to 3 µs later.
             const APART: f64 = 3e-6;
             assert!(
                 (lo - APART..=hi + APART).contains(&truth),
@@ -242,7 +244,7 @@ fn on_one_clock_bounds_are_exact() {
     assert_eq!(done.code(), 0, "{}", done.log);
     assert_eq!(plant.results()["verdict"]["kind"], "exact");
     let exact = done.log.lines().filter(|line| line.contains(" exact")).count();
-    // Three sizes, what the clock bounds allow either way, and the verdict.
+    // Three sizes, the clock bounds in both directions, and the verdict.
     assert_eq!(exact, 6, "{}", done.log);
 }
 
@@ -267,7 +269,7 @@ fn a_peer_that_comes_back_with_another_clock_ends_the_study() {
     let why = study["setting"]["ended"].as_str().expect("it says why");
     assert!(why.contains("another clock"), "{why}");
     assert_eq!(study["clocks"]["steps"], 0);
-    // Nothing of the second clock is in it.
+    // The study contains no data of the second clock.
     let offset = number(&study["clocks"]["offset"]);
     assert!((offset - 1.0).abs() < 1e-3, "the clock of the study is 1 s ahead, not {offset} s");
     let samples = std::fs::read_to_string(plant.site.folder().join("results/samples.csv")).expect("written");
@@ -277,13 +279,13 @@ fn a_peer_that_comes_back_with_another_clock_ends_the_study() {
 #[test]
 fn a_peer_that_was_away_and_comes_back_is_told() {
     let plant = Plant::new();
-    // Another name for the system's clock: related by exchanges, and the same after a restart.
+    // Another name for the system's clock, which is related by exchanges and is the same after a restart.
     let same = CLOUD
         .replace("[rehearsal]\noffset_ms = 1000\n", "")
         .replace("[probes]", "clock_identity = \"cloud\"\n\n[probes]");
     let cloud = plant.start("cloud.toml", &same);
     let running = plant.endless();
-    // Stopped at first, so that a payload is lost for certain.
+    // The cloud is stopped first, so that a payload is certainly lost.
     cloud.signal(Signal::STOP);
     running.wait_for("cloud is away");
     cloud.kill();
@@ -341,7 +343,7 @@ fn a_stored_run_is_computed_again_and_left_as_it_was() {
     for part in ["connected, rehearsed", "REHEARSAL: edge's clock", "offset -500 ms"] {
         assert!(status.log.contains(part), "{part} is missing in\n{}", status.log);
     }
-    // With all that was learnt of the clocks, also after the run.
+    // The stored relation contains what was learnt about the clocks after the run as well.
     assert_eq!(edge.stop().code(), 0);
     let before = api.json(&format!("/api/v1/runs/{run}/stages"));
 

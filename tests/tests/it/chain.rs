@@ -1,4 +1,5 @@
-//! From the sensor to the store and the page, over three processes, with a real model on real pictures.
+//! Tests of the whole chain from the sensor to the store and the page, over three processes, with a real model on
+//! real pictures.
 
 use peernet_tests::{Process, Site, program, root};
 use serde_json::Value;
@@ -49,13 +50,13 @@ fn an_offloaded_picture_is_measured_stage_by_stage_and_stored() {
     let cloud = site.agent("cloud", CLOUD);
     let edge = site.agent("edge", EDGE);
 
-    // Live, before anything else: the page and the API show the pipeline while it runs.
+    // Page and API show the pipeline while it runs.
     api.until("/api/v1/pipelines/edge/offload", |pipeline| {
         (number(&pipeline["windows"][2]["counts"], "ok") > 0.0).then_some(())
     });
     let run = api.finished_run();
 
-    // Exactly what was asked for, warm-up kept and flagged.
+    // The run has exactly the configured iterations; warm-up is kept and flagged.
     let detail = api.json(&format!("/api/v1/runs/{run}"));
     assert_eq!(
         (detail["counts"]["ok"].as_u64(), detail["warm_up"].as_u64()),
@@ -64,7 +65,8 @@ fn an_offloaded_picture_is_measured_stage_by_stage_and_stored() {
     );
     assert_eq!(detail["placement"]["peer"], "cloud");
 
-    // One machine, one clock: every delay is exact, and stages plus the unattributed rest are the total.
+    // Both hosts share one clock, so that every delay is exact, and the stages with the unattributed time add up to
+    // the total.
     for name in STAGES {
         let stage = api.figures(run, name).unwrap_or_else(|| panic!("{name} is missing"));
         assert_eq!(stage["count"], 40, "{stage}");
@@ -72,7 +74,7 @@ fn an_offloaded_picture_is_measured_stage_by_stage_and_stored() {
     }
     api.stages_are_the_total(run, &STAGES);
 
-    // One tree from two hosts.
+    // One tree contains the nodes of both hosts.
     let iteration = api.json(&format!("/api/v1/runs/{run}/iterations/10"));
     assert_eq!(iteration["tree"]["anchors"].as_array().map(Vec::len), Some(2), "{iteration}");
     let nodes = iteration["tree"]["nodes"].as_array().expect("a list");
@@ -81,7 +83,7 @@ fn an_offloaded_picture_is_measured_stage_by_stage_and_stored() {
     let inference = nodes.iter().find(|node| node["name"] == "inference").expect("an inference");
     assert_eq!(inference["host"], 1, "{inference}");
 
-    // The pages show it to a browser without script, too.
+    // The pages show the run to a browser without scripts as well.
     for page in ["/", "/runs", &format!("/runs/{run}"), &format!("/runs/{run}/iterations/10"), "/hosts"] {
         let (status, text) = api.get(page).expect("the dashboard answers");
         assert_eq!(status, 200, "{page}");
@@ -108,7 +110,7 @@ fn all_roles_in_one_process_lose_nothing_at_the_end() {
     api.until("/api/v1/runs", |runs| (number(&runs["runs"].get(1)?["counts"], "ok") > 20.0).then_some(()));
     assert_eq!(first.stop().code(), 0);
 
-    // A second start finds the runs of the first ended, with all that was measured before it stopped.
+    // A second start finds the runs of the first one ended, with everything that was measured before it stopped.
     let second = site.start("all.toml");
     let runs = api.until("/api/v1/runs", |runs| {
         let runs: Vec<Value> =
@@ -124,7 +126,7 @@ fn all_roles_in_one_process_lose_nothing_at_the_end() {
             .map(|n| n as usize)
             .collect();
         assert_eq!(numbers, (1..=numbers.len()).collect::<Vec<_>>(), "contiguous from the first to the last");
-        // On a busy machine the one under way at the end may be given up, which is told as well.
+        // On a busy machine the last iteration may be given up, which is counted as well.
         let ended = ["ok", "failed", "lost", "timeout"].map(|outcome| number(&run["counts"], outcome));
         let told = ended.iter().sum::<f64>() + number(run, "warm_up");
         assert_eq!(told as usize, numbers.len(), "{run}");

@@ -1,4 +1,4 @@
-//! `peernetd check` and the errors of a start: what, where, and what to do; with documented exit codes.
+//! Tests of `peernetd check` and of start errors: problem, place and remedy, with documented exit codes.
 
 use std::net::TcpListener;
 
@@ -7,7 +7,7 @@ use peernet_tests::Site;
 const USAGE: i32 = 64;
 const CONFIGURATION: i32 = 78;
 
-/// Checks one file and returns the exit code and what was said.
+/// Checks a file; returns the exit code and the output.
 fn check(site: &Site, text: &str) -> (i32, String) {
     site.write("it.toml", text);
     let ended = site.peernetd(&["check", "it.toml"]).ended();

@@ -1,4 +1,4 @@
-//! What is sent and received on the connections of a link, from the kernel to the page.
+//! Tests of the statistics of connections, from the kernel to the page.
 
 use peernet_tests::network::Way;
 use peernet_tests::truth::ask;
@@ -34,13 +34,13 @@ fn connection_is_on_page_and_in_api_and_metrics() {
     });
     let (up, down) = (&connection["up"], &connection["down"]);
     assert_eq!((&connection["pipeline"], &connection["network"]), (&"offload".into(), &"zmq-tcp".into()));
-    // An echo sends back what it got, and each direction has a message for opening the session.
+    // An echo sends back what it received, and each direction has a message that opens the session.
     assert!(up["bytes"].as_u64() >= Some(500_000) && down["bytes"].as_u64() >= Some(500_000), "{connection}");
     assert!(up["datagrams"].as_u64() >= Some(50) && up["retransmitted_datagrams"].is_u64(), "{connection}");
     assert!(up["lost_datagrams"].is_null() && down["retransmitted_datagrams"].is_null(), "{connection}");
     let trip = &connection["transport_round_trip"];
     assert!(trip["smoothed_s"].as_f64().is_some_and(|trip| trip > 0.0 && trip < 1.0), "{connection}");
-    // What the cloud tells is older than what the edge counts at the moment.
+    // The cloud's counts are older than those of the edge.
     let at_cloud = &connection["cloud"];
     for (direction, counted) in [("up", up), ("down", down)] {
         let told = at_cloud[direction]["bytes"].as_u64();
@@ -103,7 +103,7 @@ fn lossy_link_shows_retransmissions() {
         connection["interface"],
         serde_json::json!({ "name": "data", "type": "ethernet", "mtu_bytes": 1500 })
     );
-    // Those that were sent again count as datagrams, too.
+    // Retransmitted datagrams are counted as datagrams as well.
     let segments = connection["up"]["datagrams"].as_u64();
     assert!(segments > connection["up"]["retransmitted_datagrams"].as_u64(), "{connection}");
     let address = plant.network.cloud().address;

@@ -1,4 +1,4 @@
-//! A pipeline over `zmq-udp` whose path, cloud or port fails.
+//! Tests of a pipeline over `zmq-udp` whose path, cloud or port fails.
 
 use std::net::Ipv4Addr;
 use std::time::Duration;
@@ -10,20 +10,20 @@ const LINK: &str = "/api/v1/links/edge~cloud~zmq-udp";
 
 const LOAD: &str = "load = { mode = \"rate\", hz = 20.0 }";
 
-/// Iterations of the only run that were answered.
+/// Returns the number of answered iterations of the only run.
 fn answered(plant: &Plant) -> u64 {
     let runs = plant.api.json("/api/v1/runs");
     let ok = runs["runs"].get(0).and_then(|run| run["counts"]["ok"].as_u64());
     ok.unwrap_or_default()
 }
 
-/// Waits until so many more are answered.
+/// Waits until this many more iterations are answered.
 fn until_answered(plant: &Plant, more: u64) {
     let enough = answered(plant) + more;
     until("answers", || (answered(plant) >= enough).then_some(()));
 }
 
-/// Waits until an end of the only connection is at an address.
+/// Waits until one end of the only connection is at an address.
 fn until_at(plant: &Plant, end: &str, address: Ipv4Addr) {
     plant.api.until(LINK, |link| {
         let shown = link["now"]["connections"].get(0)?[end].as_str()?;
@@ -31,7 +31,7 @@ fn until_at(plant: &Plant, end: &str, address: Ipv4Addr) {
     });
 }
 
-/// Waits until the page of the link shows a text.
+/// Waits until the page of the link contains a text.
 fn shows(plant: &Plant, text: &str) {
     until(text, || {
         let (_, page) = plant.api.get("/links/edge~cloud~zmq-udp")?;
@@ -43,7 +43,7 @@ fn shows(plant: &Plant, text: &str) {
 fn session_survives_small_mtu_and_moved_hosts() {
     let plant = Plant::over("udp", |_| Network::direct());
     let cloud = plant.cloud("");
-    // More than any system allows without being told to.
+    // More than any system permits by default.
     let pipeline = plant.pipeline("line", 20_000, LOAD);
     let large = "session = { socket_buffer_bytes = 1073741824 }, model =";
     let edge = plant.edge(&pipeline.replace("model =", large), &[]);
@@ -82,7 +82,7 @@ fn pipeline_recovers_from_cut_link_restart_and_blocked_port() {
     path.cut();
     let said = edge.wait_for("lost cloud");
     assert!(said.contains("udp://") && said.contains("nothing was heard of the peer for 5 s"), "{said}");
-    // A cut of ten seconds is what is to be survived.
+    // The session must survive a cut of ten seconds.
     std::thread::sleep(Duration::from_secs(10).saturating_sub(cut.elapsed()));
     path.let_in();
     edge.wait_for_nth("connected to cloud", 2);

@@ -1,9 +1,9 @@
-//! The documents keep their word: examples pass the check, every key is described, links lead somewhere.
+//! Tests of the documents: examples pass the check, every key is described, and links lead to existing targets.
 //!
-//! A block of TOML whose first line is a comment with a bare file name, `# edge.toml`, is a complete file that passes
-//! `peernetd check` in the root of the checkout, where the documents have built their example in C. A block with the tables
-//! `[experiment]` and `[pipeline]` is an experiment, which passes `peernet run --check` there. Any other block of TOML is an
-//! excerpt.
+//! A TOML block whose first line is a comment with a bare file name, `# edge.toml`, is a complete file, which must
+//! pass `peernetd check` in the root of the checkout, where the example in C has been built. A block with the tables
+//! `[experiment]` and `[pipeline]` is an experiment, which must pass `peernet run --check` there. Any other TOML
+//! block is an excerpt.
 
 use std::os::unix::fs::symlink;
 use std::path::{Path, PathBuf};
@@ -14,13 +14,13 @@ use crate::external::build;
 
 const REFERENCE: &str = "docs/configuration.md";
 
-/// The name of a complete file.
+/// Returns the name of a complete file.
 fn name(block: &str) -> Option<&str> {
     let name = block.lines().next()?.strip_prefix("# ")?;
     (name.ends_with(".toml") && !name.contains([' ', '/'])).then_some(name)
 }
 
-/// Whether a block is the whole file of an experiment.
+/// Returns whether a block is the complete file of an experiment.
 fn is_experiment(block: &str) -> bool {
     let tables: Result<toml::Table, _> = toml::from_str(block);
     tables.is_ok_and(|tables| ["experiment", "pipeline"].iter().all(|name| tables.contains_key(*name)))
@@ -63,7 +63,7 @@ fn examples_that_are_complete_files_pass_the_check_and_excerpts_can_be_read() {
                 }
                 continue;
             };
-            // The check tries this port, and a demo may be running.
+            // The check binds this port, and a demo may be running.
             let block = block.replace("tcp://127.0.0.1:5551", "tcp://127.0.0.1:{data}");
             site.write(name, &block);
             let ended = Process::start(&program("peernetd"), &["check", name], site.folder(), &[]).ended();
@@ -105,7 +105,8 @@ fn links_lead_to_files_and_sections_that_exist() {
     assert!(broken.is_empty(), "links that lead nowhere:\n{}", broken.join("\n"));
 }
 
-/// A section of the reference, and a file with a key or a value `zz` in what the section describes.
+/// Sections of the reference, each with a file that has a key or value `zz` where the section describes keys or
+/// values.
 const PROBES: [(&str, &str); 31] = [
     ("configuration", "zz = 1"),
     ("log", "[log]\nzz = 1"),
@@ -143,7 +144,7 @@ const PROBES: [(&str, &str); 31] = [
     ("actuator", "[[pipeline]]\nactuator = { kind = \"zz\" }"),
 ];
 
-/// The same for experiments.
+/// The corresponding list for experiments.
 const EXPERIMENTS: [(&str, &str); 4] = [
     ("experiment", "[experiment]\nzz = 1\n[pipeline]"),
     ("pipeline-and-the-agents-tables", "[experiment]\nname = 'e'\n[pipeline]\n[network]\nzz = 1"),
@@ -151,7 +152,7 @@ const EXPERIMENTS: [(&str, &str); 4] = [
     ("axis", "[experiment]\nname = 'e'\n[pipeline]\n[[axis]]\nname = 'a'\n[[axis.value]]\nzz = 1"),
 ];
 
-/// The same for tables whose keys depend on their kind, which stands for `KIND`.
+/// The corresponding list for tables whose keys depend on their kind, which replaces `KIND`.
 const KINDS: [(&str, &str); 6] = [
     ("model", "[[model]]\nname = \"m\"\nkind = \"KIND\"\nzz = 1"),
     ("sensor", "[[pipeline]]\nsensor = { kind = \"KIND\", zz = 1 }"),
@@ -161,7 +162,7 @@ const KINDS: [(&str, &str); 6] = [
     ("load", "[[pipeline]]\nload = { mode = \"KIND\", zz = 1 }"),
 ];
 
-/// What is said of a file by the program that checks it.
+/// Runs a program's check on a file; returns the output.
 type Check = fn(&Site, &str) -> String;
 
 fn configuration(site: &Site, file: &str) -> String {
@@ -175,7 +176,7 @@ fn experiment(site: &Site, file: &str) -> String {
     Process::start(&program("peernet"), &arguments, site.folder(), &[]).ended().log
 }
 
-/// What a check says could stand in the place of `zz`.
+/// Returns the names that a check offers instead of `zz`.
 fn known(said: &str) -> Vec<String> {
     let told = ["unknown field `zz`, ", "unknown variant `zz`, "];
     let known = told.iter().find_map(|told| said.split_once(told));
@@ -183,7 +184,7 @@ fn known(said: &str) -> Vec<String> {
     known.lines().take(1).flat_map(|known| known.split('`').skip(1).step_by(2)).map(str::to_owned).collect()
 }
 
-/// The words that a section lacks.
+/// Returns the words that are missing in a section.
 fn lacking(document: &Document, section: &str, words: &[String]) -> Vec<String> {
     let text = document.section(section);
     let described = |word: &str| {

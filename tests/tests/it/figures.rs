@@ -1,4 +1,4 @@
-//! `peernet plot`: figures of results, those of the published program too.
+//! Tests of `peernet plot`: figures of results, including those of the published program.
 
 use std::path::Path;
 
@@ -6,7 +6,7 @@ use peernet_tests::{Ended, Process, Site, program};
 
 use crate::results::of_the_published_program;
 
-/// One of the uploads took very long.
+/// Returns a deployment with results in which one upload took very long.
 fn site() -> Site {
     of_the_published_program(|n| if n == 90 { 9.0 } else { 0.0175 + f64::from(n % 13) * 1e-4 })
 }

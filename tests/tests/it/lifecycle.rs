@@ -1,4 +1,4 @@
-//! Start, readiness, watchdog, stop and exit codes, as systemd sees them.
+//! Tests of start, readiness, watchdog, stop and exit codes, as systemd sees them.
 
 use std::os::unix::net::UnixDatagram;
 
@@ -21,7 +21,7 @@ placement = { kind = "local", model = "echo" }
 load = { mode = "rate", hz = 50.0 }
 "#;
 
-/// The end of systemd's notification socket that systemd holds.
+/// systemd's end of the notification socket.
 struct Manager {
     socket: UnixDatagram,
     path: String,
@@ -93,7 +93,7 @@ fn under_journald_lines_carry_priorities_instead_of_times() {
 
 #[test]
 fn a_second_signal_ends_it_at_once() {
-    // A model that computes for ten minutes is what the first signal would wait for.
+    // The first signal would wait for a model that computes for ten minutes.
     let site = Site::new();
     let slow = AGENT.replace("kind = \"echo\"", "kind = \"sleep\"\ninference_ms = 600000");
     site.write("edge.toml", &slow.replace("[agent]", "[agent]\nstop_timeout_ms = 9000"));
@@ -101,7 +101,7 @@ fn a_second_signal_ends_it_at_once() {
     daemon.wait_for("loaded echo");
     daemon.terminate();
     daemon.wait_for("SIGTERM: stopping");
-    // Another SIGTERM so soon would be the same wish.
+    // A second SIGTERM within half a second would count as the same signal.
     daemon.signal(Signal::INT);
     daemon.wait_for("ending at once");
     assert_eq!(daemon.ended().code(), 70);

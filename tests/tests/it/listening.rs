@@ -1,4 +1,4 @@
-//! One agent that listens at several addresses.
+//! Tests of an agent that listens at several addresses.
 
 use peernet_tests::{Site, free_port};
 
@@ -29,7 +29,7 @@ fn two_addresses_are_served_at_the_same_time() {
     }
     let edges = [site.agent("left", &edge("{data}")), site.agent("right", &edge(&second))];
 
-    // Neither ends, so that both are served when the second answers are there.
+    // Both pipelines still run when the answers of the second one are checked.
     for host in ["left", "right"] {
         api.until(&format!("/api/v1/pipelines/{host}/line"), |pipeline| {
             (pipeline["windows"][2]["counts"]["ok"].as_f64()? > 10.0).then_some(())

@@ -1,4 +1,4 @@
-//! What an operator does with the database: copies, looks at its health, roll-ups made anew.
+//! Tests of an operator's work with the database: backups, health checks, rebuilt roll-ups.
 
 use std::os::unix::fs::FileExt;
 use std::path::{Path, PathBuf};
@@ -20,7 +20,7 @@ placement = { kind = "local", model = "echo" }
 load = { mode = "rate", hz = 200.0 }
 "#;
 
-/// A site whose aggregator and agent run, with some iterations stored.
+/// Starts aggregator and agent of a deployment; returns when some iterations are stored.
 fn measuring() -> (Site, Process, Process, Api) {
     let site = Site::new();
     let (aggregator, api) = site.aggregator();
@@ -29,7 +29,7 @@ fn measuring() -> (Site, Process, Process, Api) {
     (site, aggregator, edge, api)
 }
 
-/// Successful iterations of the first run.
+/// Returns the number of successful iterations of the first run.
 fn stored(api: &Api) -> u64 {
     api.json("/api/v1/runs")["runs"][0]["counts"]["ok"].as_u64().unwrap_or_default()
 }
@@ -47,7 +47,7 @@ fn database(site: &Site) -> PathBuf {
     site.folder().join("aggregator.sqlite")
 }
 
-/// The whole-run statistics in a form that can be compared: mean and spread to nine digits.
+/// Returns the statistics of whole runs in a form that can be compared: mean and spread to nine digits.
 fn statistics(database: &Path) -> String {
     ask(
         database,
@@ -56,13 +56,13 @@ fn statistics(database: &Path) -> String {
     )
 }
 
-/// Changes a database that nobody uses.
+/// Changes a database that no process uses.
 fn change(database: &Path, sql: &str) {
     let changed = Command::new("sqlite3").arg(database).arg(sql).status();
     assert!(changed.is_ok_and(|status| status.success()), "{sql}");
 }
 
-/// Overwrites the head of a table's first page.
+/// Overwrites the beginning of a table's first page.
 fn damage(file: &Path, table: &str) {
     let page = number(file, &format!("SELECT rootpage FROM sqlite_schema WHERE name = '{table}'"));
     let size = number(file, "SELECT page_size FROM pragma_page_size");
@@ -79,7 +79,7 @@ fn a_backup_of_a_busy_aggregator_is_the_database_of_one_moment() {
     assert!(ended.log.contains("copy.sqlite"), "it says where the copy is: {}", ended.log);
     let after = until("more iterations", || Some(stored(&api)).filter(|now| *now > before + 100));
 
-    // What is counted in one table is there in the others: nothing was copied of a later moment.
+    // What one table counts is in the others: the copy contains nothing of a later time.
     let copy = site.folder().join("copy.sqlite");
     let counted = number(&copy, "SELECT ok + failed + lost + timeout + warm_up FROM run");
     assert_eq!(number(&copy, "SELECT count(*) FROM iteration"), counted);
@@ -111,12 +111,12 @@ fn an_aggregator_goes_on_from_a_backup_and_says_what_is_missing() {
     until("more iterations", || (stored(&api) > then + 300).then_some(()));
     aggregator.kill();
     for file in ["aggregator.sqlite", "aggregator.sqlite-wal", "aggregator.sqlite-shm"] {
-        // A log that was taken over whole is not there.
+        // After a checkpoint the log does not exist.
         let _gone = std::fs::remove_file(site.folder().join(file));
     }
     std::fs::rename(site.folder().join("copy.sqlite"), database(&site)).expect("the copy is there");
 
-    // What was acknowledged and deleted between the copy and the end is gone, and is told of as a gap.
+    // Events that were acknowledged and deleted between the copy and the end are reported as a gap.
     let (aggregator, api) = site.aggregator();
     let missing =
         api.until("/api/v1/hosts/edge", |host| host["stored"]["gaps"].as_u64().filter(|gaps| *gaps > 0));
@@ -133,7 +133,7 @@ fn an_aggregator_goes_on_from_a_backup_and_says_what_is_missing() {
 #[test]
 fn the_doctor_tells_health_from_damage_by_its_exit_code() {
     let (site, aggregator, edge, _api) = measuring();
-    // Both at work.
+    // Both processes are running.
     let ended = run(&site, &["doctor", "--json", "--config", "aggregator.toml"]);
     assert_eq!(ended.code(), 0, "{}", ended.log);
     let report: Value =
@@ -150,7 +150,7 @@ fn the_doctor_tells_health_from_damage_by_its_exit_code() {
     assert_eq!(aggregator.stop().code(), 0);
     assert_eq!(edge.stop().code(), 0);
 
-    // What the agent could not deliver waits in its spool; a bit that turned is found.
+    // Undelivered batches wait in the agent's spool; a flipped bit is found.
     let file = site.folder().join("edge/spool.sqlite");
     let waiting = number(&file, "SELECT count(*) FROM batch");
     assert!(waiting > 0);

@@ -1,9 +1,9 @@
-//! A ROS system is profiled between two of its topics, without a change of its nodes.
+//! Tests of profiling a ROS system between two of its topics, without changes to its nodes.
 
 use peernet_tests::{Api, Process, Ros1System, Site, until};
 use serde_json::Value;
 
-/// A pipeline that observes the nodes between two topics.
+/// Returns a pipeline that observes the nodes between two topics.
 fn observer(name: &str, input: &str, output: &str, keys: &str) -> String {
     format!(
         "[[pipeline]]\nname = \"{name}\"\ntimeout_ms = 500\n\
@@ -11,7 +11,7 @@ fn observer(name: &str, input: &str, output: &str, keys: &str) -> String {
     )
 }
 
-/// The numbers of runs by their pipelines' names, once all have ended by themselves.
+/// Waits until all runs have ended by themselves; returns their numbers with their pipelines' names.
 fn finished(api: &Api, pipelines: usize) -> Vec<(String, i64)> {
     api.until("/api/v1/runs", |runs| {
         let runs = runs["runs"].as_array()?;
@@ -23,16 +23,16 @@ fn finished(api: &Api, pipelines: usize) -> Vec<(String, i64)> {
     })
 }
 
-/// The median of a stage or value of a run, within 1 %.
+/// Returns the median of a stage or value of a run, within 1 %.
 fn median(api: &Api, run: i64, name: &str) -> f64 {
     let figures = api.figures(run, name).unwrap_or_else(|| panic!("run {run} has no {name}"));
     figures["p50"].as_f64().unwrap_or_else(|| panic!("{figures}"))
 }
 
-/// Messages that a median is taken of, here as by a relay.
+/// Number of messages of a median, as in a relay.
 const WINDOW: usize = 20;
 
-/// The median latency of the newest iterations of a pipeline's only run, in seconds.
+/// Returns the median latency of the newest iterations of a pipeline's only run, seconds.
 fn latency(api: &Api, pipeline: &str) -> Option<f64> {
     let runs = api.json("/api/v1/runs");
     let run = runs["runs"].as_array()?.iter().find(|run| run["pipeline"] == pipeline)?["number"].as_i64()?;
@@ -43,14 +43,14 @@ fn latency(api: &Api, pipeline: &str) -> Option<f64> {
     (totals.len() == WINDOW).then(|| totals[WINDOW / 2])
 }
 
-/// The median of what a relay says it took lately, in seconds.
+/// Returns the latest median of a relay's own delay, seconds.
 fn taken(relay: &Process) -> Option<f64> {
     let log = relay.log();
     let line = log.lines().rfind(|line| line.starts_with("median"))?;
     Some(line.split(' ').nth(1)?.parse::<f64>().ok()? * 1e-6)
 }
 
-/// Stored iterations of a pipeline's only run that were answered.
+/// Returns the number of stored and answered iterations of a pipeline's only run.
 fn answered(api: &Api, pipeline: &str) -> u64 {
     let runs: Value = api.json("/api/v1/runs");
     let mut runs = runs["runs"].as_array().expect("a list").iter();
@@ -73,7 +73,7 @@ fn latencies_of_a_chain_are_reported_within_a_millisecond() {
     let agent = ros.agent(&site, "robot", &(tables + &observer("whole", "/camera", "/c", limit)));
     let _camera = ros.node(&["camera", "camera", "/camera", "10"]);
 
-    // A machine that is busy with other tests lets nodes and agent wait for a processor: until it does not for two seconds.
+    // On a busy machine nodes and agent wait for a processor; this repeats until they did not for two seconds.
     let mut sum = 0.0;
     for ((delay, ..), relay) in hops.iter().zip(&relays) {
         let seconds = until(&format!("a median within a millisecond of {delay} ms"), || {
@@ -89,7 +89,7 @@ fn latencies_of_a_chain_are_reported_within_a_millisecond() {
     assert!(median(&api, whole, "total") >= sum * 0.99);
     api.stages_are_the_total(whole, &["inference"]);
 
-    // Rate and jitter of both topics, the age since the stamp, and where the publishers run.
+    // Rate and jitter of both topics, the age since the stamp, and the hosts of the publishers.
     for topic in ["input", "output"] {
         let period = median(&api, whole, &format!("{topic}-period"));
         assert!((period - 0.1).abs() < 2e-2, "{topic}: {period}");

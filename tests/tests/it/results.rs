@@ -1,4 +1,4 @@
-//! Results on a disk that fills up, and `peernet compare` of results of either program.
+//! Tests of results on a disk that fills up, and of `peernet compare` with results of either program.
 
 use std::path::Path;
 
@@ -7,8 +7,8 @@ use peernet_analysis::rows::{Outcome, Row, Rows};
 use peernet_results::{Overwrite, ResultFolder};
 use peernet_tests::{Ended, Process, Site, SmallDisk, program};
 
-/// A folder with results of the published program: `all/small`, and `all/large`, which takes longer; how long the upload
-/// of an iteration took, in seconds, is given.
+/// Returns a deployment with results of the published program: `all/small`, and `all/large`, which takes longer.
+/// `upload` is the duration of an iteration's upload, seconds.
 pub(crate) fn of_the_published_program(upload: impl Fn(u32) -> f64) -> Site {
     let header = "iteration,sensing,upload,inference,download,download-bytes,download-logger-bytes,upload-bytes,\
                   upload-logger-bytes,upload-throughput,download-throughput\n";
@@ -46,7 +46,7 @@ fn results_of_the_published_program_are_compared() {
     assert!(find("run ").contains("inference"), "{}", done.log);
     assert!(find("small").ends_with(" *") && find("small").contains(" 200 "), "{}", done.log);
     assert!(find("The smallest mean total (stages)").contains("the other differs"), "{}", done.log);
-    // The differences, because there are two: 4 ms and nothing.
+    // The differences of the two results: 4 ms and none.
     assert!(find("A: large. B: small.").len() > 1 && find("inference ").contains("−4.0"), "{}", done.log);
 
     let file = compare(&site, &["all", "--format", "csv", "--out", "table.csv"]);
@@ -55,7 +55,7 @@ fn results_of_the_published_program_are_compared() {
     assert!(table.starts_with("run,runs,count,unanswered,best,tie,sensing-mean,"), "{table}");
     assert!(table.contains("\nlarge,1,200,0,0,0,"), "{table}");
 
-    // One way to the same run is as good as another.
+    // All paths to the same run are equivalent.
     let baseline =
         compare(&site, &["all/large/data.csv", "all", "--baseline", "./all/small", "--format", "csv"]);
     assert_eq!(baseline.code(), 0, "{}", baseline.log);
@@ -96,7 +96,7 @@ fn row(iteration: u64) -> Row {
     }
 }
 
-/// The numbers of the rows that stand in a file; all of them are whole.
+/// Returns the numbers of the rows in a file, all of which must be complete.
 fn numbers(path: &Path) -> Vec<u64> {
     let text = std::fs::read_to_string(path).expect("readable");
     assert!(text.ends_with('\n'), "the last row is whole");
@@ -117,7 +117,7 @@ fn a_disk_that_is_too_small_has_the_rows_that_fit() {
         ResultFolder::create(&disk.folder().join("results"), Overwrite::Refuse).expect("there is room");
     let mut writer = folder.writer().expect("there is room");
     let path = writer.path().to_owned();
-    // All in one second: they are written together.
+    // All rows belong to one second, so that they are written together.
     (1..=9000).for_each(|number| writer.write(&Row { at: 0.5, ..row(number) }));
     assert!(writer.end().is_err(), "there is no room for all");
     let there = numbers(&path);

@@ -1,4 +1,5 @@
-//! Sensor and actuator `ros` in real agents, with the master of ROS 1 and a node of this process as the robot.
+//! Tests of sensor and actuator `ros` in real agents, with the master of ROS 1 and a node in this process as the
+//! robot.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -38,7 +39,7 @@ fn clock() -> SystemClock {
 }
 
 impl Robot {
-    /// Starts the master on the site's port of data, which no cloud needs here.
+    /// Starts the master on the deployment's data port, which no cloud uses here.
     fn start(site: &Site) -> Self {
         let port = site.data;
         let arguments = ["--core", "-p", &port.to_string()];
@@ -73,7 +74,7 @@ impl Robot {
     }
 }
 
-/// Writes and starts an agent among ROS nodes.
+/// Writes the configuration of an agent that uses the ROS master, and starts it.
 fn agent(site: &Site, tables: &str) -> Process {
     let head = "[agent]\nname = \"edge\"\nstate_dir = \"{folder}/edge\"\naggregator = \"tcp://127.0.0.1:{events}\"\n";
     site.write("edge.toml", &(head.to_owned() + tables));
@@ -119,7 +120,7 @@ fn topic_is_sensed_and_answers_are_published() {
     let run = api.finished_run();
     assert_eq!(api.json(&format!("/api/v1/runs/{run}"))["counts"]["ok"].as_u64(), Some(10));
     assert_eq!((api.mean(run, "dropped-samples"), api.mean(run, "dropped-answers")), (0.0, 0.0));
-    // Stamped 20 ms before it was published.
+    // It was stamped 20 ms before it was published.
     let delay = api.mean(run, "capture-delay");
     assert!((0.02..5.0).contains(&delay), "{delay}");
     assert_eq!(edge.stop().code(), 0);
@@ -151,10 +152,11 @@ fn messages_for_a_busy_pipeline_are_counted_as_dropped() {
         robot.send(&words, &StringMessage { data: format!("word {number}") });
     }
     let run = api.finished_run();
-    // One or two were taken, the newest among them: the first one may have been replaced before anybody saw it.
+    // One or two messages were sensed, the newest among them: the first one may have been replaced before the sensor
+    // read it.
     let taken = api.json(&format!("/api/v1/runs/{run}"))["counts"]["ok"].as_f64().expect("a number");
     assert_eq!(taken + taken * api.mean(run, "dropped-samples"), 10.0);
-    // Texts have no header, and so no capture time.
+    // Texts have no header, so that there is no capture time.
     assert!(api.figures(run, "capture-delay").is_none());
     assert_eq!(edge.stop().code(), 0);
 }
@@ -184,7 +186,7 @@ fn pipeline_goes_on_when_the_master_comes_late() {
     assert_eq!(edge.stop().code(), 0);
 }
 
-/// Checks one pipeline; returns the exit code and what was said.
+/// Checks one pipeline; returns the exit code and the output.
 fn check(site: &Site, sensor: &str, actuator: &str) -> (i32, String) {
     let text = format!(
         "[agent]\nstate_dir = \"{{folder}}/edge\"\n[[model]]\nname = \"echo\"\nkind = \"echo\"\n[[pipeline]]\nname = \"one\"\n\
@@ -214,7 +216,7 @@ fn check_names_what_is_wrong_with_a_topic() {
         assert_eq!(code, 78, "{said}");
         assert!(said.contains("pipeline[0].actuator: this build has no ROS 2"), "{said}");
     }
-    // What may be right in a moment is a note.
+    // A condition that may change in a moment is a note.
     let (code, said) = check(&site, sensor, actuator);
     assert_eq!(code, 0, "{said}");
     assert!(said.contains("note: pipeline[0].sensor: no ROS master answers at http://127.0.0.1:"), "{said}");

@@ -1,4 +1,4 @@
-//! When things go wrong between real processes.
+//! Tests of failures between real processes.
 
 use peernet_tests::{Api, Process, Site};
 use serde_json::Value;
@@ -35,7 +35,7 @@ fn cloud(site: &Site) -> Process {
     site.agent("cloud", CLOUD)
 }
 
-/// Iterations of the newest run by outcome.
+/// Returns the iterations of a host's newest run by outcome.
 fn counts(api: &Api, host: &str) -> Option<Value> {
     let runs = api.json("/api/v1/runs");
     runs["runs"].as_array()?.iter().find(|run| run["host"] == host).map(|run| run["counts"].clone())
@@ -96,7 +96,7 @@ fn agents_work_without_an_aggregator_and_deliver_when_it_comes() {
     let (aggregator, api) = site.aggregator();
     peernet_tests::until("stored iterations", || (count(&api, "edge", "ok") > 100).then_some(()));
 
-    // It dies without a word and comes back on the same file: nothing twice, nothing missing.
+    // It is killed and comes back with the same file: no iteration is stored twice or missing.
     aggregator.kill();
     let (_aggregator, api) = site.aggregator();
     let before = count(&api, "edge", "ok");

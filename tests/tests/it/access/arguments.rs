@@ -1,4 +1,4 @@
-//! Arguments of programs, which may be secret.
+//! Tests of programs' arguments, which may be secret.
 
 use std::os::unix::fs::PermissionsExt;
 use std::path::Path;
@@ -10,7 +10,7 @@ use crate::experiments::{Results, json};
 
 const SECRET: &str = "hunter2-in-an-argument";
 
-/// Programs with a secret in each of the places where one can stand.
+/// Programs with a secret in each place where one can be.
 const TABLES: &str = r#"
 [[model]]
 name = "own"
@@ -58,7 +58,7 @@ fn arguments_are_told_by_fingerprints_alone() {
         let ended = runs.len() == 4 && runs.iter().all(|run| !run["reason"].is_null());
         ended.then(|| runs.iter().map(|run| run["number"].as_i64().expect("has one")).collect::<Vec<_>>())
     });
-    // So short a run may be stored before its pipeline has reported itself.
+    // A run of this length may be stored before its pipeline has reported.
     api.until("/api/v1/pipelines", |told| (told["pipelines"].as_array()?.len() == 4).then_some(()));
     let details: Vec<Value> = runs.iter().map(|run| api.json(&format!("/api/v1/runs/{run}"))).collect();
     let of = |pipeline: &str| details.iter().find(|run| run["pipeline"] == pipeline).expect("is there");
@@ -106,7 +106,7 @@ fn arguments_are_told_by_fingerprints_alone() {
     let ended = edge.stop();
     assert!(!ended.log.contains(SECRET), "{}", ended.log);
     aggregator.stop();
-    // Nor is it stored.
+    // The database does not contain the secret either.
     for file in std::fs::read_dir(site.folder()).expect("is there") {
         let path = file.expect("is readable").path();
         if path.file_name().is_some_and(|name| name.to_string_lossy().starts_with("aggregator.sqlite")) {

@@ -1,4 +1,4 @@
-//! The web port, asked over plain sockets.
+//! Tests of the web port over plain sockets.
 
 use std::io::{Read, Write};
 use std::net::{SocketAddr, TcpStream};
@@ -6,7 +6,7 @@ use std::net::{SocketAddr, TcpStream};
 use peernet_tests::{PATIENCE, Process, Site, until};
 use rustix::net::{AddressFamily, SocketType, bind, connect, socket};
 
-/// A connection to the site's web port from an address of this machine.
+/// Returns a connection to the deployment's web port from an address of this machine.
 fn connection(site: &Site, from: [u8; 4]) -> TcpStream {
     let socket = socket(AddressFamily::INET, SocketType::STREAM, None).expect("a socket");
     bind(&socket, &SocketAddr::from((from, 0))).expect("an address of loopback");
@@ -16,7 +16,7 @@ fn connection(site: &Site, from: [u8; 4]) -> TcpStream {
     stream
 }
 
-/// The first line of the answer to a request, which may be cut off where the server closes early.
+/// Returns the first line of the answer to a request, which may be incomplete if the server closes early.
 fn answer(site: &Site, request: &str) -> String {
     let mut stream = connection(site, [127, 0, 0, 1]);
     let _ = stream.write_all(request.as_bytes());
@@ -25,7 +25,7 @@ fn answer(site: &Site, request: &str) -> String {
     String::from_utf8_lossy(&text).lines().next().unwrap_or_default().to_owned()
 }
 
-/// An aggregator that lets everybody look.
+/// Starts an aggregator whose dashboard needs no authentication.
 fn open_to_all(site: &Site) -> Process {
     let text = peernet_tests::AGGREGATOR.replace("[web]\n", "[web]\nallow_unauthenticated = true\n");
     site.write("aggregator.toml", &text);
@@ -106,6 +106,6 @@ fn answers_of_503_and_repeated_failures_do_not_fill_the_log() {
     }
     let log = aggregator.stop().log;
     assert!(!log.contains("response failed"), "{log}");
-    // One for each way in which it failed.
+    // One line for each kind of failure.
     assert!(log.matches("a request failed").count() < 5, "{log}");
 }

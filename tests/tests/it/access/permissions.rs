@@ -1,4 +1,4 @@
-//! Who may read what PEERNet keeps.
+//! Tests of the permissions of PEERNet's files.
 
 use std::fs::{self, Permissions};
 use std::os::unix::fs::PermissionsExt;
@@ -14,7 +14,7 @@ placement = { kind = "none" }
 load = { mode = "rate", hz = 20.0 }
 "#;
 
-/// The files of the daemons: databases, spools, ids, locks, and the folders that they made.
+/// Returns the files of the daemons: databases, spools, ids, locks, and the folders that they created.
 fn kept(site: &Site) -> Vec<PathBuf> {
     let entries = |folder: &Path| -> Vec<PathBuf> {
         let entries = fs::read_dir(folder).expect("is there");
@@ -82,7 +82,7 @@ fn files_of_earlier_builds_are_closed_at_start() {
         (set("aggregator.sqlite", 0o644), 0o640),
         (set("edge", 0o755), 0o750),
         (set("edge/host-id", 0o644), 0o640),
-        // Somebody let a group write.
+        // The operator has granted write permission to the group.
         (set("edge/spool.sqlite", 0o664), 0o660),
     ];
     let (aggregator, edge, _api) = start(&site);

@@ -1,4 +1,4 @@
-//! Two edges with different clocks that a cloud sees at one address.
+//! Test of two edges with different clocks that a cloud sees at the same address.
 
 use peernet_clock::Span;
 use peernet_tests::truth::{HostClock, Iteration};
@@ -6,7 +6,7 @@ use peernet_tests::{ClockShim, Network, Plant, until};
 
 use super::hold_to_the_truth;
 
-/// The addresses of the peers that are connected to the cloud's port.
+/// Returns the addresses of the peers that are connected to the cloud's port.
 fn peers(plant: &Plant) -> Vec<String> {
     let connections = plant.network.cloud().run("ss", &["-Htn", "state", "established", "sport = :5551"]);
     let peer = |line: &str| Some(line.split_whitespace().last()?.rsplit_once(':')?.0.to_owned());

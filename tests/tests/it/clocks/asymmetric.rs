@@ -1,4 +1,5 @@
-//! 40 ms there, 5 ms back, jitter and loss: what two-way exchanges can tell, and what only a disciplined clock can.
+//! Tests on a path with 40 ms up and 5 ms down, jitter and loss: the bounds of two-way exchanges, and the additional
+//! information from disciplined clocks.
 
 use std::path::Path;
 
@@ -14,7 +15,7 @@ fn wire(folder: &Path) -> Network {
     Network::wire(folder, way(40), way(5))
 }
 
-/// What 300 iterations came to.
+/// Result of 300 iterations.
 struct Outcome {
     iterations: Vec<Iteration>,
     edge: HostClock,
@@ -22,7 +23,7 @@ struct Outcome {
     is_jump_suspected: bool,
 }
 
-/// Runs 300 iterations with both clocks rehearsed; what they claim is trusted.
+/// Runs 300 iterations with faults injected into both clocks; the claims of their time daemons are trusted.
 fn run(discipline: &str) -> Outcome {
     let plant = Plant::new(wire);
     let more = format!("discipline = \"{discipline}\"");
@@ -41,8 +42,8 @@ fn run(discipline: &str) -> Outcome {
     Outcome { iterations, edge, cloud, is_jump_suspected }
 }
 
-/// A delay is as good as it says: `ok` when its interval is no wider than half of it, else `limited`. Where a jump was suspected, as jitter
-/// makes it happen now and then, a narrow one is `limited` as well until the window is full again.
+/// Checks the verdict of a delay: `ok` if its interval is no wider than half of it, else `limited`. After a suspected
+/// jump, which jitter causes now and then, a narrow one is `limited` as well until the window is full again.
 fn as_good_as_it_says(delay: &Delay, is_jump_suspected: bool) {
     let (value, (lo, hi)) = (delay.value.expect("a value"), delay.bounds.expect("bounds"));
     let is_wide = (hi - lo).nanos() * 2 > value.nanos();
@@ -73,7 +74,7 @@ fn exchanges_alone_bound_the_delays_by_the_smallest_round_trip() {
         as_good_as_it_says(&iteration.up, is_jump_suspected);
         as_good_as_it_says(&iteration.down, is_jump_suspected);
     }
-    // The way back is shorter than the asymmetry that nobody can exclude.
+    // The download is shorter than the asymmetry that cannot be excluded.
     assert!(iterations.iter().any(|iteration| iteration.down.verdict == "limited"));
 }
 
@@ -85,7 +86,7 @@ fn disciplined_clocks_tell_what_exchanges_cannot() {
         assert!(comparison.without_value.is_empty());
         assert!(comparison.error(1.0) <= Span::from_millis(1), "{}", comparison.in_words());
     }
-    // The first may be answered before there are three exchanges, and are `stale` then.
+    // The first iterations may be answered before there are three exchanges, and are `stale` then.
     for iteration in iterations.iter().filter(|iteration| iteration.number > WARM_UP) {
         as_good_as_it_says(&iteration.up, is_jump_suspected);
         as_good_as_it_says(&iteration.down, is_jump_suspected);

@@ -1,4 +1,4 @@
-//! A network that lets data through and nothing else.
+//! Test of a network that passes data and blocks probes.
 
 use peernet_tests::{Network, Plant};
 

@@ -1,4 +1,4 @@
-//! Hosts with real time daemons: what chrony claims stands beside what the exchanges say.
+//! Tests of hosts with real time daemons: chrony's claims and the exchanges are shown side by side.
 
 use std::path::Path;
 
@@ -10,13 +10,13 @@ use serde_json::Value;
 
 use super::{hold_to_the_truth, rehearsal, say};
 
-/// A clock that counts as one of its own, though it is the machine's.
+/// Clock identity by which the machine's clock counts as a separate clock.
 const OWN: &str = "clock_identity = \"edge\"\n";
 
-/// Delays that are looked at, both directions together.
+/// Number of delays to be examined, both directions together.
 const ENOUGH: u64 = 600;
 
-/// Two hosts whose time daemons are synchronised, and a pipeline that goes on until the edge is stopped.
+/// Two hosts whose time daemons are synchronised, and a pipeline that runs until the edge is stopped.
 struct Scene {
     edge: Process,
     _cloud: Process,
@@ -25,7 +25,7 @@ struct Scene {
 }
 
 impl Scene {
-    /// `identity` and `rehearsal` are the edge's, which trusts the daemons or does not.
+    /// Starts the hosts. `identity` and `rehearsal` are the edge's; `trusts` is whether it trusts the daemons.
     fn new(network: impl FnOnce(&Path) -> Network, identity: &str, rehearsal: &str, trusts: bool) -> Self {
         let plant = Plant::new(network);
         let daemons = TimeDaemons::start(&plant.network, plant.folder());
@@ -38,7 +38,7 @@ impl Scene {
         Self { edge, _cloud: cloud, _daemons: daemons, plant }
     }
 
-    /// What is known of the link's clocks, once chrony has spoken, too, and a verdict is given.
+    /// Waits until the link has a claim of chrony and this verdict; returns the offset.
     fn offset(&self, verdict: &str) -> Value {
         self.plant.api.until("/api/v1/links/edge~cloud", |link| {
             let offset = &link["now"]["offset"];
@@ -48,14 +48,15 @@ impl Scene {
         })
     }
 
-    /// Waits until the aggregator shows such a text for the time daemon of a host. It may show the offset of the link earlier.
+    /// Waits until the aggregator shows a text of a host's time daemon that begins like this. The offset of the link
+    /// may be shown earlier.
     fn wait_for_daemon(&self, host: &str, begins: &str) {
         self.plant.api.until(&format!("/api/v1/hosts/{host}"), |host| {
             host["clock"]["text"].as_str().is_some_and(|text| text.starts_with(begins)).then_some(())
         });
     }
 
-    /// All iterations, once enough delays more are stored of which an SQL expression holds.
+    /// Returns all iterations after enough additional delays are stored that fulfil an SQL expression.
     fn iterations(self, such: &str) -> Vec<Iteration> {
         let sql = format!(
             "SELECT count(*) FROM transit AS t LEFT JOIN verdict ON verdict.id = t.verdict \
@@ -70,7 +71,7 @@ impl Scene {
     }
 }
 
-/// What a source says of the offset alone.
+/// Returns the bounds of the offset from one source.
 fn said(offset: &Value, source: &str) -> (Span, Span) {
     let all = offset["sources"].as_array().expect("a list");
     let own = all.iter().find(|one| one["source"] == source).expect("it was waited for");
@@ -84,7 +85,7 @@ fn holds((lo, hi): (Span, Span), offset: Span) -> bool {
     lo <= offset && offset <= hi
 }
 
-/// The machine's clock on both hosts: the true offset is zero.
+/// Runs a case with the machine's clock on both hosts: the true offset is zero.
 fn right_clocks(what: &str, network: impl FnOnce(&Path) -> Network, such: &str) {
     let scene = Scene::new(network, OWN, "", true);
     let offset = scene.offset("ok");
@@ -107,7 +108,7 @@ fn daemons_of_right_clocks_and_the_exchanges_agree() {
     right_clocks("chrony, a cable", |_| Network::direct(), "verdict.text IN ('ok', 'limited')");
 }
 
-/// The daemons' server is not behind the wire, whose asymmetry they can therefore tell.
+/// The daemons' server is not behind the wire, so that they can measure its asymmetry.
 #[test]
 fn daemons_of_right_clocks_tell_what_exchanges_cannot() {
     let way = |delay_ms| Way { delay_ms, jitter_ms: 0, loss_percent: 0 };
@@ -115,8 +116,8 @@ fn daemons_of_right_clocks_tell_what_exchanges_cannot() {
     right_clocks("chrony, 40 ms up, 5 ms down", wire, "source.text IN ('chrony', 'intersection')");
 }
 
-/// The edge's daemon keeps the machine's clock, and does not know that the agent is shown another: as if the peer lied
-/// in all exchanges alike.
+/// The edge's daemon keeps the machine's clock and does not know that the agent reads another one: this looks like a
+/// peer that lies in all exchanges.
 #[test]
 fn a_wrong_clock_that_its_daemon_does_not_know_of_is_exposed() {
     const AHEAD: Span = Span::from_millis(50);
@@ -134,7 +135,8 @@ fn a_wrong_clock_that_its_daemon_does_not_know_of_is_exposed() {
     assert!(exposed >= ENOUGH);
 }
 
-/// Whether a delay is told as contradictory; before the daemons' claims are known it rests on the exchanges alone.
+/// Returns whether a delay is reported as contradictory. Before the daemons' claims are known, it is based on the
+/// exchanges only.
 fn is_exposed(delay: &Delay) -> bool {
     let exposed = delay.verdict == "inconsistent";
     let known = (delay.value.is_some(), delay.bounds.is_some(), delay.source.as_str());
@@ -142,7 +144,7 @@ fn is_exposed(delay: &Delay) -> bool {
     exposed
 }
 
-/// The same daemon, which nobody was told to trust.
+/// The daemon is the same, but it is not trusted.
 #[test]
 fn a_wrong_claim_does_not_reach_the_delays_unless_it_is_trusted() {
     let wrong = rehearsal(50.0, 0.0, "discipline = \"unaware\"");
@@ -160,7 +162,8 @@ fn a_wrong_claim_does_not_reach_the_delays_unless_it_is_trusted() {
     hold_to_the_truth("a wrong claim, not trusted", &iterations, &edge, &HostClock::kernels());
 }
 
-/// Both daemons claim less than a millisecond, and the clocks are ten apart: within what the exchanges leave open on 5/40 ms.
+/// Starts hosts whose daemons claim less than a millisecond while the clocks differ by ten: within the bounds of the
+/// exchanges on 5/40 ms.
 fn wrong_claims_that_exchanges_cannot_refute(trusts: bool) -> Scene {
     let way = |delay_ms| Way { delay_ms, jitter_ms: 0, loss_percent: 0 };
     let wire = |folder: &Path| Network::wire(folder, way(5), way(40));
@@ -171,7 +174,7 @@ fn wrong_claims_that_exchanges_cannot_refute(trusts: bool) -> Scene {
     scene
 }
 
-/// Waits until the page of the link says so.
+/// Waits until the page of the link contains these words.
 fn wait_for_page(scene: &Scene, words: &str) {
     until(words, || scene.plant.api.get("/links/edge~cloud").filter(|(_, page)| page.contains(words)));
 }

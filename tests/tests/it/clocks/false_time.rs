@@ -1,4 +1,4 @@
-//! A whole process under libfaketime: a wrong clock that it knows nothing of.
+//! Tests of a process under libfaketime, which does not know that its clock is wrong.
 
 use peernet_clock::Span;
 use peernet_tests::truth::{Delay, HostClock, Iteration};
@@ -6,13 +6,13 @@ use peernet_tests::{FalseTime, Network, Plant, Process};
 
 use super::{WARM_UP, hold_to_the_truth, say};
 
-/// How far ahead the edge is.
+/// Offset of the edge's clock.
 const AHEAD: Span = Span::from_millis(137);
 
-/// An edge that is shown a false time, and a cloud that is not.
+/// Starts an edge with a false time, and a cloud with the kernel's.
 fn start(plant: &Plant, time: &FalseTime, load: &str) -> (Process, Process) {
     let cloud = plant.cloud("[clock]\ndiscipline = []\n");
-    // The kernel's word on its clock is not about the one that is shown.
+    // The kernel's statements about its clock do not apply to the shown one.
     let clock = "clock_identity = \"shown\"\n[clock]\ntimestamps = \"user\"\ndiscipline = []\n";
     let edge = plant.edge(&format!("{clock}{}", plant.pipeline("misled", 1000, load)), &time.environment());
     (cloud, edge)
@@ -28,13 +28,13 @@ fn an_edge_that_is_shown_a_false_time_reports_true_delays() {
     let iterations = plant.iterations();
     let (up, down) = hold_to_the_truth("libfaketime +0.137 s", &iterations, &edge, &cloud);
     assert_eq!((up.compared, down.compared), (305, 305));
-    // A false time that does not reach the program would leave the difference of the stamps above zero.
+    // If the false time did not reach the program, the difference of the stamps would be positive.
     let raw: Vec<Span> =
         iterations.iter().map(|iteration| iteration.up.received - iteration.up.sent).collect();
     assert!(raw.iter().all(|raw| *raw > -AHEAD && *raw < Span::ZERO), "{raw:?}");
 }
 
-/// No rehearsal that knows of its own steps.
+/// Here the agent does not know of the step, in contrast to clock fault injection.
 #[test]
 fn step_that_nobody_announced_reaches_no_delay() {
     const LATER: Span = Span::from_millis(3_137);

@@ -1,4 +1,4 @@
-//! Somebody on the path who sees and alters probes, but not the session.
+//! Tests with an attacker on the path who reads and alters probes, but not the session.
 
 use std::io::ErrorKind;
 use std::net::{Ipv4Addr, SocketAddr, UdpSocket};
@@ -14,16 +14,16 @@ use peernet_tests::{ClockShim, Plant, until_grown};
 
 use super::hold_to_the_truth;
 
-/// Where probes are answered.
+/// Port of the reflector.
 const PROBES: u16 = 8620;
-/// Where the forger takes those of the edge, and from where it passes them on.
+/// Port to which the attacker redirects the edge's probes, and the port from which it forwards them.
 const FORGER: u16 = 9620;
 const PASSED_ON: u16 = 9621;
 
-/// What is added to the cloud's stamps: less than the round trip of 40 ms leaves open.
+/// Error that is added to the cloud's stamps: less than the round trip of 40 ms leaves open.
 const ADDED: Span = Span::from_millis(13);
 
-/// A forger between the edge and what leaves it.
+/// Attacker between the edge and the path.
 struct Forger {
     over: Arc<AtomicBool>,
     forged: Arc<AtomicUsize>,
@@ -31,7 +31,7 @@ struct Forger {
 }
 
 impl Forger {
-    /// Takes all probes that leave the edge for a cloud.
+    /// Redirects all probes that leave the edge for a cloud.
     fn start(edge: &Host, cloud: Ipv4Addr) -> Self {
         edge.run("nft", &["add", "table", "ip", "forger"]);
         let chain = ["add", "chain", "ip", "forger", "out"];
@@ -45,7 +45,7 @@ impl Forger {
                 socket.set_read_timeout(Some(Duration::from_millis(1))).expect("a millisecond is a timeout");
                 socket
             };
-            // What is redirected arrives at this address, and answers must leave from it.
+            // Redirected packets arrive at this address, and answers must leave from it.
             (socket(Ipv4Addr::LOCALHOST, FORGER), socket(Ipv4Addr::UNSPECIFIED, PASSED_ON))
         });
         let (over, forged) = (Arc::<AtomicBool>::default(), Arc::<AtomicUsize>::default());
@@ -73,7 +73,7 @@ impl Drop for Forger {
     }
 }
 
-/// Passes probes on and forges each answer.
+/// Forwards probes and alters each answer.
 struct Relay {
     near: UdpSocket,
     far: UdpSocket,
@@ -99,7 +99,7 @@ impl Relay {
     }
 }
 
-/// `None` when nothing arrives in a millisecond, or the other end says that it does not listen.
+/// Receives a packet; returns `None` if nothing arrives in a millisecond, or if the other end has no listener.
 fn receive(socket: &UdpSocket, buffer: &mut [u8]) -> Option<(usize, SocketAddr)> {
     match socket.recv_from(buffer) {
         Ok(received) => Some(received),
@@ -111,7 +111,7 @@ fn receive(socket: &UdpSocket, buffer: &mut [u8]) -> Option<(usize, SocketAddr)>
     }
 }
 
-/// Makes the cloud's clocks seem to be ahead by [`ADDED`], in both layouts of a base packet and in the stamps of its free-running
+/// Shifts the cloud's clocks by [`ADDED`], in both layouts of a base packet and in the stamps of its free-running
 /// clock.
 fn forge(answer: &mut [u8]) {
     let ntp = (ADDED.nanos() << 32) / 1_000_000_000;
@@ -128,7 +128,7 @@ fn forge(answer: &mut [u8]) {
     }
 }
 
-/// So many probes are forged.
+/// Runs a case with this number of forged answers.
 fn forged(probes: u64) {
     let way = Way { delay_ms: 20, jitter_ms: 0, loss_percent: 0 };
     let plant = Plant::new(|folder| Network::wire(folder, way, way));

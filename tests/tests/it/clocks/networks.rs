@@ -1,4 +1,4 @@
-//! The networks that these tests stand on do what they say.
+//! Tests of the harness's networks.
 
 use std::io::{Read, Write};
 use std::net::{Ipv4Addr, TcpListener, TcpStream, UdpSocket};
@@ -46,7 +46,7 @@ fn a_capture_in_the_middle_sees_what_a_limited_link_lets_through() {
         (up[0].at, up[up.len() - 1].at)
     };
     let ((first, _), (_, last)) = (way(false), way(true));
-    // 250 kB take 100 ms at 20 Mbit/s, less what one burst may hold.
+    // At 20 Mbit/s 250 kB take 100 ms, less what one burst may contain.
     assert!(last - first > Span::from_millis(85), "{}", last - first);
 }
 
@@ -69,7 +69,7 @@ fn blocked_ports_and_lossy_links_let_the_rest_through() {
     let arrived = (0..500).filter(|_| {
         from.send_to(b"probe", (address, 7002)).expect("there is a route");
         open.set_nonblocking(true).expect("a socket");
-        // A veth pair hands over before sending returns.
+        // A veth pair delivers a packet before the send call returns.
         open.recv(&mut buffer).is_ok()
     });
     let arrived = arrived.count();
@@ -90,7 +90,7 @@ fn a_wire_delays_each_direction_by_itself() {
         to.recv(&mut buffer).expect("nothing is lost");
         clock.wall() - sent
     };
-    // The first asks for the other's hardware address, which takes a round trip of its own.
+    // The first packet needs an ARP request, which takes a round trip as well.
     let (to_cloud, to_edge) = (network.cloud().address, network.edge().address);
     delay(&edge, &cloud, to_cloud);
     assert!(delay(&edge, &cloud, to_cloud) > Span::from_millis(38));
@@ -106,7 +106,7 @@ fn nothing_is_left_behind_by_a_test_that_panics() {
         let inode = network.edge().run("readlink", &["/proc/self/ns/net"]);
         let process = network.edge().start(Path::new("sleep"), &["1000"], Path::new("/"), &[]);
         tell.send((inode, process.pid(), network.edge().home)).expect("the test waits");
-        // As if the test had no chance to stop it.
+        // The process is leaked, as if the test could not stop it.
         std::mem::forget(process);
         panic!("a test fails here, on purpose");
     });
@@ -114,7 +114,7 @@ fn nothing_is_left_behind_by_a_test_that_panics() {
     test.join().expect_err("it panics");
     let seen =
         |path: String| std::fs::read_link(path).is_ok_and(|link| link.display().to_string() == inode.trim());
-    // A killed process stays as a zombie, whose parent this is, but is in no namespace.
+    // The killed process remains as a zombie of this process, but is in no namespace.
     assert!(!seen(format!("/proc/{pid}/ns/net")));
     let addresses = Command::new("ip").args(["address", "show"]).output().expect("ip is installed").stdout;
     assert!(!String::from_utf8_lossy(&addresses).contains(&format!("{home}/")), "{home} is still there");

@@ -1,4 +1,5 @@
-//! Two processes on one machine and in one network namespace: their offset is zero only where they prove it.
+//! Tests of two processes on one machine and in one network namespace: their offset is zero only if they prove that
+//! they read the same clock.
 
 use std::path::Path;
 use std::time::Duration;
@@ -11,13 +12,13 @@ use serde_json::Value;
 
 use super::{WARM_UP, hold_to_the_truth, say};
 
-/// How far ahead the edge is where it reads another clock.
+/// Offset of the edge's clock where it reads another one.
 const AHEAD: Span = Span::from_millis(20);
 const ITERATIONS: u64 = 300;
-/// A stamp reads the two clocks one after the other.
+/// Largest time between reading the two clocks of a stamp.
 const APART: Span = Span::from_micros(5);
 
-/// The name that both hosts give their clock: a rehearsal with the default name would have another.
+/// Clock identity of both hosts. Without it a host with clock fault injection would have another identity.
 const NAME: &str = "clock_identity = \"machine\"\n";
 
 const CLOUD: &str = "[clock]\ndiscipline = []\n[serve]\nlisten = \"tcp://127.0.0.1:{data}\"\n\
@@ -32,7 +33,8 @@ struct Hosts {
 }
 
 impl Hosts {
-    /// Starts aggregator and cloud, and writes down the edge, whose pipeline runs `ITERATIONS` or, if it is endless, until it is stopped.
+    /// Starts aggregator and cloud, and writes the configuration of the edge. Its pipeline runs `ITERATIONS` or, if
+    /// it is endless, until it is stopped.
     fn new(tables: &str, is_endless: bool) -> Self {
         let site = Site::new();
         let (aggregator, api) = site.aggregator();
@@ -49,7 +51,7 @@ impl Hosts {
         Self { site, api, _aggregator: aggregator, _cloud: cloud }
     }
 
-    /// The link, as soon as probes were answered on it.
+    /// Returns the link as soon as probes were answered on it.
     fn link(&self) -> Value {
         self.api.until("/api/v1/links", |links| {
             let now = &links["links"][0]["now"];
@@ -57,14 +59,14 @@ impl Hosts {
         })
     }
 
-    /// All iterations of the run, when it is over.
+    /// Returns all iterations after the end of the run.
     fn iterations(&self) -> Vec<Iteration> {
         self.api.finished_run();
         iterations(&self.site.folder().join("aggregator.sqlite"))
     }
 }
 
-/// Holds the delays of a pair that reads two clocks to the truth; none may claim that there is one clock.
+/// Compares the delays of a pair with two clocks with the truth; none may claim that there is one clock.
 fn hold_measured(what: &str, iterations: &[Iteration], edge: &HostClock) {
     let (up, down) = hold_to_the_truth(what, iterations, edge, &HostClock::kernels());
     let all = usize::try_from(ITERATIONS + WARM_UP).expect("a few hundred");
@@ -76,10 +78,10 @@ fn hold_measured(what: &str, iterations: &[Iteration], edge: &HostClock) {
     }
 }
 
-/// A free-running clock that is always ahead of the kernel's by so much.
+/// Returns a free-running clock that is always ahead of the kernel's by this offset.
 fn raw_ahead_by(offset: Span) -> HostClock {
     let (steps, since) = (Vec::new(), WallTime::default());
-    // Without drift and steps it does not matter when it began.
+    // Without drift and steps the beginning does not matter.
     HostClock::new(RehearsalDescription { offset, drift_ppm: 0.0, steps, since }, RawTime::default())
 }
 
@@ -97,7 +99,8 @@ fn processes_on_one_machine_prove_one_clock_from_first_delay_on() {
     }
 }
 
-/// The boot id is one, and libfaketime shows all clocks of the edge: the wall clock 20 ms ahead, the free-running one on another scale.
+/// The boot id is the same. libfaketime shows all clocks of the edge: the wall clock 20 ms ahead, the free-running
+/// one on another scale.
 #[test]
 fn process_shown_false_time_is_measured_and_holds_the_truth() {
     let hosts = Hosts::new("[clock]\ntimestamps = \"user\"\ndiscipline = []\n", false);
@@ -109,7 +112,7 @@ fn process_shown_false_time_is_measured_and_holds_the_truth() {
     let iterations = hosts.iterations();
     let mut widest = Span::ZERO;
     for iteration in &iterations {
-        // Only the wall clock's error is known: the truth is that of its stamps.
+        // Only the error of the wall clock is known, so that the truth is derived from its stamps.
         for (delay, error) in [(&iteration.up, AHEAD), (&iteration.down, -AHEAD)] {
             let truth = delay.received - delay.sent + error;
             let (lo, hi) = delay.bounds.unwrap_or_else(|| panic!("no bounds: {delay:?}"));
@@ -154,7 +157,7 @@ fn process_that_is_shown_false_time_later_is_measured_from_then_on() {
     shows(true);
 }
 
-/// It asks late, which says nothing of the other process.
+/// The process asks late because of its own pause, which is no sign of another clock.
 #[test]
 fn process_that_was_paused_itself_keeps_proof_without_incident() {
     let hosts = Hosts::new("[clock]\ndiscipline = []\n", true);
@@ -164,7 +167,8 @@ fn process_that_was_paused_itself_keeps_proof_without_incident() {
         let before = uploaded();
         until_grown("iterations", before + 100, || Some(uploaded()));
         edge.signal(Signal::STOP);
-        // Longer than a proof is believed after the last question before the pause, shorter than a session outlives.
+        // Longer than a proof is valid after the last question before the pause, and shorter than a session's
+        // timeout.
         std::thread::sleep(Duration::from_millis(4_500));
         edge.signal(Signal::CONT);
     }
@@ -177,7 +181,7 @@ fn process_that_was_paused_itself_keeps_proof_without_incident() {
     assert!(incidents.contains("connected"), "{incidents}");
 }
 
-/// A time namespace shifts the free-running clock by ten seconds, and not the wall clock.
+/// A time namespace shifts the free-running clock by ten seconds, but not the wall clock.
 #[test]
 fn process_in_another_time_namespace_is_measured_and_holds_the_truth() {
     let hosts = Hosts::new("[clock]\ndiscipline = []\n", false);

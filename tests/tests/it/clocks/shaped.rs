@@ -1,4 +1,4 @@
-//! Large payloads over a slow link: what is reported against what passed in the middle.
+//! Test of large payloads over a slow link: reported delays are compared with a capture in the middle.
 
 use peernet_clock::{Span, WallTime};
 use peernet_tests::Plant;
@@ -9,8 +9,8 @@ use super::{hold_to_the_truth, rehearsal, say};
 
 const ITERATIONS: usize = 15;
 
-/// From the first byte into the middle to the last byte out of it, for a message that was under way from `sent` to
-/// `received`.
+/// Returns the time from the first byte that enters the router to the last byte that leaves it, for a message in
+/// transit from `sent` to `received`.
 fn seen(packets: &[Packet], from: &Host, sent: WallTime, received: WallTime) -> Span {
     let own = |packet: &&Packet| {
         packet.source == from.address && packet.payload > 0 && (sent..=received).contains(&packet.at)
@@ -55,8 +55,8 @@ fn megabytes_take_as_long_as_a_capture_in_the_middle_says() {
     );
 }
 
-/// Compares what is reported with what was seen, message by message. A machine that is busy with something else can hold
-/// up a program after the last byte has passed: the median of the ratios does not mind a few of those.
+/// Compares reported delays with captured ones, message by message. A busy machine can delay a program after the last
+/// byte has passed; the median of the ratios is robust against a few of these.
 fn against<'a>(
     what: &str,
     delays: impl Iterator<Item = &'a Delay>,

@@ -1,4 +1,4 @@
-//! A time daemon that slews the wall clock of a host hard, in mid-run.
+//! Test of a time daemon that slews the wall clock of a host strongly during a run.
 
 use std::fmt::Write;
 
@@ -8,7 +8,7 @@ use peernet_tests::{Network, Plant};
 
 use super::{WARM_UP, hold_to_the_truth, rehearsal};
 
-/// A wall clock that runs fast for a while: set forward a little, again and again.
+/// Period in which a wall clock runs fast: it is set forward repeatedly by a little.
 struct Slew {
     at_s: f64,
     for_s: f64,
@@ -16,7 +16,7 @@ struct Slew {
 }
 
 impl Slew {
-    /// How often it is set forward in a second.
+    /// Steps per second.
     const HZ: f64 = 10.0;
 
     fn steps(&self) -> impl Iterator<Item = RehearsedStep> {
@@ -28,7 +28,7 @@ impl Slew {
     }
 }
 
-/// A clock that is ahead and is slewed; its rehearsal begins at the epoch.
+/// Returns a clock that is ahead and is slewed; its fault begins at the epoch.
 fn slewed(offset_ms: i64, slews: &[Slew]) -> RehearsalDescription {
     let steps = slews.iter().flat_map(Slew::steps).collect();
     RehearsalDescription {
@@ -39,7 +39,7 @@ fn slewed(offset_ms: i64, slews: &[Slew]) -> RehearsalDescription {
     }
 }
 
-/// The same as a table of a configuration.
+/// Returns the fault as a table of a configuration.
 fn table(description: &RehearsalDescription) -> String {
     let millis = |span: Span| span.nanos() as f64 * 1e-6;
     let steps = description.steps.iter().fold(String::new(), |mut steps, step| {
@@ -50,14 +50,14 @@ fn table(description: &RehearsalDescription) -> String {
     rehearsal(millis(description.offset), 0.0, &format!("steps = [{steps}]"))
 }
 
-/// The clock of a host that runs. The API lists the first steps only.
+/// Returns the clock of a running host. The API lists only the first steps.
 fn clock_of(plant: &Plant, host: &str, description: RehearsalDescription) -> HostClock {
     let told = plant.clock_of(host);
     let (since, raw_since) = told.since().zip(told.raw_since()).expect("rehearsed");
     HostClock::new(RehearsalDescription { since, ..description }, raw_since)
 }
 
-/// 500 ppm is what a kernel slews at by itself; 40,000 ppm are below chrony's default maximum.
+/// A kernel slews at up to 500 ppm by itself; 40,000 ppm are below chrony's default maximum.
 #[test]
 fn wall_clock_that_is_slewed_reaches_no_delay() {
     let edge_slews =
@@ -84,7 +84,7 @@ fn wall_clock_that_is_slewed_reaches_no_delay() {
     for iteration in settled {
         assert!(good(&iteration.up) && good(&iteration.down), "{iteration:?}");
     }
-    // What is stored of the wall clocks did move: 42 ms on the edge, 3 ms on the cloud.
+    // The stored wall-clock stamps did move: by 42 ms on the edge and 3 ms on the cloud.
     let raw = |iteration: &Iteration| iteration.up.received - iteration.up.sent;
     let (first, last) = (raw(&iterations[0]), raw(&iterations[iterations.len() - 1]));
     assert!((first - last).abs() > Span::from_millis(30), "{first} {last}");

@@ -1,4 +1,4 @@
-//! A wall clock that is set by three seconds in mid-run.
+//! Tests of a wall clock that is set by three seconds during a run.
 
 use peernet_clock::{Span, WallTime};
 use peernet_tests::truth::{Delay, Iteration};
@@ -6,7 +6,7 @@ use peernet_tests::{Network, Plant};
 
 use super::{WARM_UP, hold_to_the_truth, rehearsal};
 
-/// When the clock is set, after the start of its agent.
+/// Time of the step after the start of the agent.
 const AT: Span = Span::from_seconds(8);
 
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -31,7 +31,7 @@ fn step(stepped: Stepped, by_ms: i32) {
     hold_to_the_truth(&what, &iterations, &edge, &cloud);
     let clock = if stepped == Stepped::Edge { &edge } else { &cloud };
     let at = clock.since().expect("rehearsed") + AT;
-    // By the clock that was left alone, which shows no time twice.
+    // Times by the clock that was not stepped, because it shows no time twice.
     let when = |iteration: &Iteration| -> WallTime {
         match stepped {
             Stepped::Edge => cloud.truth(iteration.up.received),

@@ -1,4 +1,4 @@
-//! Two hosts on one cable, whose clocks are a second apart and drift: the delays must not notice.
+//! Tests of two hosts on one cable, whose clocks are a second apart and drift: the delays must not change.
 
 use peernet_clock::Span;
 use peernet_tests::truth::HostClock;
@@ -6,10 +6,10 @@ use peernet_tests::{Network, Plant};
 
 use super::{WARM_UP, hold_to_the_truth, rehearsal};
 
-/// The largest mean error, each direction.
+/// Largest mean error of each direction.
 const MEAN_ERROR: Span = Span::from_micros(50);
 
-/// Four cases of these are more than 10,000 iterations.
+/// Four cases with these numbers are more than 10,000 iterations.
 const STEADY: usize = 2_000;
 const QUICK: usize = 1_000;
 
@@ -19,7 +19,7 @@ enum Wrong {
     Cloud,
 }
 
-/// A steady pipeline, slow enough that clocks drift apart meanwhile, and one as fast as it can.
+/// Runs a steady pipeline, slow enough that the clocks drift apart meanwhile, and one that runs as fast as it can.
 fn case(offset_ms: f64, drift_ppm: f64, max_drift_ppm: f64, wrong: Wrong) {
     let plant = Plant::new(|_| Network::direct());
     let clock = format!("[clock]\nmax_drift_ppm = {max_drift_ppm:?}\n");

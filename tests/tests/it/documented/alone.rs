@@ -1,4 +1,4 @@
-//! Commands of one machine: the study of a sensor, checks, models, completion.
+//! Commands on one machine: the study of a sensor, checks, models, completion.
 
 use peernet_tests::{Desk, Document};
 
@@ -15,7 +15,7 @@ pub(crate) const COMMANDS: [&str; 8] = [
     "peernet completions bash > /etc/bash_completion.d/peernet",
 ];
 
-/// An experiment with the slip that the document shows.
+/// Experiment with the mistake that the document shows.
 const SLIP: &str = "[experiment]\nname = 'slip'\niterations = 5\n[pipeline]\nsensor = { kind = 'text', length = 10 }\n\
                     placement = { kind = 'remote', peer = 'tcp://127.0.0.1:5551' }\n[[axis]]\nname = 'Model'\n\
                     [[axis.value]]\nlabel = 'echo'\nset = { 'pipeline.placement.modle' = 'echo' }\n";

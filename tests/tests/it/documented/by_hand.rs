@@ -1,4 +1,4 @@
-//! The shipped configurations, started by hand: on two machines, and all in one.
+//! The shipped configurations, started manually: on two machines, and all in one process.
 
 use peernet_tests::network::Host;
 use peernet_tests::truth::ask;
@@ -13,7 +13,7 @@ pub(crate) const COMMANDS: [&str; 6] = [
     "peernetd run configs/python.toml",
 ];
 
-/// Waits until the dashboard on a host has seen so many iterations of a pipeline answered.
+/// Waits until the dashboard on a host shows this number of answered iterations of a pipeline.
 fn answered(host: &Host, pipeline: &'static str, count: u64) {
     host.inside(move || {
         Api::at(8040).until("/api/v1/runs", |runs| {
@@ -53,13 +53,13 @@ fn the_aggregator_is_killed_and_the_dashboard_has_no_hole() {
         let ended = process.stop();
         assert_eq!(ended.code(), 0, "{}", ended.log);
     }
-    // Nothing is missing, and nothing is there twice.
+    // No iteration is missing, and none is stored twice.
     let database = desk.folder().join("data/aggregator/peernet.sqlite");
     let holes =
         "SELECT run, count(*), max(number) FROM iteration GROUP BY run HAVING count(*) <> max(number)";
     assert_eq!(ask(&database, holes), "");
 
-    // Each machine for itself.
+    // The remaining files are checked on one machine.
     for name in ["python.toml", "python/sweep.py", "python/nearest.py", "all-in-one.toml"] {
         let name = format!("configs/{name}");
         desk.write(&name, &Document::read(&*name).text);

@@ -1,4 +1,4 @@
-//! What is installed by hand out of a checkout, and the demo with files of one's own.
+//! Manual installation from a checkout, and the demo with the user's own files.
 
 use peernet_tests::network::Host;
 use peernet_tests::{Api, Desk, Document, Ended};
@@ -26,7 +26,7 @@ fn well(ended: &Ended) {
     assert_eq!(ended.code(), 0, "{}", ended.log);
 }
 
-/// Waits until a pipeline on the dashboard of a host has had answers.
+/// Waits until a pipeline on the dashboard of a host has answers.
 fn answered(host: &Host, port: u16, pipeline: &'static str) {
     host.inside(move || {
         Api::at(port).until("/api/v1/runs", |runs| {
@@ -45,7 +45,7 @@ fn what_is_installed_by_hand_is_where_the_units_look_for_it() {
     for folder in ["etc", "usr/bin", "usr/lib"] {
         std::fs::create_dir_all(machine.join(folder)).expect("writable");
     }
-    // What it would download is there already.
+    // The library that the command would download exists already.
     let library = peernet_tests::onnxruntime();
     well(&desk.run_on(edge, &format!("cp -a {} {root}/usr/lib/peernet", library.display())).ended());
 
@@ -67,7 +67,7 @@ fn what_is_installed_by_hand_is_where_the_units_look_for_it() {
         }
         assert!(machine.join("var/lib/peernet").join(role).is_dir(), "{role}");
 
-        // The file as it was installed, with this machine's folders.
+        // The file as installed, with this machine's folders.
         let file = format!("/etc/peernet/{role}.toml");
         let text = std::fs::read_to_string(machine.join(&file[1..])).expect("it was installed");
         desk.install(edge, &file, &text, &[]);
@@ -79,7 +79,7 @@ fn what_is_installed_by_hand_is_where_the_units_look_for_it() {
     desk.finish();
 }
 
-/// With another port.
+/// Runs the demo with another port.
 fn the_demo(desk: &Desk) {
     for name in ["aggregator", "cloud", "edge"] {
         let text = Document::read(format!("configs/{name}.toml")).text;

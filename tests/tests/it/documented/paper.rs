@@ -1,4 +1,4 @@
-//! The paper's experiments, with their own files: on one server, with a small model in the place of each large one.
+//! The paper's experiments with their own files, on one server, with a small model in place of each large one.
 
 use peernet_tests::{Desk, Document};
 
@@ -18,13 +18,13 @@ pub(crate) const COMMANDS: [&str; 9] = [
 
 const PAYLOADS: &str = "peernet run --set experiment.iterations=100 --set pipeline.placement.peer=tcp://10.0.0.2:5551 configs/experiments/payload-study.toml";
 
-/// The document's options for a machine without a GPU, and fewer iterations.
+/// The document's options for a machine without a GPU, with fewer iterations.
 const HERE: &str = "run --set network.config=net_config.yaml --set bank.devices='[\"cpu\"]' \
                     --set pipeline.placement.device=cpu --set experiment.iterations=3";
 
 const MODELS: [&str; 3] = ["efficientnet_v2_s", "efficientnet_v2_m", "efficientnet_v2_l"];
 
-/// A model with a name of its own, in the place of one that a machine without a GPU would compute for seconds.
+/// Adds a small model under this name, in place of one that takes seconds on a machine without a GPU.
 pub(crate) fn small_model(desk: &Desk, name: &str) {
     let card = Document::read("models/quality-control/model.toml").text;
     let own = format!("models/{name}");
@@ -33,7 +33,7 @@ pub(crate) fn small_model(desk: &Desk, name: &str) {
     std::os::unix::fs::symlink(network, desk.folder().join(own).join("model.onnx")).expect("writable");
 }
 
-/// The agent that the document has for the server, with the policy of the second experiment; processors for GPUs.
+/// Installs the document's agent for the server, with the policy of the second experiment; processors replace GPUs.
 fn server(desk: &Desk) {
     let document = Document::read("docs/experiments.md");
     let agents = document.fenced("toml").into_iter().map(|(_, text)| text);
@@ -58,7 +58,7 @@ fn efficientnet_and_the_robot_arm_are_measured_compared_and_drawn() {
     desk.finish();
 }
 
-/// Three models here and there.
+/// Measures three models locally and on the server.
 fn efficientnet(desk: &Desk) {
     let file = "configs/experiments/efficientnet.toml";
     desk.write(file, &Document::read(file).text);
@@ -84,7 +84,7 @@ fn efficientnet(desk: &Desk) {
     assert!(figure.is_file(), "{}", ended.log);
 }
 
-/// Nine combinations; one server is both of the paper's in all three networks.
+/// Measures nine combinations; one server stands for both of the paper's in all three networks.
 fn teleoperation(desk: &Desk) {
     for (network, addresses) in [
         ("lan", ["192.168.1.30", "192.168.1.40"]),
@@ -100,7 +100,7 @@ fn teleoperation(desk: &Desk) {
     );
     let checked = desk.on_edge("peernet run --check configs/experiments/teleoperation.toml", &[]).ended();
     assert_eq!(checked.code(), 0, "{}", checked.log);
-    // As the document shows it.
+    // The document shows this output.
     assert!(Document::read("docs/experiments.md").text.contains(checked.log.trim()), "{}", checked.log);
     let ended = done(desk.on_edge("peernet run configs/experiments/teleoperation.toml", &[]), 9);
     assert_eq!(ended.code(), 0, "{}", ended.log);
@@ -112,7 +112,7 @@ fn teleoperation(desk: &Desk) {
     assert_eq!(desk.on_edge(table, &[]).ended().code(), 0);
     let table = std::fs::read_to_string(desk.folder().join("table.tex")).expect("it was written");
     assert!(table.contains("\\toprule") && table.matches("RTX 3090").count() >= 5, "{table}");
-    // The experiment's own is the same.
+    // The experiment's own table is the same.
     let own = std::fs::read_to_string(results.folder.join("compare.tex")).expect("it was written");
     assert_eq!(table.trim_end(), own.trim_end());
     let first = format!("runs/{}", results.folders()[0]);
@@ -125,7 +125,7 @@ fn teleoperation(desk: &Desk) {
     assert!(desk.folder().join("figures/stacked.svg").is_file(), "{}", ended.log);
 }
 
-/// The study of a link, with the file as it is.
+/// Measures the study of a link, with the file unchanged.
 fn payload_study(desk: &Desk) {
     let file = "configs/experiments/payload-study.toml";
     desk.write(file, &Document::read(file).text);

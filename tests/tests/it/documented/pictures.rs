@@ -1,4 +1,4 @@
-//! The demo model's pictures drawn again, and a network trained on them: fewer of each.
+//! Generation of the demo model's pictures and training with them, with fewer pictures.
 
 use peernet_tests::{Desk, Ended};
 
@@ -23,7 +23,7 @@ fn pictures_drawn_again_are_judged_rightly_and_a_network_is_trained() {
         (THIRD, "/tmp/third", ["=100", "=100"]),
     ] {
         well(desk.on_edge(command, &[(place, "drawn"), (good, "=1"), (others, "=1")]).ended());
-        // What was trained on thousands of them knows these.
+        // The model was trained with thousands of such pictures.
         let check = "peernet models check quality-control --pictures drawn";
         let judged = well(desk.run_on(desk.edge(), check).ended());
         assert!(judged.contains("4 of 4 labels right"), "{command}: {judged}");

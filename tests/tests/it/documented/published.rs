@@ -1,4 +1,4 @@
-//! The published commands as the documents have them beside others, and what is done with their results.
+//! The published commands in the documents, and the use of their results.
 
 use peernet_tests::{Desk, Document, until};
 
@@ -21,10 +21,10 @@ const CLIENT: &str = "peernet --client --name jetson-orin --network zmq-tcp --ne
 const OWN: &str = "peernet --client … --sensor-object sweep::Lidar";
 const COMPILER: &str = "cc -O2 -o brightness docs/examples/external/brightness.c";
 
-/// Enough for intervals; some thousand are for those who want to know.
+/// Number of iterations, reduced: enough for intervals.
 const ITERATIONS: (&str, &str) = ("1005", "40");
 
-/// The published file of devices, with this test's.
+/// The published file of devices, with this test's addresses.
 const DEVICES: &str = "devices:\n  jetson-orin: 10.0.0.1\n  cluster: CLUSTER\nserver: cluster\n";
 
 #[test]
@@ -39,11 +39,11 @@ fn the_published_commands_ones_own_objects_and_programs_and_their_results() {
     desk.finish();
 }
 
-/// A model whose answers differ in length, as those of a language model.
+/// Model whose answers differ in length, like those of a language model.
 const TALKER: &str = "class Talker:\n    def infer(self, distances):\n        \
                       return 'word ' * (1 + int(1e4 * distances[0]) % 40)\n";
 
-/// A model of the bank, and a picture.
+/// Executes the README's command with a model of the bank and a picture.
 fn of_the_readme(desk: &Desk) {
     small_model(desk, "efficientnet_v2_s");
     let picture = desk.folder().join("models/quality-control/pictures/part-0001.jpg");
@@ -58,7 +58,7 @@ fn of_the_readme(desk: &Desk) {
     }
 }
 
-/// The document's agent with a sensor, a model and an actuator, each a program.
+/// Runs the document's agent with a sensor, a model and an actuator, each of which is a program.
 fn programs_of_an_agent(desk: &Desk) {
     assert_eq!(desk.on_edge(COMPILER, &[]).ended().code(), 0);
     let document = Document::read("docs/external-programs.md");
@@ -73,7 +73,7 @@ fn programs_of_an_agent(desk: &Desk) {
     assert_eq!(ended.code(), 0, "{}", ended.log);
 }
 
-/// Python objects at both ends on one machine, programs at both ends on two.
+/// Runs Python objects at both ends on one machine, and programs at both ends on two.
 fn of_ones_own(desk: &Desk) {
     desk.write("sweep.py", &Document::read("configs/python/sweep.py").text);
     desk.write("talker.py", TALKER);
@@ -95,7 +95,7 @@ fn of_ones_own(desk: &Desk) {
     let here = desk.on_edge(OWN, &[("…", &client("net_config.yaml", "results-lan")), light]).ended();
     let there = there.ended();
     assert_eq!((here.code(), there.code()), (0, 0), "{}\n{}", here.log, there.log);
-    // The program on the cloud judged every picture of the one on the edge rightly.
+    // The program on the cloud answered every picture of the edge's program correctly.
     assert_eq!(column(&desk.folder().join("results-lan/data.csv"), "top-1"), ["1"; 40]);
 }
 

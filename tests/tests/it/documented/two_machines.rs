@@ -1,4 +1,4 @@
-//! The README's plant of two machines, with its own files: looked at, calibrated, looked after.
+//! The README's two machines with its own files: queries, calibration, maintenance.
 
 use peernet_tests::network::Host;
 use peernet_tests::truth::ask;
@@ -33,10 +33,10 @@ const REPAIR: &str = "peernetd doctor --repair --config /etc/peernet/aggregator.
 const REBUILD: &str = "peernetd rebuild-rollups --config /etc/peernet/aggregator.toml [--run NUMBER]";
 const CLEAR: &str = "peernetd clear-host-secret --config /etc/peernet/aggregator.toml robot";
 
-/// A calibration of some seconds.
+/// Arguments of a calibration of some seconds.
 const SHORT: &str = "calibrate --sizes 100,1kB,10kB --repeats 20 --quiet";
 
-/// The README's three files, on the machines that it names, which share one system's name and clock here.
+/// Installs the README's three files on the machines that it names, which share one host name and clock here.
 pub(crate) fn install(desk: &Desk) {
     let readme = Document::read("README.md");
     let files = readme.indented("put-it-on-two-machines", 7);
@@ -57,7 +57,7 @@ fn well(ended: Ended) -> String {
     ended.log
 }
 
-/// The document that curl got.
+/// Returns the JSON document that curl received.
 fn json(ended: Ended) -> Value {
     let log = well(ended);
     let line = log.lines().find_map(|line| serde_json::from_str(line).ok());
@@ -99,7 +99,7 @@ fn the_plant_of_the_readme_is_measured_asked_calibrated_and_looked_after() {
     desk.finish();
 }
 
-/// The README's section "Ask it".
+/// Executes the README's section "Ask it".
 fn ask_for_everything(desk: &Desk) {
     let get =
         |path: &str| json(desk.on_cloud(&format!("curl http://127.0.0.1:8040/api/{path}"), &[]).ended());
@@ -108,7 +108,7 @@ fn ask_for_everything(desk: &Desk) {
         (&pipelines["pipelines"][0]["host"], &pipelines["pipelines"][0]["name"]),
         (&"robot".into(), &"inspection".into())
     );
-    // Figures are live before the run is stored.
+    // Live values are available before the run is stored.
     let run = until("the run in the store", || get("v1/runs")["runs"].get(0).cloned());
     assert_eq!(run["host"], "robot");
     assert!(get("openapi.json")["paths"].is_object());
@@ -117,7 +117,7 @@ fn ask_for_everything(desk: &Desk) {
     live.kill();
 }
 
-/// The link, whoever is asked for however: what is measured meanwhile goes over it as well.
+/// Calibrates the link with all documented options, while the pipeline uses it as well.
 fn calibrate(desk: &Desk) {
     for (command, changes) in [
         ("peernet calibrate tcp://10.0.0.2:5551", ("tcp", "--result-loc first tcp")),
@@ -133,7 +133,7 @@ fn calibrate(desk: &Desk) {
     }
 }
 
-/// A copy while it is written to, statistics anew when it is not.
+/// Makes a backup while the database is written to, and rebuilds roll-ups while it is not.
 fn keep(desk: &Desk, stop: impl FnOnce()) {
     std::fs::create_dir_all(desk.folder().join("cloud/backup")).expect("writable");
     well(desk.on_cloud(BACKUP, &[]).ended());

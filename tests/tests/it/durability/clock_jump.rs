@@ -1,17 +1,17 @@
-//! An aggregator whose wall clock jumps by a month: nothing is deleted, and the jumps are incidents.
+//! Test of an aggregator whose wall clock jumps by a month: nothing is deleted, and each jump is an incident.
 
 use peernet_clock::Span;
 use peernet_tests::fleet::echo;
 use peernet_tests::truth::ask;
 use peernet_tests::{AGGREGATOR, Api, FalseTime, Process, Site, measured, program, until};
 
-/// Iterations of each run.
+/// Number of iterations of each run.
 const ITERATIONS: u64 = 300;
-/// Those and the warm-up.
+/// Number of stored iterations, including the warm-up.
 const STORED: u64 = ITERATIONS + 5;
 const MONTH: Span = Span::from_seconds(30 * 86_400);
 
-/// Runs a pipeline to its end, on a host of its own.
+/// Runs a pipeline to its end, on a separate host.
 fn run_to_the_end(site: &Site, api: &Api, host: &str) {
     let limit = format!("load = {{ mode = \"rate\", hz = 200.0 }}\nlimit = {{ iterations = {ITERATIONS} }}");
     let tables = format!("[[model]]\nname = \"echo\"\nkind = \"echo\"\n{}", echo("loop", &limit));
@@ -23,7 +23,7 @@ fn run_to_the_end(site: &Site, api: &Api, host: &str) {
     assert_eq!(agent.stop().code(), 0);
 }
 
-/// Waits until so many incidents of the aggregator say that its clock was set, and returns the newest's words.
+/// Waits until this number of the aggregator's incidents report a clock step; returns the newest text.
 fn told(api: &Api, direction: &str, times: usize) -> String {
     api.until("/api/v1/incidents", |list| {
         let incidents = list["incidents"].as_array()?.iter();
@@ -72,7 +72,7 @@ fn month_long_clock_jumps_of_the_aggregator_delete_nothing() {
     ] {
         time.show(jump);
         words.push(told(&api, direction, times));
-        // Meanwhile retention looks, once a second and after commits.
+        // Meanwhile retention runs once a second and after commits.
         run_to_the_end(&site, &api, host);
     }
     stored(4);
@@ -81,7 +81,7 @@ fn month_long_clock_jumps_of_the_aggregator_delete_nothing() {
     assert!(!said.contains("retention deleted"), "{said}");
     assert_eq!(aggregator.stop().code(), 0);
 
-    // It starts with a clock that is behind what it showed, and then with one that is far ahead.
+    // It starts with a clock that is behind its last reading, and then with one that is far ahead.
     time.show(-MONTH - MONTH);
     let (aggregator, api) = start();
     words.push(told(&api, "less than when it last stored something", 1));

@@ -1,4 +1,4 @@
-//! A page of the database that is overwritten while the aggregator runs.
+//! Tests of a database page that is overwritten while the aggregator runs.
 
 use std::os::unix::fs::FileExt;
 use std::path::Path;
@@ -7,7 +7,7 @@ use peernet_tests::fleet::{echo, edge, rate};
 use peernet_tests::truth::ask;
 use peernet_tests::{Ended, Fleet, Ledger, measured, thousands, until};
 
-/// What a disk, a wild pointer or `dd` may leave: the same bytes each time, so that a failure can be seen again.
+/// Returns reproducible noise, such as a disk, a wild pointer or `dd` may leave.
 fn noise(seed: u64) -> Vec<u8> {
     let mut state = seed;
     let mut next = || {
@@ -17,7 +17,7 @@ fn noise(seed: u64) -> Vec<u8> {
     (0..4096).map(|_| next()).collect()
 }
 
-/// Overwrites 4 KiB in the middle of a table's pages, `beyond` bytes after the begin of one.
+/// Overwrites 4 KiB in the middle of a table's pages, `beyond` bytes after the beginning of one.
 fn overwrite(database: &Path, table: &str, beyond: u64) {
     let pages = ask(
         database,
@@ -48,7 +48,8 @@ fn why_not_ready(fleet: &Fleet) -> String {
     })
 }
 
-/// Stores so many events into the file itself: what is in the log alone would cover a damaged page.
+/// Stores this number of events in the database file itself: pages that are only in the log would hide a damaged
+/// page.
 fn with_events_in_the_file(events: u64) -> Fleet {
     let mut fleet = Fleet::new(&["edge"], &edge("", &echo("loop", &rate(400.0))));
     fleet.start(0);
@@ -66,7 +67,7 @@ fn damaged_page_stops_storing_until_repaired() {
     overwrite(fleet.database(), "node", 0);
     let why = why_not_ready(&fleet);
     assert!(why.contains("damaged") && why.contains("peernetd doctor --repair"), "{why}");
-    // The agent tells a moment later what was acknowledged last.
+    // The agent reports the last acknowledgement a moment later.
     let then =
         fleet.account(0, "events wait", |account| account.waiting > 100 && account.stored == account.events);
     let later = fleet.account(0, "more events wait", |account| account.waiting > then.waiting + 400);
@@ -81,7 +82,8 @@ fn damaged_page_stops_storing_until_repaired() {
     fleet.aggregator_returns();
     let why = why_not_ready(&fleet);
     assert!(why.contains("damaged") && why.contains("peernetd doctor --repair"), "{why}");
-    // What was committed while the damage was found was not acknowledged, and is counted since the restart.
+    // Events that were committed while the damage was found were not acknowledged; they are counted since the
+    // restart.
     let then = fleet.account(0, "more wait than before", |account| account.waiting > later.waiting);
     let again = fleet.account(0, "even more wait", |account| account.waiting > then.waiting + 400);
     assert_eq!(again.events, then.events, "nothing more is stored");
@@ -101,12 +103,12 @@ fn damage_across_pages_of_several_tables_is_repaired() {
     }
     let why = why_not_ready(&fleet);
     assert!(why.contains("damaged"), "{why}");
-    // Killed, it leaves its log beside the file.
+    // The killed aggregator leaves its log beside the file.
     fleet.aggregator.kill();
     goes_on_after_repair(fleet, "pages of three tables");
 }
 
-/// Repairs what is left behind, and checks that everything that was ever measured is stored or a gap.
+/// Repairs the database, and checks that every measured event is stored or in a gap.
 fn goes_on_after_repair(mut fleet: Fleet, what: &str) {
     let repaired = doctor(&fleet, &["--repair"]);
     assert_eq!(repaired.code(), 0, "{}", repaired.log);

@@ -1,4 +1,4 @@
-//! The database's file becomes read-only, goes away, comes back or is another one while the aggregator runs.
+//! Tests of a database file that becomes read-only, disappears, comes back or is replaced while the aggregator runs.
 
 use std::path::{Path, PathBuf};
 
@@ -6,12 +6,12 @@ use peernet_tests::fleet::{echo, edge, rate};
 use peernet_tests::truth::ask;
 use peernet_tests::{Fleet, ImageDisk, Ledger, until};
 
-/// The files of a database.
+/// Returns the files of a database.
 fn files(database: &Path) -> [PathBuf; 3] {
     ["", "-wal", "-shm"].map(|end| PathBuf::from(format!("{}{end}", database.display())))
 }
 
-/// An aggregator whose database is on a disk of its own, and an agent that has stored something.
+/// Starts an aggregator whose database is on a separate disk, and an agent that has stored something.
 fn fleet_on(disk: &ImageDisk) -> Fleet {
     fleet_in(&disk.folder().join("aggregator.sqlite"))
 }
@@ -24,27 +24,27 @@ fn fleet_in(database: &Path) -> Fleet {
     fleet
 }
 
-/// Waits until the aggregator is not ready for a reason that contains these words.
+/// Waits until the aggregator is not ready, with these words in the reason.
 fn not_ready(fleet: &Fleet, words: &str) {
     until(&format!("not ready: {words}"), || {
         fleet.api.get("/readyz").filter(|(status, text)| *status == 503 && text.contains(words))
     });
 }
 
-/// Waits until the aggregator is ready and has stored what waits on its agent.
+/// Waits until the aggregator is ready and has stored the events that waited on its agent.
 fn stores_again(fleet: &Fleet) {
     until("ready", || fleet.api.get("/readyz").filter(|(status, _)| *status == 200));
     fleet.account(0, "what waited is stored", |account| account.waiting < 100 && account.events > 0);
 }
 
-/// Ends everything; checks that each event that was produced is stored or dropped and counted.
+/// Stops everything; checks that each produced event is stored or counted as dropped.
 fn account_for_all(fleet: &mut Fleet) -> Ledger {
     fleet.agents[0].stop();
     fleet.deliver(0).balances();
     fleet.stop()
 }
 
-/// The same where nothing may be missing.
+/// Stops everything; checks that no event is missing.
 fn nothing_is_missing(fleet: &mut Fleet) {
     let ledger = account_for_all(fleet);
     assert_eq!(ledger.lacks(fleet.agents[0].spooled()), 0, "{ledger:?}");
@@ -52,7 +52,7 @@ fn nothing_is_missing(fleet: &mut Fleet) {
     assert!(ledger.runs.values().all(|run| run.is_whole()), "{ledger:?}");
 }
 
-/// Whether the aggregator has one of the database's files open.
+/// Returns whether the aggregator has one of the database's files open.
 fn holds(fleet: &Fleet, folder: &Path) -> bool {
     let open = format!("/proc/{}/fd", fleet.aggregator.process().pid());
     let entries = std::fs::read_dir(open).expect("it runs");
@@ -67,8 +67,8 @@ fn storing_recovers_after_database_was_read_only() {
     let disk = ImageDisk::new(64 << 20);
     let mut fleet = fleet_on(&disk);
     let database = fleet.database().to_owned();
-    // Descriptors that are open cannot write any more, and new ones can only read. Not the third: it is mapped into
-    // memory, and the kernel ends a process that writes to a mapping of an immutable file.
+    // Open descriptors cannot write any more, and new ones can only read. The third file is left out: it is mapped
+    // into memory, and the kernel ends a process that writes to a mapping of an immutable file.
     let written = &files(&database)[..2];
     disk.set_immutable(written, true);
     not_ready(&fleet, "cannot store events");
@@ -92,7 +92,7 @@ fn storing_recovers_after_unmount_and_mount() {
     let mut fleet = fleet_on(&disk);
     disk.unmount();
     not_ready(&fleet, "not mounted");
-    // The file system is let go, so that it can be checked or mounted elsewhere.
+    // The file system must be released, so that it can be checked or mounted elsewhere.
     until("the device is free", || (!disk.is_in_use()).then_some(()));
     let folder = std::fs::read_dir(disk.folder()).expect("the mount point is there");
     assert_eq!(folder.count(), 0, "nothing is made where the disk was");
@@ -150,7 +150,7 @@ fn database_replaced_by_backup_is_compared_with_spools() {
     assert!(why.contains("batches"), "{why}");
 }
 
-/// A second aggregator on a file that leads to the database of the first must not start.
+/// Checks that a second aggregator does not start on a file that leads to the first one's database.
 fn refused(fleet: &Fleet, database: &Path) {
     let tables = format!(
         "[aggregator]\nname = \"second\"\nlisten = \"tcp://127.0.0.1:{}\"\ndatabase = \"{}\"\n\

@@ -1,4 +1,4 @@
-//! What is lost is counted: at the kill of an agent, and with a database that is deleted or replaced.
+//! Tests that lost events are counted: when an agent is killed, and when a database is deleted or replaced.
 
 use std::path::Path;
 use std::time::Duration;
@@ -9,26 +9,26 @@ use peernet_tests::{Account, Chance, Fleet, Spooled, StoredHost, measured, thous
 
 use super::turn;
 
-/// How often the agent is killed while it measures.
+/// Number of kills of the agent while it measures.
 const KILLS: usize = 5;
 
-/// How long it measures after its first batch, at most.
+/// Longest time that it measures after its first batch.
 const LIFE: Duration = Duration::from_millis(600);
 
-/// A life of an agent that logs each answer before the iteration is over.
+/// Run of an agent that logs each answer before the iteration ends.
 struct Life {
     run: String,
     answers: u64,
 }
 
-/// Checks that everything that the agent produced is stored or stands in a gap.
+/// Checks that every produced event is stored or in a gap.
 fn adds_up(account: &Account, host: &StoredHost) {
     account.balances();
     assert_eq!((account.waiting, account.dropped), (0, host.missing), "{account:?}, {host:?}");
     assert_eq!(account.produced, host.events + host.missing, "{account:?}, {host:?}");
 }
 
-/// Deletes what is in a folder.
+/// Deletes the contents of a folder.
 fn empty(folder: &Path) {
     std::fs::remove_dir_all(folder).expect("deleted");
     std::fs::create_dir(folder).expect("made again");
@@ -46,13 +46,13 @@ fn killed_agent_reports_every_event_it_lost() {
         fleet.agents[0].process().wait_for("spooled batch=");
         chance.linger(LIFE);
         let log = fleet.agents[0].kill().log;
-        // Written before the process was killed: nothing of its spool is asked.
+        // The log was written before the process was killed, and does not depend on its spool.
         let answers = log.matches(" answer ").count() as u64;
         let spooled = Spooled::all(&log);
         let run = spooled.first().expect("it was waited for").run.clone();
         lives.push(Life { run, answers });
         if lives.len() == 2 {
-            // Killed again before it could report the loss.
+            // It is killed again before it can report the loss.
             fleet.start(0);
             fleet.agents[0].process().wait_for("the agent was killed before these events");
             fleet.agents[0].kill();
@@ -72,7 +72,7 @@ fn killed_agent_reports_every_event_it_lost() {
         let stored = &ledger.runs[run];
         assert!(stored.is_whole(), "only the end of a run is lost: {stored:?}");
         let known = stored.iterations() + stored.missing;
-        // The kill may have hit the iteration that was just acted upon: it is no event.
+        // The kill may have hit an iteration between its action and its end, which is not an event.
         assert!(
             (answers - 1..=*answers).contains(&known),
             "{answers} answers, {known} accounted for: {stored:?}"
@@ -106,7 +106,7 @@ fn deleted_database_reports_number_of_missing_events() {
     let account = fleet.deliver(0);
     let ledger = fleet.stop();
     let host = &ledger.hosts["edge"];
-    // What had no acknowledgement when the aggregator stopped comes again.
+    // Events without an acknowledgement at the aggregator's stop are sent again.
     assert!(host.missing <= deleted && host.missing > deleted / 2, "{deleted} were there: {host:?}");
     assert_eq!(host.gap_rows, (1, host.missing));
     assert_eq!(account.produced, host.events + host.missing, "{account:?}, {host:?}");

@@ -1,4 +1,4 @@
-//! Memory of an aggregator that stores for a long time.
+//! Test of the memory of an aggregator that stores for a long time.
 
 use std::time::Duration;
 
@@ -7,11 +7,11 @@ use peernet_tests::{Fleet, Since, measured};
 
 use super::setting;
 
-/// What [operating.md](../../../../docs/operating.md) promises for a few pipelines and an open page: the pages that SQLite
-/// keeps, what an idle aggregator has, readers and what is under way.
+/// Bound in [operating.md](../../../../docs/operating.md) for a few pipelines and an open page: SQLite's page cache,
+/// an idle aggregator, readers, and batches in flight.
 const MOST_MIB: f64 = 192.0;
 
-/// Memory of a process that no file backs, in MiB.
+/// Returns the anonymous memory of a process, MiB.
 fn memory_mib(pid: u32) -> f64 {
     let status = std::fs::read_to_string(format!("/proc/{pid}/status")).expect("it runs");
     let line = status.lines().find_map(|line| line.strip_prefix("RssAnon:")).expect("Linux tells it");

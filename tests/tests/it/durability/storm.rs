@@ -1,4 +1,5 @@
-//! Everything at once: kills of agents and aggregator while disks fill up, become read-only and are remounted and clocks jump.
+//! Test of simultaneous faults: agents and aggregator are killed while disks fill up, become read-only and are
+//! remounted, and clocks jump.
 
 use std::path::PathBuf;
 use std::time::Duration;
@@ -12,13 +13,13 @@ use super::{setting, turn};
 const AGENTS: [&str; 2] = ["left", "right"];
 const HZ: f64 = 200.0;
 
-/// How long things go on between two events, at most.
+/// Longest time between two events.
 const PAUSE: Duration = Duration::from_millis(700);
 
-/// How far a clock jumps, at most.
+/// Largest jump of a clock.
 const JUMP: Span = Span::from_seconds(40 * 86_400);
 
-/// What befalls a machine, until it is mended.
+/// Fault of a machine, which lasts until it is repaired.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Trouble {
     /// The aggregator's disk is full.
@@ -42,10 +43,10 @@ struct Storm {
     store: ImageDisk,
     spools: ImageDisk,
     troubles: Vec<Trouble>,
-    /// Answers in the logs of the lives that are over.
+    /// Number of answers in the logs of ended processes.
     answers: u64,
     kills: [u64; 2],
-    /// How often a process could not start before something was mended.
+    /// Number of failed starts because of a fault.
     ended: u32,
 }
 
@@ -63,15 +64,15 @@ impl Storm {
         }
         fleet.aggregator_returns();
         fleet.start_all();
-        // An agent makes its host id at its first start, and cannot start where there is no room for that.
+        // An agent creates its host id at its first start, and cannot start if there is no space for that.
         for agent in 0..AGENTS.len() {
             fleet.account(agent, "the agent is known", |account| account.produced > 0);
         }
         Self { fleet, store, spools, troubles: Vec::new(), answers: 0, kills: [0; 2], ended: 0 }
     }
 
-    /// Files of the database or of a spool that processes write to with system calls: the third one is mapped into memory, and
-    /// the kernel ends a process that writes to a mapping of an immutable file.
+    /// Returns the files of the database or of a spool that processes write with system calls. The third file is
+    /// mapped into memory, and the kernel ends a process that writes to a mapping of an immutable file.
     fn files(&self, trouble: Trouble) -> Vec<PathBuf> {
         let main = match trouble {
             Trouble::SpoolReadOnly(agent) => {
@@ -96,7 +97,7 @@ impl Storm {
         self.troubles.push(trouble);
     }
 
-    /// Sets right what can be set right: clocks stay as they are.
+    /// Repairs everything but clocks.
     fn mend(&mut self) {
         for trouble in std::mem::take(&mut self.troubles) {
             match trouble {
@@ -105,7 +106,7 @@ impl Storm {
                 Trouble::StoreReadOnly => self.store.set_immutable(&self.files(trouble), false),
                 Trouble::SpoolReadOnly(_) => self.spools.set_immutable(&self.files(trouble), false),
                 Trouble::StoreAway => {
-                    // Two mounts of one image would write over one another.
+                    // Two mounts of one image would overwrite each other.
                     until("the device is free", || (!self.store.is_in_use()).then_some(()));
                     self.store.mount();
                 }
@@ -114,7 +115,7 @@ impl Storm {
         }
     }
 
-    /// Troubles that can stand beside one another.
+    /// Chooses faults that can exist at the same time.
     fn pick(chance: &mut Chance) -> Vec<Trouble> {
         let agent = chance.below(AGENTS.len());
         let store =
@@ -129,7 +130,7 @@ impl Storm {
         }
     }
 
-    /// Troubles, a kill in the middle of them, and a start in the middle of them or after.
+    /// Causes faults, a kill during them, and a restart during or after them.
     fn round(&mut self, chance: &mut Chance) {
         for trouble in Self::pick(chance) {
             self.strike(trouble, chance);
@@ -146,7 +147,7 @@ impl Storm {
             self.kills[0] += 1;
         }
         chance.linger(PAUSE);
-        // An aggregator that is started where its disk should be mounted begins a database there.
+        // An aggregator that is started without its disk creates a database in the mount point's folder.
         let needs_disk = kills_aggregator && self.troubles.contains(&Trouble::StoreAway);
         if needs_disk || chance.once_in(2) {
             self.mend();
@@ -167,7 +168,7 @@ impl Storm {
     }
 }
 
-/// Iterations that were acted upon.
+/// Returns the number of iterations whose answer was acted on.
 fn answers(log: &str) -> u64 {
     log.matches(" answer ").count() as u64
 }
@@ -198,11 +199,11 @@ fn kills_amid_failing_disks_and_jumping_clocks_lose_nothing_uncounted() {
         let host = &ledger.hosts[&agent.name];
         assert_eq!(ledger.lacks(agent.spooled()), 0, "what was spooled is stored: {account:?}, {host:?}");
         assert_eq!(host.quarantined, 0, "{account:?}, {host:?}");
-        // To the last event, by the agents' own counts.
+        // Every event is accounted for by the agents' counts.
         assert_eq!((account.waiting, account.dropped), (0, host.missing), "{account:?}, {host:?}");
         assert_eq!(account.produced, host.events + host.missing, "{account:?}, {host:?}");
     }
-    // And by what they were seen to do: a kill may hit an iteration that was acted upon and is not handed in yet.
+    // The logged answers are accounted for as well. A kill may hit an iteration after its action and before its end.
     let missing: u64 = ledger.hosts.values().map(|host| host.missing).sum();
     let known = ledger.iterations() + missing;
     assert!(known + kills[0] >= answers, "{answers} answers, {known} accounted for");

@@ -1,15 +1,15 @@
-//! The cloud's agent dies in mid-experiment.
+//! Tests of a cloud's agent that dies during an experiment.
 
 use peernet_tests::Process;
 
 use super::{Lab, THREE, column, json};
 
-/// The same three runs, which wait two seconds for a cloud that is away.
+/// Returns the experiment of three runs with a wait of two seconds for an absent cloud.
 fn impatient() -> String {
     THREE.replace("order =", "patience_s = 2\norder =")
 }
 
-/// Waits until the second run has some rows, and says where they are.
+/// Waits until the second run has some rows; returns its folder.
 fn in_the_second(lab: &Lab, process: &Process) -> String {
     process.wait_for("run 2 of 3 (Size = 200): begins");
     let second = lab.results.folders()[1].clone();
@@ -27,7 +27,7 @@ fn one_that_stays_away_fails_what_is_left_and_the_same_command_does_it_later() {
     assert_eq!(ended.code(), 75, "{}", ended.log);
     assert!(ended.log.contains("2 runs failed") && ended.log.contains("is away"), "{}", ended.log);
     assert_eq!(lab.results.stages(), ["finished", "failed", "failed"]);
-    // What it had measured is not lost with the cloud.
+    // Rows that were measured before the cloud died are kept.
     let answered = column(&lab.results.file(&second, "data.csv"), "outcome");
     assert!(answered.iter().filter(|outcome| *outcome == "ok").count() >= 3, "{answered:?}");
     let first = json(&lab.results.file(&lab.results.folders()[0], "run.json"));
@@ -50,7 +50,7 @@ fn one_that_comes_back_costs_the_iterations_that_it_had_in_hand() {
     let mut lab = Lab::new();
     let process = lab.run(THREE, &[]);
     let second = in_the_second(&lab, &process);
-    // Stopped at first, so that it has an iteration in hand for certain.
+    // The cloud is stopped first, so that it certainly has an iteration in progress.
     lab.stop_cloud();
     process.wait_for("is away");
     lab.kill_cloud();

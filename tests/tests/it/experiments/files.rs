@@ -1,4 +1,4 @@
-//! The files that are shipped.
+//! Tests of the shipped experiment files.
 
 use std::path::Path;
 
@@ -72,7 +72,7 @@ fn a_file_that_is_not_there_or_wrong_is_told_with_its_name() {
          sensor = {{ kind = 'images', path = '{}' }}\n",
         pictures.display()
     );
-    // What an agent would refuse wherever it runs, and what the trial finds on this machine.
+    // Errors that an agent would report on any machine, and those that the trial finds on this machine.
     let long = text.replace("[pipeline]", "[pipeline]\ntimeout_ms = 1000000000000");
     std::fs::write(&file, long).expect("writable");
     let (code, log) = check(&file);

@@ -1,4 +1,4 @@
-//! Experiments: a matrix of runs from one file on one machine, with a cloud on another.
+//! Tests of experiments: a matrix of runs from one file on one machine, with a cloud on another.
 
 mod cloud_gone;
 mod failing;
@@ -38,7 +38,7 @@ inference_ms = 40
 postprocessing_ms = 0
 "#;
 
-/// Three runs; the second takes ten seconds, so that there is time to end it.
+/// Experiment of three runs; the second one takes ten seconds, so that there is time to end it.
 const THREE: &str = r#"
 [experiment]
 name = "three"
@@ -91,7 +91,7 @@ impl Lab {
         self.cloud = Some(cloud);
     }
 
-    /// It hangs from now on.
+    /// Stops the cloud's process, so that it hangs.
     fn stop_cloud(&self) {
         self.cloud.as_ref().expect("it runs").signal(Signal::STOP);
     }
@@ -100,7 +100,7 @@ impl Lab {
         self.cloud.take().expect("it runs").kill();
     }
 
-    /// Starts `peernet run` on a text, in which `{cloud}` is where the cloud serves.
+    /// Starts `peernet run` with a text, in which `{cloud}` stands for the address of the cloud.
     fn run(&self, text: &str, options: &[&str]) -> Process {
         let peer = format!("tcp://{}:5551", self.network.cloud().address);
         let file = self.site.write("experiment.toml", &text.replace("{cloud}", &peer));
@@ -110,13 +110,13 @@ impl Lab {
     }
 }
 
-/// What a command says of results.
+/// Runs a command on results and returns its output.
 fn told(command: &str, results: &Path) -> Ended {
     let arguments = [OsStr::new(command), results.as_os_str()];
     Process::start(&program("peernet"), &arguments, root(), &[]).ended()
 }
 
-/// Waits for the end of an experiment, which may take long, as long as its runs do not.
+/// Waits for the end of an experiment, which may take long if its single runs do not.
 pub(crate) fn done(experiment: Process, runs: usize) -> Ended {
     for run in 1..=runs {
         experiment.wait_for(&format!("run {run} of {runs} ("));
@@ -124,7 +124,7 @@ pub(crate) fn done(experiment: Process, runs: usize) -> Ended {
     experiment.ended()
 }
 
-/// The processes that a program has started and not waited for.
+/// Returns the children of a program that it has not waited for.
 fn children(process: &Process) -> Vec<Pid> {
     let pid = process.pid();
     let text = std::fs::read_to_string(format!("/proc/{pid}/task/{pid}/children")).expect("it runs");

@@ -1,4 +1,4 @@
-//! What users' own code prints while an experiment runs.
+//! Test of the output of users' code during an experiment.
 
 use peernet_tests::{Process, Site, program};
 

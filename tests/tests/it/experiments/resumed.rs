@@ -1,11 +1,11 @@
-//! An experiment that was cut off goes on where it ended.
+//! Tests of an interrupted experiment that is resumed.
 
 use peernet_tests::{Process, until};
 use rustix::process::{Signal, kill_process};
 
 use super::{Lab, THREE, children, column, json, told};
 
-/// Waits until the second run is under way.
+/// Waits until the second run is in progress.
 fn in_the_second(lab: &Lab, process: &Process) -> Vec<String> {
     process.wait_for("run 2 of 3 (Size = 200): begins");
     let folders = lab.results.folders();
@@ -13,7 +13,7 @@ fn in_the_second(lab: &Lab, process: &Process) -> Vec<String> {
     folders
 }
 
-/// Everything is there, once.
+/// Checks that every run is complete and exists once.
 fn whole(lab: &Lab, folders: &[String]) {
     assert_eq!(lab.results.folders(), folders);
     assert_eq!(lab.results.stages(), ["finished"; 3]);
@@ -25,7 +25,7 @@ fn whole(lab: &Lab, folders: &[String]) {
     }
 }
 
-/// What the commands show of the experiment is what it made of its runs itself: the first alone.
+/// Checks that the commands show what the experiment made of its runs itself: only the first one.
 fn the_rest_is_left_out(lab: &Lab, folders: &[String], stage: &str) {
     let home = &lab.results.folder;
     let without = format!(
@@ -84,7 +84,7 @@ fn what_the_user_ended_is_marked_and_done_again_and_what_was_finished_is_not() {
     assert!(again.log.contains("nothing to do") && !again.log.contains("begins"), "{}", again.log);
 }
 
-/// It hears no wish to end, and would be waited for without an end.
+/// The suspended run handles no signals, so that waiting for it would never end.
 #[test]
 fn a_run_that_is_suspended_is_killed_and_marked_as_interrupted() {
     let lab = Lab::new();
@@ -111,7 +111,7 @@ fn a_kill_leaves_no_process_behind_and_nothing_half_done() {
     process.kill();
     until("the end of the run", || {
         let stat = std::fs::read_to_string(format!("/proc/{}/stat", child.as_raw_nonzero()));
-        // Nobody waits for it but init, which may take its time.
+        // Only init collects it, which may take a while.
         stat.map_or(true, |stat| stat.contains(") Z ")).then_some(())
     });
     assert_eq!(lab.results.stages(), ["finished", "running", "pending"]);

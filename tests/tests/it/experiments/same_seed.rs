@@ -1,14 +1,14 @@
-//! The seed decides the order and the payloads, whoever else is on the network.
+//! Test that the seed determines the order and the payloads, regardless of other traffic.
 
 use peernet_tests::{Api, Desk};
 
 use super::{Results, column, done};
 
-/// What this test types of the documents.
+/// Documented commands that this test executes.
 pub(crate) const COMMANDS: [&str; 2] =
     ["peernetd run configs/cloud.toml", "peernet run configs/experiments/demo.toml"];
 
-/// The order, and of each run that sends pictures as they are how large they were.
+/// Returns the order of the runs, and the sizes of the pictures of each run that sends them unchanged.
 fn seen(results: &Results) -> (Vec<String>, Vec<Vec<String>>) {
     let mut folders = results.folders();
     let order = folders.clone();
@@ -18,7 +18,7 @@ fn seen(results: &Results) -> (Vec<String>, Vec<Vec<String>>) {
     (order, sizes.collect())
 }
 
-/// How many runs of an experiment the aggregator beside the cloud knows as finished.
+/// Returns the number of an experiment's runs that the aggregator on the cloud stores as finished.
 fn stored(desk: &Desk, experiment: &str) -> usize {
     let experiment = experiment.to_owned();
     desk.cloud().inside(move || {
@@ -35,7 +35,7 @@ fn the_demo_twice_with_one_seed_has_one_order_and_the_same_payloads() {
     let desk = Desk::new(&COMMANDS);
     desk.copy("configs/aggregator.toml", &[("127.0.0.1:5550", "0.0.0.0:5550")]);
     desk.copy("configs/cloud.toml", &[("tcp://127.0.0.1:5551", "tcp://0.0.0.0:5551")]);
-    // Fewer and shorter episodes, and on the dashboard.
+    // Fewer and shorter episodes, streamed to the dashboard.
     desk.copy(
         "configs/experiments/demo.toml",
         &[
@@ -68,7 +68,7 @@ fn the_demo_twice_with_one_seed_has_one_order_and_the_same_payloads() {
     let compared = column(&results.folder.join("compare.csv"), "Where");
     assert_eq!(compared, ["local", "cloud", "cloud", "echo", "echo"], "in the order of the file");
     let counted = column(&results.folder.join("compare.csv"), "count");
-    // Two repeats of one episode without its first step.
+    // Two repeats of one episode, each without its first step.
     assert!(counted.iter().all(|count| count == "10"), "{counted:?}");
     let id = results.record()["id"].as_str().expect("it has one").to_owned();
     assert_eq!(stored(&desk, &id), 10);

@@ -1,4 +1,4 @@
-//! A sensor alone.
+//! Test of a sensor without a model.
 
 use peernet_tests::Site;
 
@@ -24,7 +24,7 @@ fn its_run_shows_well_everywhere_without_a_model() {
         (&"none".into(), &"none".into())
     );
     assert!(detail["placement"]["peer"].is_null(), "{detail}");
-    // The live picture comes on a lane of its own.
+    // The live state arrives on a separate lane.
     let kind = api.until("/api/v1/pipelines/edge/study", |pipeline| {
         pipeline["placement"]["kind"].as_str().map(str::to_owned)
     });

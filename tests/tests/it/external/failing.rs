@@ -1,8 +1,8 @@
-//! Programs that fail: their iterations do, and nothing else.
+//! Test of programs that fail: only their iterations fail.
 
 use peernet_tests::Site;
 
-/// A model that prints where it must not, dies and hangs, each once, and then does what it should.
+/// Model that prints outside of its reply, dies and hangs, each once, and then works.
 const MODEL: &str = r#"#!/bin/sh
 step=$(cat step 2> /dev/null || echo 0)
 while read -r word bytes media shape source; do

@@ -1,4 +1,4 @@
-//! What users put into `env`.
+//! Test of the values that users set in `env`.
 
 use std::path::Path;
 

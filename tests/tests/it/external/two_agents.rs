@@ -1,4 +1,4 @@
-//! Sensor and actuator on the edge, model on the cloud.
+//! Test with sensor and actuator on the edge and model on the cloud.
 
 use peernet_tests::{Network, Plant};
 
@@ -42,12 +42,13 @@ fn a_picture_from_shell_is_judged_by_c_and_recorded_by_shell() {
         assert!(facts.contains(file), "{file}: {facts}");
     }
 
-    // Every answer was right, and that crossed the wire: the edge knows the label, the cloud gave the answer.
+    // Every answer was right. The label is known on the edge and the answer was given on the cloud, so that both
+    // crossed the network.
     for name in ["top-1", "top-5"] {
         let right = api.figures(run, name).unwrap_or_else(|| panic!("{name} is missing"));
         assert_eq!((right["count"].as_u64(), right["mean"].as_f64()), (Some(40), Some(1.0)), "{right}");
     }
-    // What the program told of itself, and what the way to it cost.
+    // Stages that the program reported, and the time for sending the request and the reply.
     let here = ["sensing", "encode", "upload", "download", "actuation"];
     let there = ["queue", "inference", "postprocessing", "ipc"];
     api.stages_are_the_total(run, &[&here[..], &there].concat());

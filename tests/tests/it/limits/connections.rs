@@ -1,4 +1,4 @@
-//! Connections that never say who they are.
+//! Tests of connections without a hello.
 
 use std::path::Path;
 
@@ -8,7 +8,7 @@ use rustix::process::{Resource, Rlimit, getrlimit, setrlimit};
 
 use super::Peer;
 
-/// More than the daemon may have descriptors.
+/// Number of connections: more than the daemon's limit of descriptors.
 const SILENT: usize = 1_030;
 
 #[test]
@@ -36,13 +36,13 @@ fn silent_connections_stop_neither_storing_nor_dashboard() {
     let some = |name: &str, than: f64| until("more is stored", || stored(name).filter(|count| *count > than));
     some("early", 0.0);
 
-    // Half of them say that they speak the protocol, and nothing more.
+    // Half of them complete the greeting of the protocol and send nothing more.
     let silent =
         |n: usize| if n.is_multiple_of(2) { Peer::connect(site.events) } else { Peer::greeted(site.events) };
     let held: Vec<Peer> = (0..SILENT).map(silent).collect();
     let then = some("early", 0.0);
     some("early", then + 50.0);
-    // A new agent finds a place, and the store opens its files.
+    // A new agent finds a free place, and the store opens its files.
     let late = agent("late");
     some("late", 50.0);
     assert_eq!(api.json("/api/v1/runs")["runs"].as_array().map(Vec::len), Some(2));
@@ -70,7 +70,7 @@ fn connections_without_hello_are_closed_in_time() {
     for process in [cloud, aggregator] {
         let ended = process.stop();
         assert_eq!(ended.code(), 0);
-        // Once, then as counts.
+        // The reason is logged once, then as a count.
         assert_eq!(ended.log.matches("no_hello").count(), 1, "{}", ended.log);
     }
 }

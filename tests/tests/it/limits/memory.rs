@@ -1,10 +1,11 @@
-//! Unfinished frames of peers without a session.
+//! Tests of unfinished frames from peers without a session.
 
 use peernet_tests::{Site, measured, until};
 
 use super::{Peer, peak_memory};
 
-/// A daemon in a debug build takes 70 MB; 16 MiB are for all strangers together.
+/// Largest memory, bytes: a daemon in a debug build takes 70 MB, and all unauthenticated peers together may take 16
+/// MiB.
 const MOST_BYTES: u64 = 200_000_000;
 
 #[test]

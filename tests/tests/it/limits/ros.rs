@@ -1,11 +1,11 @@
-//! Memory that sessions over ROS 1 share.
+//! Test of the memory that sessions over ROS 1 share.
 
 use peernet_tests::{Ros1System, Site};
 use serde_json::Value;
 
 const ITERATIONS: u64 = 200;
 
-/// One message of a robot finds room, two at once do not.
+/// Returns a cloud whose memory limit permits one message of a robot, but not two at once.
 fn cloud(system: &Ros1System) -> String {
     format!(
         "[serve]\nlisten = \"ros1://127.0.0.1:{}/cloud\"\n\

@@ -1,10 +1,10 @@
-//! Sessions of a cloud that many pipelines want.
+//! Test of a cloud's sessions when many pipelines want one.
 
 use peernet_tests::Site;
 
 const PIPELINES: usize = 16;
 
-/// So many pipelines that ask the cloud.
+/// Returns this number of pipelines that use the cloud.
 fn pipelines(count: usize, more: &str) -> String {
     (0..count)
         .map(|n| {

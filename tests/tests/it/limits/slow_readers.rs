@@ -1,4 +1,4 @@
-//! Hosts that ask the dashboard for answers and do not read them.
+//! Test of hosts that request pages of the dashboard and do not read the answers.
 
 use std::io::{Read, Write};
 use std::net::{SocketAddr, TcpStream};
@@ -7,14 +7,14 @@ use std::path::Path;
 use peernet_tests::{AGGREGATOR, Api, PATIENCE, Process, Site, program, until};
 use socket2::{Domain, Socket, Type};
 
-/// Descriptors of the daemon; an eighth of them are connections to the dashboard.
+/// Descriptors of the daemon; an eighth of them are for connections to the dashboard.
 const DESCRIPTORS: &str = "--nofile=1024:1024";
 
-/// More than the dashboard keeps, of hosts of which none has more than a quarter.
+/// More connections than the dashboard keeps, from hosts of which none has more than a quarter.
 const SLOW_HOSTS: u8 = 6;
 const OF_EACH: usize = 25;
 
-/// A connection of 127.0.0.`host` that has asked for `path` and takes in next to nothing.
+/// Returns a connection of 127.0.0.`host` that has requested `path` and reads almost nothing.
 fn asked(site: &Site, host: u8, path: &str) -> TcpStream {
     let socket = Socket::new(Domain::IPV4, Type::STREAM, None).expect("a socket");
     socket.set_recv_buffer_size(2_048).expect("a socket takes a buffer size");
@@ -25,7 +25,7 @@ fn asked(site: &Site, host: u8, path: &str) -> TcpStream {
     let mut stream = TcpStream::from(socket);
     stream.set_read_timeout(Some(PATIENCE)).expect("a socket takes a timeout");
     let request = format!("GET {path} HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n");
-    // The connection may have been closed for another host's.
+    // The connection may have been closed in favour of another host's.
     let _closed = stream.write_all(request.as_bytes());
     stream
 }
@@ -57,6 +57,6 @@ fn slow_readers_of_many_addresses_leave_the_dashboard_to_others() {
     }
     let ended = aggregator.stop();
     assert_eq!(ended.code(), 0);
-    // Once, then as counts.
+    // The reason is logged once, then as a count.
     assert_eq!(ended.log.matches("closed a connection").count(), 1, "{}", ended.log);
 }

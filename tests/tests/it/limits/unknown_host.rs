@@ -1,4 +1,5 @@
-//! An unknown host beside the README's two machines: garbage, silence, false sizes and unfinished frames on every port.
+//! Test of an unknown host beside the README's two machines, which sends garbage, silence, false sizes and unfinished
+//! frames to every port.
 
 use std::net::TcpStream;
 use std::path::Path;
@@ -13,7 +14,7 @@ use crate::documented::two_machines::install;
 const SECONDS: u64 = 30;
 const BYTES_PER_SECOND: &str = "4000000";
 
-/// What each of the two daemons on the cloud may have used of memory at its peak: docs/operating.md states the bound.
+/// Peak memory that each of the two daemons on the cloud may have used; docs/operating.md states the bound.
 const PEAK_BYTES: u64 = 512 << 20;
 
 #[test]
@@ -42,7 +43,7 @@ fn unknown_host_stops_neither_storing_nor_dashboard() {
 
     let attack = attack(&desk);
     let (began, mut latest) = (Since::now(), before);
-    // The last question is asked while the attack goes on.
+    // The last query is made during the attack.
     while began.elapsed().as_secs() < SECONDS - 5 {
         latest = until("more is stored, and the dashboard says so", || {
             stored(&desk).filter(|events| *events > latest)
@@ -73,7 +74,7 @@ fn unknown_host_stops_neither_storing_nor_dashboard() {
         assert_eq!((&counts["lost"], &counts["timeout"]), (&0.into(), &0.into()), "{pipeline}: {counts}");
     }
     assert!(counts("topics")["ok"].as_u64().is_some_and(|answered| answered > 150), "{runs}");
-    // Datagrams may be lost beside the attack, but most are not.
+    // The attack may cause lost datagrams, but most must arrive.
     let over_udp = counts("datagrams");
     let of = |name: &str| over_udp[name].as_u64().unwrap_or_else(|| panic!("no {name}: {over_udp}"));
     let others = of("failed") + of("lost") + of("timeout");
@@ -82,7 +83,7 @@ fn unknown_host_stops_neither_storing_nor_dashboard() {
     assert_eq!(aggregator.stop().code(), 0);
 }
 
-/// A pipeline beside the README's, whose samples have several datagrams each.
+/// Returns an additional pipeline, whose samples take several datagrams each.
 fn pipeline(name: &str, peer: &str) -> String {
     format!(
         "[[pipeline]]\nname = \"{name}\"\nsensor = {{ kind = \"synthetic\", size_bytes = 100000 }}\n\
@@ -91,7 +92,7 @@ fn pipeline(name: &str, peer: &str) -> String {
     )
 }
 
-/// Where the cloud serves models: on every network.
+/// Addresses at which the cloud serves models, one per network.
 const ADDRESSES: &str = r#"["tcp://0.0.0.0:5551", "udp://0.0.0.0:5552", "ros1://10.0.0.2:11311/cloud"]"#;
 
 /// Changes the configuration of a machine's agent.
@@ -131,7 +132,7 @@ fn curl(path: &str) -> String {
     format!("curl --silent --fail --max-time 10 http://{}:8040{path}", Desk::CLOUD)
 }
 
-/// A document, asked for from where the robot is.
+/// Requests a document from the robot's host.
 fn json(desk: &Desk, path: &str) -> Option<Value> {
     let ended = desk.run_on(desk.edge(), &curl(path)).ended();
     assert_eq!(ended.code(), 0, "{path} is not served: {}", ended.log);

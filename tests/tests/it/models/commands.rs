@@ -1,4 +1,4 @@
-//! `peernet models …`, as a user types it.
+//! Tests of the commands `peernet models …`.
 
 use std::process::{Command, Output};
 
@@ -7,7 +7,7 @@ use serde_json::Value;
 
 use super::{NAME, exported};
 
-/// Runs `peernet models` from the root of the checkout, where `models/` is.
+/// Runs `peernet models` in the root of the checkout, where `models/` is.
 fn models(arguments: &[&str]) -> Output {
     let mut command = Command::new(program("peernet"));
     command
@@ -100,7 +100,7 @@ fn what_cannot_be_done_is_said_with_its_exit_code() {
 
 #[test]
 fn the_exporting_script_says_what_it_lacks() {
-    // Without the site's packages, as on a machine that has none.
+    // Without site packages, as on a machine without torch.
     let script = root().join("models/export_torchvision.py");
     let output = Command::new(super::python()).arg("-S").arg(script).arg(NAME).output().expect("starts");
     let error = String::from_utf8_lossy(&output.stderr);

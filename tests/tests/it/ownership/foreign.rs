@@ -1,4 +1,4 @@
-//! Hosts that report on the runs of another.
+//! Tests of hosts that report on the runs of another host.
 
 use std::sync::Arc;
 
@@ -95,7 +95,7 @@ fn foreign_reports_change_nothing_of_the_run() {
     let mut host = Introduced::new("stranger", &mut chance);
     host.enter(&stranger);
     let own = host.hello.host.id;
-    // Each kind of event by itself, and all together; then the real events of the robot go on.
+    // Each kind of event is sent alone, and then all together; afterwards the robot sends real events.
     let kinds = [
         gap(run),
         incident(run, victim),
@@ -114,7 +114,7 @@ fn foreign_reports_change_nothing_of_the_run() {
     let all = host.batch_with(&kinds[..2]);
     stranger.send(&all);
     stranger.hear_ack(batches + 1);
-    // As if the robot itself had measured it: put aside, whole.
+    // An event that claims to be the robot's own is quarantined.
     let forged = host.batch_with(&[iteration(run, 8, victim)]);
     stranger.send(&forged);
     stranger.hear_ack(batches + 2);
@@ -170,7 +170,7 @@ fn run_claimed_before_its_start_still_belongs_to_its_host() {
     one.send(&thief.batch_with(&[Event::RunEnded(RunEnded { run, ended: wall(), reason: "taken".into() })]));
     one.hear_ack(2);
 
-    // The live lane of either shows its own run.
+    // The live lane of each host shows its own run.
     for (stranger, host) in [(&one, &thief), (&other, &robot)] {
         stranger.say(&ToAggregator::Live(LiveUpdate {
             host: host.hello.host.id,
@@ -211,7 +211,7 @@ fn run_claimed_before_its_start_still_belongs_to_its_host() {
     assert!(ledger.hosts.values().all(|host| host.quarantined == 0), "{ledger:?}");
 }
 
-/// Stops what runs. What strangers made up has no total, and so no statistics that could agree with it.
+/// Stops all running processes. Data of invented hosts has no totals, so that no statistics can agree with it.
 fn stop(fleet: &mut Fleet) -> Ledger {
     for agent in fleet.agents.iter_mut().filter(|agent| agent.runs()) {
         agent.stop();

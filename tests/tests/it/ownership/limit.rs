@@ -1,4 +1,4 @@
-//! Hosts that somebody invents.
+//! Tests of invented hosts.
 
 use peernet_stream::ToAggregator;
 use peernet_tests::truth::ask;
@@ -6,7 +6,7 @@ use peernet_tests::{Chance, Introduced, Stranger, measured, thousands, until};
 
 use super::measuring;
 
-/// Hosts that may be stored.
+/// Largest number of stored hosts.
 const MAX_HOSTS: usize = 50;
 
 #[test]
@@ -15,7 +15,7 @@ fn invented_hosts_leave_pages_and_metrics_bounded() {
     let mut fleet = measuring(&format!("max_hosts = {MAX_HOSTS}"));
     let bytes = |path: &str| fleet.api.get(path).expect("answers").1.len();
     let before = (bytes("/metrics"), bytes("/api/v1/hosts"));
-    // Some that only say hello, on many connections, and some that prove to be whoever they say.
+    // Some hosts only say hello, on many connections, and some prove their id.
     let crowd: Vec<Stranger> = (0..320).map(|_| Stranger::at(fleet.site.events)).collect();
     for stranger in &crowd {
         for _ in 0..62 {
@@ -37,7 +37,7 @@ fn invented_hosts_leave_pages_and_metrics_bounded() {
         let is_seen = hosts.iter().any(|host| host["name"] == newest.as_str());
         is_seen.then(|| (hosts.len(), bytes("/metrics"), bytes("/api/v1/hosts")))
     });
-    // The robot, of which something is stored, and as many newcomers as hosts may be stored.
+    // The robot, which has stored data, and as many new hosts as may be stored.
     assert!(after.0 <= 1 + MAX_HOSTS, "{after:?}");
     assert!(after.1 < 100 * before.0 && after.2 < 100 * before.1, "{after:?}");
     assert_eq!(ask(fleet.database(), "SELECT count(*) FROM host WHERE name <> 'edge'").trim(), "0");

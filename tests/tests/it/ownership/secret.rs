@@ -1,4 +1,4 @@
-//! Agents that prove who they are, and others that cannot.
+//! Tests of agents that prove their id, and of others that cannot.
 
 use std::path::PathBuf;
 
@@ -20,7 +20,7 @@ fn secret(fleet: &Fleet) -> String {
         .to_owned()
 }
 
-/// A host that says it is the robot, without its secret.
+/// Returns a host that claims to be the robot, without its secret.
 fn impostor(fleet: &Fleet, chance: &mut Chance) -> Introduced {
     let id = std::fs::read_to_string(state(fleet).join("host-id")).expect("made at the first start");
     let mut impostor = Introduced::new("edge", chance);
@@ -28,7 +28,7 @@ fn impostor(fleet: &Fleet, chance: &mut Chance) -> Introduced {
     impostor
 }
 
-/// Runs `peernetd clear-host-secret` for the robot beside the aggregator that runs.
+/// Runs `peernetd clear-host-secret` for the robot while the aggregator runs.
 fn clear(fleet: &Fleet) -> String {
     let ended = fleet.site.peernetd(&["clear-host-secret", "--config", "aggregator.toml", "edge"]).ended();
     assert_eq!(ended.code(), 0, "{}", ended.log);
@@ -39,7 +39,7 @@ fn clear(fleet: &Fleet) -> String {
 fn impostor_does_not_keep_the_robot_out() {
     let mut chance = Chance::new("impostor");
     let mut fleet = measuring("");
-    // The robot goes away with batches that nobody has.
+    // The robot leaves with batches that are not stored.
     fleet.aggregator.kill();
     let spooled = fleet.agents[0].process().log().matches("spooled batch=").count();
     fleet.agents[0].process().wait_for_nth("spooled batch=", spooled + 5);
@@ -51,11 +51,11 @@ fn impostor_does_not_keep_the_robot_out() {
     let words = impostor.is_refused(&stranger);
     assert!(words.contains("clear-host-secret") && words.contains("spool"), "{words}");
     assert!(!words.contains("delete the"), "no advice destroys unsent data: {words}");
-    // It is not in, whatever it sends then.
+    // It is not welcomed, whatever it sends then.
     stranger.send(&impostor.batch(10));
     stranger.hear_until(|said| (*said == ToAgent::Unknown).then_some(()));
     stranger.say(&ToAggregator::Goodbye(impostor.hello.host.id));
-    // While it says hello again and again the robot comes back, with another process number.
+    // While it repeats its hello, the robot comes back with another process number.
     for _ in 0..20 {
         stranger.say(&ToAggregator::Hello(impostor.hello.clone()));
     }
@@ -70,7 +70,7 @@ fn impostor_does_not_keep_the_robot_out() {
     fleet.deliver(0).balances();
     let ledger = fleet.stop();
     assert_eq!(ledger.lacks(fleet.agents[0].spooled()), 0, "{ledger:?}");
-    // What it had not spooled when it was killed may be missing, and is a gap then.
+    // Events that were not spooled when it was killed may be missing, and are in a gap then.
     assert_eq!(ledger.hosts["edge"].streams, 1, "{ledger:?}");
 }
 
@@ -90,7 +90,7 @@ fn secret_survives_the_loss_of_the_spool_and_of_the_database() {
     assert_eq!(secret(&fleet), before);
     assert_eq!(ask(fleet.database(), "SELECT lower(hex(secret)) FROM host_secret").trim(), before);
 
-    // What was told is told nowhere again.
+    // The secret is not shown anywhere.
     let (_, metrics) = fleet.api.get("/metrics").expect("answers");
     let pages = ["/", "/hosts", "/api/v1/hosts", "/api/v1/hosts/edge", "/api/v1/runs", "/api/v1/incidents"];
     let texts = pages.map(|page| fleet.api.get(page).expect("answers").1);

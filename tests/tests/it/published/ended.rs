@@ -1,4 +1,4 @@
-//! Runs that end early: what was measured is not lost, and the exit code says how it went.
+//! Tests of runs that end early: measured data is kept, and the exit code tells the reason.
 
 use std::ffi::{OsStr, OsString};
 use std::os::unix::ffi::OsStrExt;
@@ -9,7 +9,7 @@ use rustix::process::Signal;
 
 use super::{Lab, picture};
 
-/// A client that measures for a long time.
+/// Starts a client that measures for a long time.
 fn endless(lab: &Lab, options: &str) -> Process {
     lab.client(&format!(
         "PEERNet --client --name jetson-orin --network-config net_config.yaml --iterations 1000000 --dataset-loc {} \
@@ -18,7 +18,7 @@ fn endless(lab: &Lab, options: &str) -> Process {
     ))
 }
 
-/// What `peernet compare` says of results.
+/// Returns the output of `peernet compare` for results.
 fn told(lab: &Lab, results: &str) -> String {
     Process::start(&program("peernet"), &["compare", results], lab.folder(), &[]).ended().log
 }
@@ -156,7 +156,7 @@ fn nothing_is_left_of_a_killed_run_once_others_have_ended_in_its_place() {
     let _server = server(&lab, 1_000_000);
     let temporary = lab.folder().join("temporary");
     std::fs::create_dir(&temporary).expect("writable");
-    // Any name may be a folder's.
+    // A folder's name may be any bytes.
     let results = OsStr::from_bytes(b"res\xff");
     let start = |line: &str| {
         let words = line.split(' ').map(OsString::from).chain([results.to_owned()]);
@@ -204,7 +204,7 @@ fn a_second_signal_does_not_wait() {
     client.wait_for("no answer from cluster");
     client.signal(Signal::INT);
     client.wait_for("Ctrl-C again");
-    // Another SIGINT so soon would be the same wish.
+    // A second SIGINT within half a second would count as the same signal.
     client.signal(Signal::TERM);
     client.wait_for("left alone");
     let ended = client.ended();
@@ -290,7 +290,7 @@ fn a_full_disk_loses_nothing_that_was_measured() {
 fn without_room_anywhere_the_rows_that_fit_are_kept() {
     let (disk, other) = (SmallDisk::new(200 << 10), SmallDisk::new(64 << 10));
     let lab = Lab::here();
-    // One that answers at once: most rows are written together.
+    // The model answers at once, so that most rows are written together.
     let _server = lab.server(
         "PEERNet --server --name cluster --network-config net_config.yaml --model-name echo --iterations 1000000",
     );

@@ -1,10 +1,10 @@
-//! Users' own objects, written for the published program.
+//! Tests of users' objects that were written for the published program.
 
 use peernet_tests::Ended;
 
 use super::{Lab, PUBLISHED};
 
-/// A sensor as the published program takes them: any object with `sample()`.
+/// Sensor in the form of the published program: any object with `sample()`.
 const SENSOR: &str = r#"
 import numpy as np
 
@@ -17,7 +17,7 @@ class Camera:
         return np.full((48, 64, 3), self.taken % 256, dtype=np.uint8)
 "#;
 
-/// A model likewise: `infer(x)`, and here the two optional steps.
+/// Model in the form of the published program: `infer(x)`, and the two optional steps.
 const MODEL: &str = r#"
 import numpy as np
 
@@ -88,7 +88,7 @@ fn a_sensor_that_hangs_is_named() {
         client.wait_for(told);
         client.signal(rustix::process::Signal::INT);
         client.wait_for("Ctrl-C again");
-        // Another SIGINT so soon would be the same wish.
+        // A second SIGINT within half a second would count as the same signal.
         client.signal(rustix::process::Signal::TERM);
         let ended = client.ended();
         assert_eq!(ended.code(), 130, "{}", ended.log);
@@ -114,11 +114,11 @@ fn a_sensor_and_a_model_of_ones_own_are_run_where_the_command_line_names_them() 
     assert_eq!(data.header[..PUBLISHED.len()], PUBLISHED);
     assert_eq!((data.outcomes("ok"), data.rows.len()), (20, 20));
     assert!(data.numbers("upload-bytes").iter().all(|bytes| *bytes >= f64::from(48 * 64 * 3)));
-    // What the border between the processes costs stands apart from the user's code.
+    // The time between the processes is separate from that of the user's code.
     assert!(data.numbers("ipc").iter().all(|seconds| *seconds > 0.0));
 }
 
-/// Client and server of so many iterations with this camera and an echo, once both have ended.
+/// Runs client and server for this number of iterations with this camera and an echo; returns both results.
 fn seen_by(camera: &str, iterations: u32, lab: &Lab) -> (Ended, Ended) {
     std::fs::write(lab.folder().join("my_camera.py"), camera).expect("writable");
     let server = lab.server(&format!(
@@ -134,7 +134,7 @@ fn seen_by(camera: &str, iterations: u32, lab: &Lab) -> (Ended, Ended) {
 #[test]
 fn an_exception_is_a_failed_iteration() {
     let lab = Lab::here();
-    // The server does not wait for what will never come.
+    // The server does not wait for answers that will never come.
     let (client, server) = seen_by(FAILING, 20, &lab);
     assert_eq!((client.code(), server.code()), (75, 75), "{}\n{}", client.log, server.log);
     let told = "1 of 20 iterations has no answer; iteration 3 failed: ";
@@ -150,7 +150,7 @@ fn an_exception_is_a_failed_iteration() {
     assert_eq!((data.outcomes("ok"), data.outcomes("failed")), (19, 1));
 }
 
-/// So many in a row that the client waits longer and longer between them: it is over all the same.
+/// The failures are so many that the client waits longer and longer between them; the server must end as well.
 #[test]
 fn a_server_does_not_wait_for_samples_that_all_failed() {
     let lab = Lab::here();
@@ -211,7 +211,7 @@ class {class}:
         let waited = told(column);
         assert!(waited.len() == 1 && waited[0] >= 0.3, "{column}: {waited:?}");
     }
-    // It is no time of the model's, nor of the way to it.
+    // It belongs neither to the model nor to the transfer.
     assert!(told("unattributed").into_iter().fold(0.0, f64::max) >= told("restart")[0]);
     drop(server);
 }

@@ -1,4 +1,4 @@
-//! What cannot work is said before anything is measured: what was tried, what to do, and an exit code of its own.
+//! Tests of errors before the measurement: attempted action, remedy, and exit code.
 
 use std::net::TcpListener;
 
@@ -6,7 +6,7 @@ use peernet_tests::program;
 
 use super::{Lab, picture};
 
-/// Runs a command that must end with this code and say all of this.
+/// Runs a command that must end with this code and print all these texts.
 fn refused(lab: &Lab, command: &str, code: i32, said: &[&str]) {
     let ended = lab.client(command).ended();
     assert_eq!(ended.code(), code, "{command}\n{}", ended.log);

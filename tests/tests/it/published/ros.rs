@@ -1,10 +1,10 @@
-//! The two commands over topics of ROS 1.
+//! Tests of the two commands over topics of ROS 1.
 
 use peernet_tests::Ros1System;
 
 use super::{Lab, picture};
 
-/// A master of ROS 1, and a lab whose programs know it.
+/// Starts a ROS 1 master, and creates a lab whose programs use it.
 fn lab() -> (Lab, Ros1System) {
     let system = Ros1System::new();
     (Lab { ros_master: Some(system.uri()), ..Lab::here() }, system)

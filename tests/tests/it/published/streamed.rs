@@ -1,10 +1,10 @@
-//! Runs that are streamed to aggregators as well: to several in turn, and to one that is away.
+//! Tests of runs that are also streamed to aggregators: to several in turn, and to one that is absent.
 
 use peernet_tests::Site;
 
 use super::Lab;
 
-/// Measures and streams; returns what the client said.
+/// Measures and streams; returns the client's output.
 fn streamed(lab: &Lab, site: &Site) -> String {
     let server = lab.server(
         "PEERNet --server --name cluster --network-config net_config.yaml --model-name echo --iterations 20",
@@ -97,7 +97,7 @@ fn an_experiment_sends_nobody_to_a_dashboard_that_has_nothing_of_it() {
         away.events
     );
     std::fs::write(lab.folder().join("board.toml"), file).expect("writable");
-    // A spool that the file names is another than the host's own, and looked into as well.
+    // A spool that the file names differs from the host's own, and is examined as well.
     for (options, spool) in
         [("--result-loc a", "spool-localhost:"), ("--result-loc b --set spool.file=mine", "mine;")]
     {

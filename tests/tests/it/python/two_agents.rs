@@ -1,4 +1,4 @@
-//! From a Python sensor over the network to a Python model and back, into the store.
+//! Test of a Python sensor and a Python model over a network, up to the store.
 
 use peernet_tests::{Network, Plant};
 
@@ -16,7 +16,7 @@ fn arrays_go_up_and_each_step_of_the_users_is_a_stage() {
     let api = &plant.api;
     let run = api.finished_run();
 
-    // Every tenth sample failed, with the user's own words; the others went on.
+    // Every tenth sample failed with the user's own message; the others succeeded.
     let detail = api.json(&format!("/api/v1/runs/{run}"));
     assert_eq!(detail["counts"]["failed"], 3, "{detail}");
     assert_eq!(detail["counts"]["ok"], 27, "{detail}");
@@ -28,7 +28,7 @@ fn arrays_go_up_and_each_step_of_the_users_is_a_stage() {
     let said = failed["outcome"].to_string() + &failed["reason"].to_string();
     assert!(said.contains("the path is lost at 10") && said.contains("follower.py"), "{failed}");
 
-    // What the process border costs is told apart, and the sum is whole.
+    // The time between the processes is a stage, and the stages add up to the total.
     let here = ["sensing", "encode", "upload", "download", "actuation"];
     let there = ["queue", "ipc", "preprocessing", "inference", "postprocessing"];
     api.stages_are_the_total(run, &[&here[..], &there].concat());

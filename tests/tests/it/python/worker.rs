@@ -1,4 +1,4 @@
-//! The life of the worker beside that of its agent.
+//! Tests of the worker process and its agent.
 
 use std::fs;
 use std::path::PathBuf;
@@ -9,7 +9,7 @@ use super::{drive, model, write_modules};
 
 const CONFIGURATION: i32 = 78;
 
-/// A site with both modules in its folder, of which the model's is another one if it is given.
+/// Creates a deployment with both modules in its folder; `follower` replaces the model's.
 fn site(follower: Option<&str>) -> Site {
     let site = Site::new();
     write_modules(site.folder());
@@ -19,7 +19,7 @@ fn site(follower: Option<&str>) -> Site {
     site
 }
 
-/// An agent that serves the model, and one that asks it, with further keys of its pipeline.
+/// Starts an agent that serves the model, and one that uses it, with additional keys of its pipeline.
 fn start(site: &Site, keys: &str) -> (Process, Process) {
     let serve = "[serve]\nlisten = \"tcp://127.0.0.1:{data}\"\n";
     let cloud = site.agent("cloud", &(serve.to_owned() + &model()));
@@ -27,7 +27,7 @@ fn start(site: &Site, keys: &str) -> (Process, Process) {
     (cloud, site.agent("edge", &(there + keys)))
 }
 
-/// The model's process, once there is one.
+/// Returns the folder of the model's process in `/proc`, once the process exists.
 fn worker(site: &Site) -> PathBuf {
     let number = until("the model is there", || {
         let text = fs::read_to_string(site.folder().join("pid")).ok()?;
@@ -78,7 +78,7 @@ class Follower:
     let (_aggregator, api) = site.aggregator();
     let (cloud, edge) = start(&site, "limit = { total = 12 }\n");
     let run = api.finished_run();
-    // The call in which it died is the only one that has no answer.
+    // Only the call in which it died has no answer.
     let counts = api.json(&format!("/api/v1/runs/{run}"))["counts"].clone();
     assert_eq!((counts["ok"].as_u64(), counts["failed"].as_u64()), (Some(11), Some(1)), "{counts}");
     cloud.wait_for("started anew");

@@ -1,4 +1,4 @@
-//! Sums that must agree at rest, wherever they are read.
+//! Test that all counts agree at rest, wherever they are read.
 
 use std::collections::BTreeMap;
 
@@ -10,7 +10,7 @@ use super::turn;
 #[test]
 fn at_rest_everything_produced_is_stored_or_counted_as_dropped_wherever_one_looks() {
     let _turn = turn();
-    // A spool too small for what is measured while nobody takes it, and hardly large enough while somebody does.
+    // The spool is too small for what is measured without an aggregator, and hardly large enough with one.
     let small = edge("queue_events = 2000", "[spool]\nlimit_bytes = 1048576\n");
     let mut fleet = Fleet::new(&["edge-1", "edge-2"], &(small + &echo("loop", "")));
     fleet.start_all();
@@ -27,7 +27,7 @@ fn at_rest_everything_produced_is_stored_or_counted_as_dropped_wherever_one_look
         })
         .collect();
 
-    // The agent's word, the aggregator's, and the metrics.
+    // The counts of the agent, of the aggregator, and of the metrics.
     for (agent, account) in fleet.agents.iter().zip(&accounts) {
         account.balances();
         assert_eq!((account.waiting, account.missing), (0, account.dropped), "{account:?}");
@@ -44,7 +44,7 @@ fn at_rest_everything_produced_is_stored_or_counted_as_dropped_wherever_one_look
             expected.iter().all(|(name, value)| metrics.get(*name) == Some(value)).then_some(())
         });
     }
-    // The tables.
+    // The counts of the tables.
     let ledger = fleet.stop();
     for (agent, account) in fleet.agents.iter().zip(&accounts) {
         let host = &ledger.hosts[&agent.name];
@@ -63,7 +63,7 @@ fn at_rest_everything_produced_is_stored_or_counted_as_dropped_wherever_one_look
     }
 }
 
-/// What the metrics say of a host.
+/// Returns the metrics of a host.
 fn metrics_of(fleet: &Fleet, host: &str) -> BTreeMap<String, u64> {
     let (_, text) = fleet.api.get("/metrics").expect("the aggregator answers");
     let label = format!("host=\"{host}\"");

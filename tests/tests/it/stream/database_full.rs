@@ -1,4 +1,4 @@
-//! A full disk under the database.
+//! Test of a full disk under the database.
 
 use peernet_tests::fleet::{echo, edge, rate};
 use peernet_tests::{Fleet, SmallDisk, measured, thousands, until};
@@ -21,7 +21,7 @@ fn a_full_disk_stops_the_storing_but_not_the_picture_and_nothing_is_lost() {
     assert!(words.contains("full"), "why: {words}");
     let (status, page) = fleet.api.get("/").expect("the dashboard answers");
     assert!(status == 200 && page.contains("full"), "the page says so: {page}");
-    // The picture goes on by seconds that began after it.
+    // The live state contains seconds that began after the disk was full.
     let second = || {
         let pipeline = fleet.api.json("/api/v1/pipelines/edge/loop");
         pipeline["seconds"].as_array().and_then(|seconds| seconds.last()?["at"].as_i64())

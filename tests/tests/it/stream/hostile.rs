@@ -1,4 +1,4 @@
-//! Peers that send whatever they like to a real aggregator, with a good agent beside them.
+//! Tests of peers that send invalid messages to a real aggregator, while a normal agent is connected.
 
 use peernet_stream::{ToAgent, ToAggregator, codec};
 use peernet_tests::fleet::{echo, edge, rate};
@@ -6,7 +6,7 @@ use peernet_tests::{Chance, Fleet, Introduced, Stranger, measured, thousands, un
 
 use super::{nothing_lost, turn};
 
-/// A fleet whose agent measures meanwhile.
+/// Starts a fleet whose agent measures meanwhile.
 fn beside_an_agent() -> Fleet {
     let mut fleet = Fleet::new(&["edge"], &edge("", &echo("loop", &rate(200.0))));
     fleet.start(0);
@@ -14,7 +14,7 @@ fn beside_an_agent() -> Fleet {
     fleet
 }
 
-/// The agent beside lost nothing, and the aggregator ends well.
+/// Checks that the normal agent lost nothing and that the aggregator exits with 0.
 fn nobody_was_harmed(mut fleet: Fleet) -> u64 {
     let seen = fleet.account(0, "it is there", |_| true);
     fleet.account(0, "more is stored", |account| account.events > seen.events + 100);
@@ -25,7 +25,7 @@ fn nobody_was_harmed(mut fleet: Fleet) -> u64 {
     nothing_lost(&fleet, &ledger)
 }
 
-/// The sum of a counter over all its labels, by the start of its name.
+/// Returns the sum of a counter over all its labels, by the beginning of its name.
 fn counter(fleet: &Fleet, name: &str) -> u64 {
     let (status, text) = fleet.api.get("/metrics").expect("the aggregator answers");
     assert_eq!(status, 200, "{text}");
@@ -45,7 +45,7 @@ fn frames_that_are_cut_or_flipped_are_refused_and_counted() {
     stranger.send(&host.batch(10));
     stranger.hear_ack(1);
 
-    // Neither pieces of messages nor noise are messages.
+    // Neither parts of messages nor noise are valid messages.
     let hello = codec::encode(&ToAggregator::Hello(host.hello.clone()));
     let next = host.batch(10);
     let mut sent = 0;
@@ -58,12 +58,12 @@ fn frames_that_are_cut_or_flipped_are_refused_and_counted() {
         stranger.send(&frame);
         sent += 1;
     }
-    // Whatever was made of them, the batch itself comes through: it may have to be introduced again.
+    // Afterwards the batch itself is accepted, perhaps after another hello.
     host.enter(&stranger);
     stranger.send(&next);
     stranger.hear_ack(2);
 
-    // Each bit of a batch that is turned round is noticed, in whatever part of it.
+    // Each flipped bit of a batch is noticed, in any part of it.
     for _ in 0..300 {
         let mut frame = next.clone();
         let at = chance.below(frame.len());
@@ -99,7 +99,7 @@ fn a_batch_that_is_wrong_in_itself_is_put_aside_and_the_stream_goes_on() {
     let mut host = Introduced::new("stranger", &mut chance);
     host.enter(&stranger);
 
-    // Correctly hashed, but noise, too few, too many, and more than it may be.
+    // Correctly hashed, but noise, too few events, too many events, or longer than permitted.
     let noise: Vec<u8> = (0..10_000).map(|_| chance.bits() as u8).collect();
     let event = host.clone().batch(1).split_off(0);
     let wrong = [(7, noise.clone(), false), (u32::MAX, noise, true), (3, event, false), (0, vec![], false)];
@@ -110,7 +110,7 @@ fn a_batch_that_is_wrong_in_itself_is_put_aside_and_the_stream_goes_on() {
     }
     stranger.send(&host.batch(10));
     stranger.hear_ack(5);
-    // Its bytes are not what its hash says, however often it comes.
+    // The bytes never match their hash, however often they are sent.
     let mut damaged = host.batch(10);
     let last = damaged.len() - 1;
     damaged[last] ^= 1;
@@ -118,7 +118,7 @@ fn a_batch_that_is_wrong_in_itself_is_put_aside_and_the_stream_goes_on() {
         stranger.send(&damaged);
     }
     stranger.hear_ack(6);
-    // Zeros that take four thousand times the room when they are unpacked.
+    // Zeros whose unpacked size is four thousand times the packed one.
     stranger.send(&host.batch_of(9, &vec![0; 64 << 20], true));
     stranger.send(&host.batch(10));
     let stored = until("what is stored", || {
@@ -127,7 +127,7 @@ fn a_batch_that_is_wrong_in_itself_is_put_aside_and_the_stream_goes_on() {
         (quarantined >= 4).then(|| stranger["stored"].clone())
     });
     assert!(stored["gaps"].as_u64() >= Some(4), "{stored}");
-    // What a batch claims to hold is not believed when it cannot be.
+    // An impossible number of events in a batch is not believed.
     assert!(stored["missing"].as_u64() < Some(1_000), "{stored}");
     nobody_was_harmed(fleet);
 }
@@ -144,12 +144,12 @@ fn batches_of_another_host_are_not_taken_and_repeated_ones_not_twice() {
     batches[..4].iter().for_each(|batch| own.send(batch));
     own.hear_ack(4);
 
-    // Overheard and sent by somebody else: old ones and the next.
+    // Batches of another host, recorded and sent again: old ones and the next one.
     for batch in &batches {
         other.send(batch);
         other.hear_until(|said| (*said == ToAgent::Unknown).then_some(()));
     }
-    // In his own name, in the victim's name, with the victim's stream.
+    // A hello with its own name, with the victim's name, and with the victim's stream.
     let mut thief = Introduced::new("thief", &mut chance);
     thief.hello.stream = host.hello.stream;
     let words = thief.is_refused(&other);
@@ -161,7 +161,7 @@ fn batches_of_another_host_are_not_taken_and_repeated_ones_not_twice() {
     impostor.enter(&other);
     batches.iter().for_each(|batch| other.send(batch));
 
-    // The host itself may repeat as it likes.
+    // The host itself may repeat batches.
     for batch in batches.iter().chain(&batches) {
         own.send(batch);
     }
@@ -169,7 +169,7 @@ fn batches_of_another_host_are_not_taken_and_repeated_ones_not_twice() {
     let stored = until("all is stored and duplicates are counted", || {
         let victim = fleet.api.json("/api/v1/hosts/victim");
         let stored = &victim["stored"];
-        // Repeats show at once, what is new with the next picture after its commit.
+        // Repeated batches are visible at once, new ones with the first live update after their commit.
         let all = stored["duplicates"].as_u64()? >= 8 && stored["events"].as_u64()? >= 100;
         all.then(|| stored.clone())
     });
@@ -183,7 +183,7 @@ fn a_storm_of_hellos_keeps_no_agent_out() {
     let mut chance = Chance::new("hello storm");
     let fleet = beside_an_agent();
     let stranger = Stranger::at(fleet.site.events);
-    // More hosts than one connection may speak for.
+    // More hosts than one connection may represent.
     for n in 0..200 {
         let one = Introduced::new(&format!("crowd-{n}"), &mut chance);
         let welcome_or_not =
@@ -192,7 +192,7 @@ fn a_storm_of_hellos_keeps_no_agent_out() {
     }
     let words = Introduced::new("one-more", &mut chance).is_refused(&stranger);
     assert!(words.contains("connection"), "{words}");
-    // Many connections, many with the good agent's name, wrong versions, and long stories.
+    // Many connections, many with the normal agent's name, wrong versions, and long texts.
     let crowd: Vec<Stranger> = (0..60).map(|_| Stranger::at(fleet.site.events)).collect();
     for (n, one) in crowd.iter().enumerate() {
         let name = if n % 2 == 0 { "edge" } else { "somebody" };

@@ -1,4 +1,4 @@
-//! Databases that were restored, spools that were copied or deleted: recognised, never merged wrongly.
+//! Tests of restored databases and of copied or deleted spools: they are recognised and never merged wrongly.
 
 use std::path::Path;
 
@@ -8,7 +8,7 @@ use peernet_tests::{Daemon, Fleet, measured, thousands};
 
 use super::{nothing_lost, turn};
 
-/// Copies a folder with all files in it.
+/// Copies a folder with all its files.
 fn copy(from: &Path, to: &Path) {
     std::fs::create_dir_all(to).expect("the temporary folder is writable");
     for entry in std::fs::read_dir(from).expect("the folder is there") {
@@ -17,14 +17,14 @@ fn copy(from: &Path, to: &Path) {
     }
 }
 
-/// Lets an agent stop measuring and deliver what is left.
+/// Stops an agent's measurement and waits until everything is delivered.
 fn nothing_waits(fleet: &mut Fleet, agent: usize) {
     fleet.agents[agent].stop();
     let since = fleet.idle(agent);
     fleet.account(agent, "nothing waits", |account| account.seen > since && account.waiting == 0).balances();
 }
 
-/// Kills the aggregator, and some batches later the agent: they wait in its spool.
+/// Kills the aggregator, and some batches later the agent, so that these batches wait in its spool.
 fn killed_with_batches(fleet: &mut Fleet) {
     fleet.aggregator.kill();
     let spooled = fleet.agents[0].process().log().matches("spooled batch=").count();
@@ -60,7 +60,7 @@ fn a_database_restored_from_an_older_copy_shows_the_hole_and_goes_on() {
     assert_eq!((host.gaps, host.streams, host.quarantined), (1, 1, 0), "{host:?}");
     assert_eq!((ledger.runs.len(), run.ranges.len()), (1, 2), "one hole: {run:?}");
     assert_eq!(run.reason, "stopped");
-    // It begins where the copy ended, and is no longer than what the lost database had.
+    // The gap begins where the copy ended, and is not longer than the lost part of the database.
     assert_eq!(run.ranges[0], 1..=older.iterations());
     assert!(*run.ranges[1].start() <= newer.iterations() + 1, "{run:?}, {newer:?}");
     let why = ask(fleet.database(), "SELECT reason FROM gap");
@@ -83,7 +83,7 @@ fn a_copied_state_folder_is_refused_while_the_first_lives_and_is_a_stream_of_its
     let mut fleet = Fleet::new(&["edge"], &configuration);
     fleet.start(0);
     fleet.account(0, "something is stored", |account| account.events > 100);
-    // The copy holds what the first will have delivered by itself by the time the copy comes to it.
+    // The copied spool contains batches that the first agent delivers before the copy connects.
     killed_with_batches(&mut fleet);
     let folder = fleet.site.folder();
     copy(&folder.join("edge"), &folder.join("copy"));
@@ -140,7 +140,7 @@ fn a_deleted_spool_is_a_new_stream_and_a_gap() {
     assert_eq!((host.streams, host.gaps, host.quarantined), (2, 1, 0), "{host:?}");
     let why = ask(fleet.database(), "SELECT reason FROM gap");
     assert!(why.contains("spool"), "{why}");
-    // Apart from the hole, which is in the run that was killed, nothing is amiss.
+    // Apart from the gap, which is in the run that was killed, everything is right.
     host.gaps = 0;
     assert_eq!(ledger.runs.len(), 2, "{ledger:?}");
     assert!(ledger.runs.values().all(|run| run.is_whole()), "{ledger:?}");

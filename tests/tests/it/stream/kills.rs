@@ -1,4 +1,4 @@
-//! kill -9, again and again, of anyone.
+//! Test that kills agents and aggregator repeatedly (SIGKILL).
 
 use std::time::Duration;
 
@@ -7,13 +7,14 @@ use peernet_tests::{Account, Chance, Fleet, Since, measured, thousands};
 
 use super::{SMALL_SPOOL, nothing_lost, setting, turn};
 
-/// One goes as fast as it can, so that its spool is full for most of the time and losses are told among all the rest;
-/// the other one loses the ends of its runs alone, which were in memory when it was killed.
+/// One agent measures as fast as it can, so that its spool is almost always full and losses are reported among all
+/// other events. The other one loses only the ends of its runs, which were in memory when it was killed.
 const AGENTS: [&str; 2] = ["hasty", "steady"];
 const STEADY_HZ: f64 = 1_000.0;
 
-/// How long a life lasts beyond the first thing it did, and how long death does, at most.
+/// Longest time that a process lives after its first action.
 const LIFE: Duration = Duration::from_millis(900);
+/// Longest time before a killed process is started again.
 const DEATH: Duration = Duration::from_millis(400);
 
 #[derive(Default)]
@@ -55,7 +56,7 @@ fn whoever_is_killed_whenever_nothing_spooled_is_lost_and_nothing_is_stored_twic
         account.balances();
         let host = &ledger.hosts[&agent.name];
         assert!(host.missing == account.dropped && host.streams == 1, "{account:?}, {host:?}");
-        // To the last event, whoever was killed when.
+        // Every event is accounted for, whichever process was killed.
         assert_eq!(account.produced, host.events + host.missing, "{account:?}, {host:?}");
     }
     for (id, run) in &ledger.runs {
@@ -84,9 +85,9 @@ fn whoever_is_killed_whenever_nothing_spooled_is_lost_and_nothing_is_stored_twic
     );
 }
 
-/// Kills an agent, the aggregator or both at a random moment and starts them again a random time later.
+/// Kills an agent, the aggregator or both at a random moment, and starts them again a random time later.
 fn kill(fleet: &mut Fleet, agent: Option<usize>, aggregator: bool, chance: &mut Chance, tally: &mut Tally) {
-    // Now and then in the middle of starting, otherwise after something was done.
+    // Sometimes during the start, otherwise after some activity.
     if !chance.once_in(4) {
         if let Some(agent) = agent {
             fleet.agents[agent].process().wait_for("spooled batch=");

@@ -1,4 +1,4 @@
-//! An agent behind a link that carries a quarter of what it makes.
+//! Test of an agent behind a link with a quarter of the rate that it produces.
 
 use std::time::Duration;
 
@@ -11,7 +11,7 @@ use super::turn;
 const KBIT: u32 = 50;
 const HZ: f64 = 100.0;
 const ITERATIONS: u64 = 3_500;
-/// The live picture may be so far behind on a machine that is busy; 2.5 s were seen.
+/// Largest lag of the live state on a busy machine, seconds; 2.5 s were observed.
 const MOST_BEHIND_S: f64 = 5.0;
 
 #[test]
@@ -38,7 +38,7 @@ fn a_host_behind_fifty_kilobits_stays_live_and_loses_nothing() {
     }
     say(&format!("{KBIT} kbit/s: {behind:.2} s behind at most, {stored} events stored, asked {asked} times"));
     assert!(behind <= MOST_BEHIND_S, "the live picture was {behind} s behind");
-    // Compressed they take some hundred bytes each.
+    // Compressed events have some hundred bytes each.
     assert!(stored >= 300, "the durable lane stored {stored} events only");
     assert!(stored < ITERATIONS, "the link was not slow");
 

@@ -1,4 +1,4 @@
-//! A full disk under an agent's spool.
+//! Tests of a full disk under an agent's spool.
 
 use peernet_tests::fleet::{echo, edge_in, rate};
 use peernet_tests::{Fleet, SmallDisk, measured, thousands};
@@ -12,19 +12,19 @@ fn a_full_disk_under_the_spool_is_said_and_what_does_not_fit_is_counted() {
     let (store, state) = (SmallDisk::new(48 << 20), SmallDisk::new(16 << 20));
     let database = store.folder().join("aggregator.sqlite").display().to_string();
     let folder = state.folder().join("NAME").display().to_string();
-    // What waits in memory meanwhile is soon too much.
+    // Events that wait in memory meanwhile soon exceed the limit.
     let agent = edge_in(&folder, "queue_events = 4000", &echo("loop", &rate(2_000.0)));
     let mut fleet = Fleet::storing_in(&database, &["edge"], &agent);
     fleet.start(0);
     fleet.account(0, "something is stored", |account| account.events > 100);
 
-    // The spool alone: events still arrive, by the way that is left.
+    // Only the spool's disk is full: events still reach the aggregator.
     state.fill();
     let before = fleet.account(0, "it is known", |_| true);
     let now = fleet.account(0, "more is stored", |account| account.events > before.events + 4_000);
     assert_eq!(now.dropped, 0, "{now:?}");
 
-    // Nobody takes them any more, so that the spool has to grow and cannot.
+    // The aggregator accepts no more events, so that the spool would have to grow.
     store.fill();
     let troubled = fleet.account(0, "the spool fails", |account| account.trouble.is_some());
     let words = troubled.trouble.as_deref().unwrap_or_default();
@@ -65,7 +65,7 @@ fn what_is_measured_after_a_start_on_a_full_disk_and_cannot_be_kept_is_counted()
     let _turn = turn();
     let state = SmallDisk::new(16 << 20);
     let folder = state.folder().join("NAME").display().to_string();
-    // Some waits in memory until the end, the rest is dropped before.
+    // Some events wait in memory until the end; the others are dropped before.
     let agent = edge_in(
         &folder,
         "queue_events = 400",

@@ -1,21 +1,22 @@
-//! SIGTERM while everything runs at full speed.
+//! Tests of SIGTERM while everything runs at full speed.
 
 use peernet_tests::fleet::{echo, edge};
 use peernet_tests::{Ended, Fleet, measured, thousands};
 
 use super::{SMALL_SPOOL, nothing_lost, turn};
 
-/// The agent says each answer, so that what was measured is known from elsewhere than the spool.
+/// Returns an agent that logs each answer, so that the number of measured iterations is known independently of the
+/// spool.
 fn counted() -> String {
     edge("", &(SMALL_SPOOL.to_owned() + &echo("loop", "actuator = { kind = \"log\" }")))
 }
 
-/// Answers that an agent said it had.
+/// Returns the number of answers in an agent's log.
 fn answers(ended: &Ended) -> u64 {
     ended.log.lines().filter(|line| line.contains("actuators: answer")).count() as u64
 }
 
-/// What was measured is stored or counted in gaps, and the end of the run is there.
+/// Checks that every measured iteration is stored or counted in gaps, and that the end of the run is stored.
 fn everything_measured_is_stored(what: &str, mut fleet: Fleet, measured_in_all: u64) {
     fleet.deliver(0).balances();
     let ledger = fleet.stop();
@@ -68,7 +69,7 @@ fn an_aggregator_that_stops_under_load_has_stored_what_it_acknowledged() {
     fleet.aggregator.stop();
     let first = fleet.ledger();
     let before = [0, 1].map(|agent| first.hosts[&fleet.agents[agent].name].events);
-    // What was acknowledged is deleted in the spools: had it not been stored, its absence would be a gap now.
+    // Acknowledged batches are deleted in the spools: if they had not been stored, there would be a gap now.
     fleet.aggregator_returns();
     for (agent, before) in before.into_iter().enumerate() {
         fleet.account(agent, "more is stored", |account| account.events > before);

@@ -1,11 +1,11 @@
-//! Agents of other versions of the event stream, at a real aggregator.
+//! Test of agents with other versions of the event stream at a real aggregator.
 
 use peernet_stream::{Hello, HelloExtension, Release, STREAM_VERSIONS, ToAgent, ToAggregator, codec};
 use peernet_tests::{Chance, Fleet, Introduced, Stranger, until};
 
 use super::turn;
 
-/// A hello as a later version may write it: with a name in its extension that this version does not know.
+/// Returns a hello of a later version, whose extension has a name that this version does not know.
 fn later_frame(hello: &Hello) -> Vec<u8> {
     let encode = |extension| rmp_serde::to_vec(&extension).expect("plain data serialises");
     let mut frame = codec::encode(&ToAggregator::Hello(hello.clone()));

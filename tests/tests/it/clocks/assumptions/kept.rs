@@ -1,4 +1,4 @@
-//! Clocks that drift as they may, on paths of all kinds: every interval contains the truth.
+//! Tests with clocks that drift within the limits, on paths of all kinds: every interval contains the truth.
 
 use peernet_clock::Span;
 use peernet_tests::ClockShim;
@@ -6,7 +6,7 @@ use peernet_tests::network::Way;
 
 use super::{Scene, way, wire};
 
-/// For so long after the window is full.
+/// Runs a case for this time after the window is full, and checks every interval.
 fn hold(what: &'static str, [up, down]: [Way; 2], for_s: i64, prepare: impl FnOnce([&ClockShim; 2])) {
     let scene = Scene::new(what, wire(up, down), "", prepare);
     let settled = scene.settle();
@@ -16,16 +16,17 @@ fn hold(what: &'static str, [up, down]: [Way; 2], for_s: i64, prepare: impl FnOn
     outcome.is_good_at_the_end();
 }
 
-/// A constant drift between the two hosts.
+/// Returns the preparation of a constant drift between the two hosts.
 fn steady(ppm: f64) -> impl FnOnce([&ClockShim; 2]) {
     move |[edge, cloud]| {
         edge.change(Span::from_seconds(-5), ppm / 2.0, 0.0);
-        // The rate of one clock by the other's time is not quite the difference of both by the true time.
+        // The rate of one clock by the other's time differs slightly from the difference of both rates by the true
+        // time.
         cloud.change(Span::from_seconds(9), -ppm / 2.0 * 0.9997, 0.0);
     }
 }
 
-/// A crystal that is warmed and cooled: its rate is within `ppm` of nominal and changes by `ppm_per_s`.
+/// Simulates a crystal that is warmed and cooled: its rate stays within `ppm` of nominal and changes by `ppm_per_s`.
 fn warm_and_cool(shim: &ClockShim, ppm: f64, ppm_per_s: f64, for_s: f64) {
     let half = 2.0 * ppm / ppm_per_s;
     let mut begin = shim.change(Span::from_seconds(1_234), -ppm, ppm_per_s);
@@ -50,7 +51,7 @@ fn clocks_200_ppm_apart_on_a_bad_path_make_no_interval_wrong() {
 
 #[test]
 fn crystal_that_is_warmed_and_cooled_makes_no_interval_wrong() {
-    // A degree a second at 1 ppm/°C: at the limit of the change.
+    // A degree per second at 1 ppm/°C: the limit of the rate's change.
     let waves = |[edge, _]: [&ClockShim; 2]| warm_and_cool(edge, 4.0, 0.999, 120.0);
     hold("rate changes by 1 ppm/s, 2/2 ms", [way(2, 0, 0); 2], 20, waves);
 }

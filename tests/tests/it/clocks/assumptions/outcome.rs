@@ -1,25 +1,25 @@
-//! What a case reported, against the truth.
+//! Comparison of a case's reported delays with the truth.
 
 use peernet_clock::{RawTime, Span};
 use peernet_tests::measured;
 use peernet_tests::truth::{Delay, HostClock, Iteration, true_times};
 
-/// The inverse of both clocks' drift rounds, and so does what is stored.
+/// Error of the computed truth: the inverse of both clocks' drift is rounded, and so are stored values.
 const INEXACT: Span = Span::from_nanos(3);
 
-/// Delays of so much time at the end of a case show what it came to.
+/// Length of the time at the end of a case whose delays show its result.
 const END: Span = Span::from_seconds(3);
 
-/// A delay that was believed or not.
+/// Delay with its judgement.
 #[derive(Debug)]
 struct Judged {
     sent: RawTime,
     received: RawTime,
     #[expect(dead_code, reason = "for messages of failed assertions")]
     verdict: String,
-    /// With the verdict `ok` or `limited`.
+    /// `true` if the verdict is `ok` or `limited`.
     is_good: bool,
-    /// Good, and its interval misses the truth by so much.
+    /// Distance between the interval and the truth, for a good delay.
     missed: Span,
 }
 
@@ -43,10 +43,10 @@ impl Judged {
     }
 }
 
-/// What came of a case.
+/// Result of a case.
 pub(super) struct Outcome {
     what: &'static str,
-    /// In the order of time, by the kernel's clock.
+    /// Delays in the order of time, by the kernel's clock.
     delays: Vec<Judged>,
     incidents: String,
 }
@@ -66,8 +66,8 @@ impl Outcome {
         Self { what, delays, incidents }
     }
 
-    /// Says how often and how long intervals were wrong. None may be of a message that arrived before `violated`, or was sent later than
-    /// `allowed` after it.
+    /// Prints how often and for how long intervals were wrong. None of a message that arrived before `violated`, or
+    /// was sent later than `allowed` after it, may be wrong.
     pub(super) fn wrong_for_at_most(&self, allowed: Span, violated: RawTime) {
         let wrong: Vec<&Judged> = self.delays.iter().filter(|delay| delay.missed > INEXACT).collect();
         let since = |delay: &Judged| delay.sent - violated;
@@ -87,7 +87,7 @@ impl Outcome {
         }
     }
 
-    /// No interval misses the truth.
+    /// Checks that no interval misses the truth.
     pub(super) fn is_never_wrong(&self) {
         self.wrong_for_at_most(Span::ZERO, self.delays[0].sent - Span::from_seconds(1));
     }
@@ -97,7 +97,7 @@ impl Outcome {
         self.delays.iter().filter(move |delay| last - delay.sent < END)
     }
 
-    /// At the end all delays are good.
+    /// Checks that all delays at the end are good.
     pub(super) fn is_good_at_the_end(&self) {
         let bad: Vec<&Judged> = self.last().filter(|delay| !delay.is_good).collect();
         assert!(
@@ -110,13 +110,13 @@ impl Outcome {
         );
     }
 
-    /// At the end no delay is believed.
+    /// Checks that no delay at the end is good.
     pub(super) fn is_withdrawn_at_the_end(&self) {
         let believed: Vec<&Judged> = self.last().filter(|delay| delay.is_good).collect();
         assert!(believed.is_empty(), "{}: {believed:?}", self.what);
     }
 
-    /// Such words are in an incident.
+    /// Checks that an incident contains these words.
     pub(super) fn tells(&self, words: &str) {
         assert!(self.incidents.contains(words), "{}: {words} is not in {}", self.what, self.incidents);
     }

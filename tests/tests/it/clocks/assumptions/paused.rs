@@ -1,11 +1,12 @@
-//! Hosts that stand still for a while: the process alone, a whole virtual machine, or a cloud that is restarted.
+//! Tests with hosts that pause: only the process, a whole virtual machine, or a cloud that is restarted.
 
 use peernet_clock::{RawTime, Span};
 use rustix::process::Signal;
 
 use super::{Outcome, Process, Scene, WINDOW, way, wire};
 
-/// Stops a process for so long; `and` is done meanwhile. Returns what came of it, and when it stopped and went on.
+/// Stops a process for a while and calls `and` meanwhile. Returns the result, and the times at which the process was
+/// stopped and resumed.
 fn stop(
     what: &'static str,
     length: Span,
@@ -19,7 +20,7 @@ fn stop(
     of(&scene).signal(Signal::STOP);
     let stopped = scene.shim().now();
     and(&scene);
-    // Nothing tells that a pause is over but time.
+    // Nothing but time ends the pause.
     std::thread::sleep((stopped + length - scene.shim().now()).to_duration());
     let resumed = scene.shim().now();
     of(&scene).signal(Signal::CONT);
@@ -31,14 +32,14 @@ const fn edge(scene: &Scene) -> &Process {
     &scene.edge
 }
 
-/// The process alone is stopped; its clocks go on.
+/// Stops only the process; its clocks keep running.
 fn stopped_process(what: &'static str, length: Span, of: fn(&Scene) -> &Process) {
     let (outcome, ..) = stop(what, length, of, |_| ());
     outcome.is_never_wrong();
     outcome.is_good_at_the_end();
 }
 
-/// The clocks stand as well: when the process goes on they are behind by the pause.
+/// Stops process and clocks: when the process is resumed, its clocks are behind by the length of the pause.
 fn paused_machine(what: &'static str, length: Span) {
     let (outcome, stopped, resumed) = stop(what, length, edge, |scene| {
         let begin = scene.shim().now() + Span::from_millis(200);

@@ -1,4 +1,4 @@
-//! Clocks that drift beyond the limit, change their rate at once, or jump.
+//! Tests with clocks that drift beyond the limit, change their rate abruptly, or jump.
 
 use std::path::Path;
 
@@ -7,7 +7,7 @@ use peernet_tests::network::{Network, Way};
 
 use super::{Outcome, Scene, WINDOW, cable, way, wire};
 
-/// Clocks that run apart faster than the limit from the start on, on a path that hides it in its round trip.
+/// Runs a case whose clocks drift apart faster than the limit from the start on, on a path whose round trip hides it.
 fn drift_on_a_long_path(
     what: &'static str,
     [up, down]: [Way; 2],
@@ -26,7 +26,8 @@ fn drift_on_a_long_path(
     outcome
 }
 
-/// Within a window the clocks run apart by more than a fiftieth of the round trip, which looks like a jump again and again.
+/// Within a window the clocks drift apart by more than a fiftieth of the round trip, which repeatedly looks like a
+/// jump.
 #[test]
 fn drift_hidden_by_a_long_path_makes_no_interval_wrong() {
     let outcome =
@@ -43,7 +44,7 @@ fn drift_of_100_ppm_hidden_by_5_and_40_ms_is_proven() {
     outcome.tells("max_drift_ppm");
 }
 
-/// The edge's clocks change once, in mid-run.
+/// Runs a case in which the edge's clocks change once during the run.
 fn change(
     what: &'static str,
     network: impl FnOnce(&Path) -> Network,
@@ -83,7 +84,7 @@ fn gained_time_of_all_clocks_makes_intervals_wrong_for_a_window_at_most() {
     change("39 ms gained, 20/20 ms, 2 ms of jitter, 1 % lost", path, (39, 0.0), 15).is_good_at_the_end();
 }
 
-/// Exchanges of a short path would narrow what those of a long one tell for ever, if the window did not end.
+/// Exchanges of a short path would narrow those of a longer path for ever, if the window did not end.
 #[test]
 fn exchange_that_nothing_replaces_bounds_no_delay_after_the_window() {
     let what = "1/1 ms becomes 40/40 ms while a drift of 1,000 ppm of 200 begins";
