@@ -1,5 +1,14 @@
 //! Harness of the end-to-end tests. The tests start the built programs, as a user or systemd does, in folders of
 //! their own.
+//!
+//! - [`Process`] reads a program's log continuously and ends with the test.
+//! - [`Site`] is a folder with ports on the loopback interface.
+//! - [`Fleet`] is an aggregator and agents that are killed and restarted, and [`Ledger`] the data that is stored at the end.
+//! - [`network`] makes hosts from network namespaces, connected by cables that delay, lose and are captured. [`Plant`] runs
+//!   an edge and a cloud in such a network, and [`truth`] compares their reports with the kernel's clock.
+//! - [`Stranger`] sends any messages of the event stream's protocol.
+//! - [`Desk`] executes the commands of the documents on two machines. A test extracts all commands from the documents and
+//!   fails if no test executes one of them.
 
 mod account;
 mod api;

@@ -4,6 +4,9 @@
 //! All functions write into a [`Picture`] that the caller keeps, so that a stream of pictures of one size allocates
 //! memory once. No input is trusted: any bytes lead to a picture or to an [`ImageError`], and a picture beyond
 //! [`MAX_PIXELS`] is refused before memory is allocated for it.
+//!
+//! This is a separate crate because the transforms of sensors and the preprocessing of models both need it and do not
+//! depend on each other.
 
 mod crop;
 mod decode;

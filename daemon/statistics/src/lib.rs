@@ -5,7 +5,8 @@
 //! [`SplitMix64`] generates reproducible random numbers.
 //!
 //! All statistics can be merged: the merged statistics of several hosts, seconds or buckets equal those of all their
-//! numbers together. [`Moments`] and [`Sketch`] are sent and stored, so that both are checked when they are read.
+//! numbers together. [`Moments`] and [`Sketch`] are sent in live updates and stored, so that this crate is in the
+//! lowest layer, and both are checked when they are read.
 
 mod merge;
 mod moments;

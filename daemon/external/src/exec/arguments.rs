@@ -197,7 +197,7 @@ mod tests {
 
     #[test]
     fn commands_lose_their_arguments_whatever_their_key() {
-        /// A kind of program with keys of its own.
+        /// Kind of program with other keys.
         #[derive(Serialize)]
         #[serde(tag = "kind", rename_all = "kebab-case")]
         enum Kind {

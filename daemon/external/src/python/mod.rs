@@ -5,6 +5,9 @@
 //! `infer` and `postprocess` of a model. Values are transferred as parts of a sample (`values.py` defines the
 //! conversion). So one Python object can take the values of another, and all other parts of a pipeline can stand
 //! between them.
+//!
+//! Before any of the user's code runs, the worker moves the pipes to other descriptors and replaces standard input and
+//! output, so that printed text cannot get between the messages.
 
 mod called;
 mod config;

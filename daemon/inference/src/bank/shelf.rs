@@ -36,9 +36,9 @@ impl Shelf {
         Ok((pool, true))
     }
 
-    /// Returns whether the pool is not in use, judged by its reference count. The caller must be the only holder of
-    /// the entry.
+    /// Returns whether the pool is not in use. The caller must be the only holder of the entry.
     pub(super) fn is_idle(&self) -> bool {
+        // The reference count of the pool tells that, so that no user has to give a model back, and none can forget to.
         let Ok(pool) = self.pool.try_lock() else { return false };
         pool.as_ref().is_none_or(|pool| Arc::strong_count(pool) == 1)
     }

@@ -128,6 +128,7 @@ fn make_room(
         if shelves[at].stamp.as_ref() == Some(stamp) {
             return Ok(Vec::new());
         }
+        // The files have changed. Two versions of one model must not be in use at the same time.
         if !idle(&shelves[at]) {
             return Err(LoadError::Changed(name.to_string()));
         }

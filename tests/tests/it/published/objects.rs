@@ -150,7 +150,7 @@ fn an_exception_is_a_failed_iteration() {
     assert_eq!((data.outcomes("ok"), data.outcomes("failed")), (19, 1));
 }
 
-/// The failures are so many that the client waits longer and longer between them; the server must end as well.
+/// After consecutive failures the client waits longer and longer; the server must end all the same.
 #[test]
 fn a_server_does_not_wait_for_samples_that_all_failed() {
     let lab = Lab::here();

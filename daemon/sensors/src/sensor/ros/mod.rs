@@ -97,6 +97,8 @@ impl SensorKind for RosSensorConfig {
         Ok(Box::new(Ros { config, version, options, clock, reader: None }))
     }
 
+    // An agent that is started at boot, before the master, must not be refused. So these conditions, which may become right
+    // by themselves, are no errors.
     fn remarks(&self) -> Vec<String> {
         let Ok(version) = self.checked() else { return Vec::new() };
         match survey_topic(version, &self.topic, self.message_type.as_ref(), TopicUse::Read) {
