@@ -75,7 +75,7 @@ impl Aggregator {
             let no_folder = |error| OpenError::no_folder(&config.database, error);
             std::fs::create_dir_all(folder).map_err(no_folder)?;
         }
-        peernet_permissions::log_changes(&peernet_permissions::close_database(&config.database));
+        peernet_permissions::log_changes(&peernet_permissions::restrict_database(&config.database));
         let integrity = Integrity::of(&config.database);
         let (database, state) = OpenDatabase::open(&config.database, config.retention, &integrity).await?;
         let StoredState { streams, runs, unknown, hosts, known } = state;

@@ -7,7 +7,7 @@ use std::process::Command;
 use std::sync::Arc;
 
 use peernet_clock::{ClockIdentity, SharedClock, SystemClock};
-use peernet_external::exec::{CommandLine, ExecConfig, Program, Request, Role, Said};
+use peernet_external::exec::{CommandLine, ExecConfig, Program, ReplyOutcome, Request, Role};
 use peernet_sample::{Description, Sample};
 
 const SIZES: [usize; 3] = [1_000, 150_000, 1_200_000];
@@ -59,7 +59,7 @@ fn call(config: &ExecConfig, size: usize, rounds: usize) -> [f64; 2] {
     let mut taken: Vec<f64> = (0..rounds + rounds / 10)
         .map(|_| {
             let exchange = program.ask(Request::Sample(&sample)).expect("it answers");
-            assert!(matches!(&exchange.said, Said::Parts(parts) if *parts == sample.parts));
+            assert!(matches!(&exchange.outcome, ReplyOutcome::Parts(parts) if *parts == sample.parts));
             exchange.whole().seconds()
         })
         .skip(rounds / 10)

@@ -10,7 +10,7 @@ use std::sync::Arc;
 
 use bytes::Bytes;
 use peernet_clock::{ClockIdentity, SharedClock, Span, SystemClock};
-use peernet_external::process::{Launch, Process, Voice};
+use peernet_external::process::{Launch, Process, StderrLog};
 use peernet_external::python::{PythonConfig, PythonObject, Role};
 use peernet_sample::{Description, ElementType, MediaType, Part};
 
@@ -64,7 +64,7 @@ fn echo(part: &Part, rounds: usize, clock: &SharedClock) -> [f64; 2] {
         let called = object.call(parts);
         assert_eq!(called.result.expect("it answers").as_deref(), Some(parts));
         if round >= rounds / 10 {
-            taken.push(called.times.border().seconds());
+            taken.push(called.times.overhead().seconds());
         }
     }
     quantiles(taken)
@@ -73,7 +73,7 @@ fn echo(part: &Part, rounds: usize, clock: &SharedClock) -> [f64; 2] {
 fn cat(content: &Bytes, rounds: usize, clock: &SharedClock) -> [f64; 2] {
     let launch = Launch {
         name: "cat".to_owned(),
-        voice: Voice::Exec,
+        stderr_log: StderrLog::Exec,
         program: "cat".into(),
         arguments: Vec::new(),
         folder: None,

@@ -10,7 +10,7 @@ use sha2::{Digest, Sha256};
 use peernet_sample::printable_line;
 
 /// Size of the largest file of users' code that is hashed, bytes (256 MiB).
-const LARGEST: u64 = 256 << 20;
+const MAX_HASHED_BYTES: u64 = 256 << 20;
 
 /// Returns the SHA-256 (FIPS 180-4) of everything that `from` yields, in hexadecimal.
 ///
@@ -32,22 +32,22 @@ pub fn sha256(mut from: impl Read) -> io::Result<String> {
 
 /// Returns the name and value of a run's fact about files (`Sensor files`, `camera.py SHA-256 …`); `None` without
 /// files.
-pub(crate) fn fact(role: &str, files: &[PathBuf]) -> Option<(String, String)> {
-    let words: Vec<String> = files.iter().map(|file| identified(file)).collect();
+pub(crate) fn files_fact(role: &str, files: &[PathBuf]) -> Option<(String, String)> {
+    let words: Vec<String> = files.iter().map(|file| describe_with_hash(file)).collect();
     (!words.is_empty()).then(|| (format!("{role} files"), words.join(", ")))
 }
 
 /// Returns a file's name with its hash (`camera.py SHA-256 …`) or with the reason that it has none.
-pub fn identified(file: &Path) -> String {
+pub fn describe_with_hash(file: &Path) -> String {
     let name = file.display().to_string();
     let name = printable_line(&name);
-    match hashed(file) {
+    match hash_file(file) {
         Ok(words) => format!("{name} {words}"),
         Err(error) => format!("{name} (cannot be read: {error})"),
     }
 }
 
-fn hashed(file: &Path) -> io::Result<String> {
+fn hash_file(file: &Path) -> io::Result<String> {
     // The type is checked before opening, because opening a device may have effects, and after it, because the file
     // may have been replaced.
     let regular = |about: Metadata| match about.is_file() {
@@ -59,7 +59,7 @@ fn hashed(file: &Path) -> io::Result<String> {
     let flags = OFlags::RDONLY | OFlags::NONBLOCK | OFlags::CLOEXEC;
     let opened = File::from(rustix::fs::open(file, flags, Mode::empty())?);
     let length = regular(opened.metadata()?)?;
-    if length > LARGEST {
+    if length > MAX_HASHED_BYTES {
         return Ok(format!("of {length} bytes, not hashed"));
     }
     // No more than the length is read, because files of the kernel have length 0 and reading them may block for ever.
@@ -75,10 +75,10 @@ mod tests {
         let folder = tempfile::tempdir().expect("a folder");
         let (file, large) = (folder.path().join("own.py"), folder.path().join("weights"));
         std::fs::write(&file, "abc").expect("writable");
-        File::create(&large).and_then(|file| file.set_len(LARGEST + 1)).expect("writable");
+        File::create(&large).and_then(|file| file.set_len(MAX_HASHED_BYTES + 1)).expect("writable");
         let missing = folder.path().join("none");
         let files = [file.clone(), large.clone(), missing.clone()];
-        let (name, told) = fact("Sensor", &files).expect("there are some");
+        let (name, told) = files_fact("Sensor", &files).expect("there are some");
         assert_eq!(name, "Sensor files");
         let parts: Vec<&str> = told.split(", ").collect();
         // Example in FIPS 180-4.
@@ -93,7 +93,7 @@ mod tests {
                     .as_str(),
             ]
         );
-        assert_eq!(fact("Sensor", &[]), None);
+        assert_eq!(files_fact("Sensor", &[]), None);
     }
 
     #[test]
@@ -102,13 +102,13 @@ mod tests {
         let pipe = folder.path().join("pipe");
         rustix::fs::mkfifoat(rustix::fs::CWD, &pipe, Mode::RWXU).expect("can be made");
         let refused = format!("{} (cannot be read: it is not a regular file)", pipe.display());
-        assert_eq!(identified(&pipe), refused);
+        assert_eq!(describe_with_hash(&pipe), refused);
         // The length of this file is 0 although it has contents. Reading the kernel's messages would wait for the
         // next one.
         let nothing = sha256(io::empty()).expect("reads");
-        let told = identified(Path::new("/proc/self/status"));
+        let told = describe_with_hash(Path::new("/proc/self/status"));
         assert_eq!(told, format!("/proc/self/status SHA-256 {nothing}"));
-        let messages = identified(Path::new("/proc/kmsg"));
+        let messages = describe_with_hash(Path::new("/proc/kmsg"));
         assert!(messages.ends_with(&nothing) || messages.contains("cannot be read"), "{messages}");
     }
 }

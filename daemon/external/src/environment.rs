@@ -36,22 +36,22 @@ const NAMES: [&str; 26] = [
     "PYTORCH_CUDA_ALLOC_CONF",
 ];
 /// Longest recorded value, characters.
-const LONGEST: usize = 1000;
+const MAX_VALUE_CHARS: usize = 1000;
 /// Text that replaces a value that a user set.
-const NOT_TOLD: &str = "(not told)";
+const HIDDEN_VALUE: &str = "(not told)";
 
 /// Returns the variables of this program that influence the results of users' code, with their values; users'
 /// processes inherit them.
 pub fn environment() -> BTreeMap<String, String> {
-    let told = |name: &&str| {
-        let value = env::var_os(name)?.to_string_lossy().chars().take(LONGEST).collect::<String>();
+    let recorded = |name: &&str| {
+        let value = env::var_os(name)?.to_string_lossy().chars().take(MAX_VALUE_CHARS).collect::<String>();
         Some(((*name).to_owned(), printable_line(&value).into_owned()))
     };
-    NAMES.iter().filter_map(told).collect()
+    NAMES.iter().filter_map(recorded).collect()
 }
 
 /// Replaces the values of variables that users set (`env`), for a configuration that is published: they may be
 /// secret.
 pub fn hide_values(variables: &mut BTreeMap<String, String>) {
-    variables.values_mut().for_each(|value| NOT_TOLD.clone_into(value));
+    variables.values_mut().for_each(|value| HIDDEN_VALUE.clone_into(value));
 }

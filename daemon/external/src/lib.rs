@@ -12,5 +12,5 @@ mod digest;
 mod environment;
 mod text;
 
-pub use digest::{identified, sha256};
+pub use digest::{describe_with_hash, sha256};
 pub use environment::{environment, hide_values};

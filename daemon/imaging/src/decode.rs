@@ -63,7 +63,7 @@ pub fn read_part(part: &Part, format: PixelFormat, picture: &mut Picture) -> Res
 }
 
 fn decode_jpeg(file: &[u8], format: PixelFormat, picture: &mut Picture) -> Result<(), ImageError> {
-    let Opened { mut decoder, width, height } = open_jpeg(file, format)?;
+    let OpenedImage { mut decoder, width, height } = open_jpeg(file, format)?;
     let target = picture.reshape(format, width, height);
     if decoder.output_buffer_size() != Some(target.len()) {
         return Err(damaged_jpeg("its colours are of a kind that cannot be converted"));
@@ -72,7 +72,7 @@ fn decode_jpeg(file: &[u8], format: PixelFormat, picture: &mut Picture) -> Resul
 }
 
 /// Decoder that has read the header, with the size from the header after its check.
-pub(crate) struct Opened<D> {
+pub(crate) struct OpenedImage<D> {
     decoder: D,
     pub(crate) width: u32,
     pub(crate) height: u32,
@@ -81,13 +81,13 @@ pub(crate) struct Opened<D> {
 pub(crate) fn open_jpeg(
     file: &[u8],
     format: PixelFormat,
-) -> Result<Opened<JpegDecoder<ZCursor<&[u8]>>>, ImageError> {
+) -> Result<OpenedImage<JpegDecoder<ZCursor<&[u8]>>>, ImageError> {
     let mut decoder = JpegDecoder::new_with_options(ZCursor::new(file), jpeg_options(format));
     decoder.decode_headers().map_err(|error| jpeg_error(&error))?;
     let info = decoder.info().ok_or_else(|| damaged_jpeg("its header gives no size"))?;
     let (width, height) = (u32::from(info.width), u32::from(info.height));
     check_size(u64::from(width), u64::from(height))?;
-    Ok(Opened { decoder, width, height })
+    Ok(OpenedImage { decoder, width, height })
 }
 
 /// Returns strict options: truncated data are an error instead of a picture with a grey lower part.
@@ -104,7 +104,7 @@ fn jpeg_options(format: PixelFormat) -> DecoderOptions {
 }
 
 fn jpeg_error(error: &DecodeErrors) -> ImageError {
-    damaged_jpeg(&tidy(&error.to_string()))
+    damaged_jpeg(&single_line(&error.to_string()))
 }
 
 fn damaged_jpeg(reason: &str) -> ImageError {
@@ -113,7 +113,7 @@ fn damaged_jpeg(reason: &str) -> ImageError {
 
 /// Decodes a PNG file. Bit depths, palettes and transparency are converted to eight bits per channel.
 fn decode_png(file: &[u8], format: PixelFormat, picture: &mut Picture) -> Result<(), ImageError> {
-    let Opened { decoder, width, height } = open_png(file)?;
+    let OpenedImage { decoder, width, height } = open_png(file)?;
     let as_wanted = matches!(
         (decoder.color_type(), format),
         (image::ColorType::Rgb8, PixelFormat::Rgb8) | (image::ColorType::L8, PixelFormat::Grey8)
@@ -127,18 +127,18 @@ fn decode_png(file: &[u8], format: PixelFormat, picture: &mut Picture) -> Result
     Ok(())
 }
 
-pub(crate) fn open_png(file: &[u8]) -> Result<Opened<PngDecoder<Cursor<&[u8]>>>, ImageError> {
+pub(crate) fn open_png(file: &[u8]) -> Result<OpenedImage<PngDecoder<Cursor<&[u8]>>>, ImageError> {
     let decoder = PngDecoder::new(Cursor::new(file)).map_err(|error| png_error(&error))?;
     let (width, height) = decoder.dimensions();
     check_size(u64::from(width), u64::from(height))?;
-    Ok(Opened { decoder, width, height })
+    Ok(OpenedImage { decoder, width, height })
 }
 
 fn png_error(error: &image::ImageError) -> ImageError {
-    ImageError::Damaged { format: "png", reason: tidy(&error.to_string()) }
+    ImageError::Damaged { format: "png", reason: single_line(&error.to_string()) }
 }
 
 /// Returns the error text of another library in one line, without full stop.
-fn tidy(text: &str) -> String {
+fn single_line(text: &str) -> String {
     printable_line(text).split_whitespace().collect::<Vec<_>>().join(" ").trim_end_matches('.').to_owned()
 }

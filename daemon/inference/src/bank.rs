@@ -1,9 +1,9 @@
 //! The models that a host offers: those of its configuration and those in its model folders.
 
+mod cache_entry;
 mod config;
 mod folders;
-mod shelf;
-mod stock;
+mod model_cache;
 
 pub use config::BankConfig;
 pub use folders::{INSTALLED, ModelFolders, ModelOnDisk};
@@ -18,23 +18,23 @@ use peernet_clock::{SharedClock, Span};
 use peernet_external::exec::FingerprintKey;
 use peernet_logger::Slug;
 
-use crate::litter::Litter;
 use crate::model::LoadContext;
 use crate::pool::Sizes;
+use crate::temp_dirs::TempDirs;
 use crate::{LoadError, ModelConfig, OnnxRuntimeConfig, Pool};
 
-use shelf::Shelf;
-use stock::Stock;
+use cache_entry::CacheEntry;
+use model_cache::ModelCache;
 
 /// Models that a host offers. Each is loaded when it is first requested, and shared afterwards.
 pub struct Bank {
     /// The configured models, which stay loaded.
-    shelves: Vec<Arc<Shelf>>,
-    /// Name of a model in `shelves` that is used only if it is requested by name.
+    entries: Vec<Arc<CacheEntry>>,
+    /// Name of a model in `entries` that is used only if it is requested by name.
     built_in: Option<Slug>,
     /// The models of the folders, which are loaded and unloaded.
-    stock: Option<Stock>,
-    litter: Litter,
+    cache: Option<ModelCache>,
+    temp_dirs: TempDirs,
     runtime: OnnxRuntimeConfig,
     clock: SharedClock,
     on_load: Option<Observer>,
@@ -46,12 +46,12 @@ type Observer = Box<dyn Fn(&Pool) + Send + Sync>;
 impl Bank {
     /// Creates a bank of these models; loads none of them.
     pub fn new(models: Vec<ModelConfig>, runtime: OnnxRuntimeConfig, clock: SharedClock) -> Self {
-        let shelves = models.into_iter().map(|config| Shelf::new(config, None)).collect();
+        let entries = models.into_iter().map(|config| CacheEntry::new(config, None)).collect();
         Self {
-            shelves,
+            entries,
             built_in: None,
-            stock: None,
-            litter: Litter::default(),
+            cache: None,
+            temp_dirs: TempDirs::default(),
             runtime,
             clock,
             on_load: None,
@@ -70,14 +70,14 @@ impl Bank {
     #[must_use]
     pub fn with_built_in(mut self, model: ModelConfig) -> Self {
         self.built_in = Some(model.name().clone());
-        self.shelves.push(Shelf::new(model, None));
+        self.entries.push(CacheEntry::new(model, None));
         self
     }
 
     /// Adds the models of these folders. A configured model takes precedence over one of the same name.
     #[must_use]
     pub fn with_folders(mut self, config: BankConfig) -> Self {
-        self.stock = Some(Stock::new(config));
+        self.cache = Some(ModelCache::new(config));
         self
     }
 
@@ -95,14 +95,14 @@ impl Bank {
 
     /// Returns the configurations of the models, in order.
     pub fn models(&self) -> impl Iterator<Item = &ModelConfig> {
-        self.shelves.iter().map(|shelf| &shelf.config)
+        self.entries.iter().map(|entry| &entry.config)
     }
 
     /// Returns the names of all models that can be requested except the built-in one: the configured ones, then those
     /// that are in the folders now. Reads the folders.
     pub fn offered(&self) -> Vec<Slug> {
         let mut names = self.configured();
-        for name in self.stock.iter().flat_map(Stock::names) {
+        for name in self.cache.iter().flat_map(ModelCache::names) {
             if !names.contains(&name) {
                 names.push(name);
             }
@@ -138,15 +138,15 @@ impl Bank {
     /// If the model does not exist, is not offered on that device or cannot be loaded, or if too many models of the
     /// folders are in use. The next call tries again.
     pub fn load(&self, name: &Slug, device: Option<&str>) -> Result<Arc<Pool>, LoadError> {
-        let Some(shelf) = self.shelves.iter().find(|shelf| shelf.config.name() == name) else {
+        let Some(entry) = self.entries.iter().find(|entry| entry.config.name() == name) else {
             return self.load_from_folders(name, device);
         };
-        let offered = shelf.config.device();
+        let offered = entry.config.device();
         if let Some(asked) = device.filter(|asked| *asked != offered) {
             let (model, asked, offered) = (name.to_string(), asked.to_owned(), offered.to_owned());
             return Err(LoadError::OtherDevice { model, asked, offered });
         }
-        self.fill(shelf)
+        self.load_entry(entry)
     }
 
     fn load_from_folders(&self, name: &Slug, device: Option<&str>) -> Result<Arc<Pool>, LoadError> {
@@ -154,21 +154,21 @@ impl Bank {
             let known = self.offered().iter().map(Slug::to_string).collect();
             LoadError::UnknownModel { name: name.to_string(), known }
         };
-        let stock = self.stock.as_ref().ok_or_else(unknown)?;
-        let shelf = stock.shelf(name, device).map_err(|error| match error {
+        let cache = self.cache.as_ref().ok_or_else(unknown)?;
+        let entry = cache.entry(name, device).map_err(|error| match error {
             // A peer is informed which models exist, but not in which folders.
             LoadError::NotFound { .. } => unknown(),
             error => error,
         })?;
-        let pool = self.fill(&shelf);
+        let pool = self.load_entry(&entry);
         if pool.is_err() {
-            stock.discard(&shelf);
+            cache.discard(&entry);
         }
         pool
     }
 
-    fn fill(&self, shelf: &Shelf) -> Result<Arc<Pool>, LoadError> {
-        let (pool, new) = shelf.pool(|| self.start(&shelf.config))?;
+    fn load_entry(&self, entry: &CacheEntry) -> Result<Arc<Pool>, LoadError> {
+        let (pool, new) = entry.pool(|| self.start(&entry.config))?;
         if let Some(observer) = self.on_load.as_ref().filter(|_| new) {
             observer(&pool);
         }
@@ -197,18 +197,18 @@ impl Bank {
     /// Checks the table `[bank]`; returns each error with its key. Errors of single models in the folders are not
     /// included, because such models are not offered.
     pub fn check_folders(&self) -> Vec<(&'static str, LoadError)> {
-        self.stock.as_ref().map(Stock::check).unwrap_or_default()
+        self.cache.as_ref().map(ModelCache::check).unwrap_or_default()
     }
 
     /// Ends the threads of all loaded models; see [`Pool::shutdown`]. Blocks.
     pub fn shutdown(&self) {
-        for shelf in self.all() {
-            shelf.clear();
+        for entry in self.all() {
+            entry.clear();
         }
     }
 
-    fn all(&self) -> Vec<Arc<Shelf>> {
-        self.shelves.iter().cloned().chain(self.stock.iter().flat_map(Stock::shelves)).collect()
+    fn all(&self) -> Vec<Arc<CacheEntry>> {
+        self.entries.iter().cloned().chain(self.cache.iter().flat_map(ModelCache::entries)).collect()
     }
 
     /// Ends the threads of all loaded models, but waits no longer than `patience`. Blocks.
@@ -219,15 +219,15 @@ impl Bank {
         // Loading or computing may take minutes, for which the end of the process must not wait.
         let deadline =
             self.clock.mono() + Span::from_nanos(i64::try_from(patience.as_nanos()).unwrap_or(i64::MAX));
-        let shelves = self.all();
-        let (done, ended) = mpsc::sync_channel(shelves.len());
+        let entries = self.all();
+        let (done, ended) = mpsc::sync_channel(entries.len());
         let mut left: Vec<(usize, Slug)> =
-            shelves.iter().enumerate().map(|(index, shelf)| (index, shelf.config.name().clone())).collect();
-        for (index, shelf) in shelves.into_iter().enumerate() {
+            entries.iter().enumerate().map(|(index, entry)| (index, entry.config.name().clone())).collect();
+        for (index, entry) in entries.into_iter().enumerate() {
             let done = done.clone();
-            let thread = thread::Builder::new().name(format!("end-{}", shelf.config.name()));
+            let thread = thread::Builder::new().name(format!("end-{}", entry.config.name()));
             let ending = thread.spawn(move || {
-                shelf.clear();
+                entry.clear();
                 // The receiver is gone if ending this model took too long.
                 let _ = done.send(index);
             });
@@ -244,13 +244,13 @@ impl Bank {
             }
         }
         if !left.is_empty() {
-            self.litter.sweep();
+            self.temp_dirs.delete_all();
         }
         left.into_iter().map(|(_, name)| name).collect()
     }
 
     fn context(&self) -> LoadContext<'_> {
-        LoadContext { runtime: &self.runtime, litter: &self.litter, clock: &self.clock }
+        LoadContext { runtime: &self.runtime, temp_dirs: &self.temp_dirs, clock: &self.clock }
     }
 
     fn start(&self, config: &ModelConfig) -> Result<Pool, LoadError> {
@@ -259,7 +259,7 @@ impl Bank {
         let model = config.load(&self.context())?;
         let sizes = Sizes { workers: config.workers(), queue: config.queue() };
         let pool = Pool::start(config.name().clone(), model, sizes, &self.clock, begun)?;
-        Ok(pool.telling(config.facts(self.fingerprints.as_ref())))
+        Ok(pool.with_facts(config.facts(self.fingerprints.as_ref())))
     }
 }
 

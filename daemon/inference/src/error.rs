@@ -23,13 +23,13 @@ pub enum LoadError {
     #[error(
         "no model named {name} in {}; {}; name another folder, give a path with a slash, or export the model \
          (models/export_torchvision.py)",
-        listed(.looked), there_is(.known)
+        listed(.searched), there_is(.known)
     )]
     NotFound {
         /// The requested name.
         name: String,
         /// The folders that were searched.
-        looked: Vec<PathBuf>,
+        searched: Vec<PathBuf>,
         /// The models in them.
         known: Vec<String>,
     },
@@ -209,11 +209,11 @@ pub enum LibraryError {
         "ONNX Runtime was not found; looked for {}; fetch it with `make setup` in a checkout or \
          `python3 deploy/onnxruntime/fetch.py`, or name a library of your own with [onnxruntime] library or \
          ORT_DYLIB_PATH",
-        .looked.join(", ")
+        .searched.join(", ")
     )]
     NotFound {
         /// Each place that was searched, in order, with the result.
-        looked: Vec<String>,
+        searched: Vec<String>,
     },
     /// The library was found and cannot be used.
     #[error(

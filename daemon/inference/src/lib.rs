@@ -9,11 +9,11 @@
 pub mod bank;
 mod error;
 mod job;
-mod litter;
 pub mod model;
 mod pool;
 mod queue;
 mod scratch;
+mod temp_dirs;
 mod thread;
 
 pub use bank::{Bank, BankConfig};

@@ -8,7 +8,7 @@ use peernet_clock::{MonoTime, SharedClock, Span};
 use peernet_logger::Slug;
 
 use crate::queue::{Queue, Rejection};
-use crate::thread::{Station, deliver};
+use crate::thread::{WorkerSlot, deliver};
 use crate::{Done, InferenceError, Job, LoadError, Model, Refused};
 
 /// Loaded model with its workers, shared by all its users.
@@ -20,17 +20,17 @@ pub struct Pool {
     model: Arc<dyn Model>,
     loaded_in: Span,
     workers: usize,
-    means: Means,
+    execution: Execution,
     /// Facts in addition to those of the model.
-    beside: Vec<(String, String)>,
+    further_facts: Vec<(String, String)>,
 }
 
 /// Way in which jobs are run.
-enum Means {
+enum Execution {
     /// On threads of the pool, which take jobs from a queue.
     Threads { queue: Arc<Queue<Job>>, handles: Mutex<Vec<JoinHandle<()>>> },
     /// On the thread of the caller: for models that neither block nor compute for long.
-    Inline(Mutex<Station>),
+    Inline(Mutex<WorkerSlot>),
 }
 
 impl Pool {
@@ -42,25 +42,32 @@ impl Pool {
         clock: &SharedClock,
         begun: MonoTime,
     ) -> Result<Self, LoadError> {
-        let station = |_| {
+        let slot = |_| {
             let worker = Some(model.worker()?);
-            Ok(Station { name: name.clone(), model: Arc::clone(&model), clock: Arc::clone(clock), worker })
+            Ok(WorkerSlot { name: name.clone(), model: Arc::clone(&model), clock: Arc::clone(clock), worker })
         };
         let workers = if model.blocks() { sizes.workers } else { 1 };
-        let mut stations = (0..workers).map(station).collect::<Result<Vec<_>, LoadError>>()?;
-        let means = match stations.pop() {
-            Some(station) if !model.blocks() => Means::Inline(Mutex::new(station)),
+        let mut slots = (0..workers).map(slot).collect::<Result<Vec<_>, LoadError>>()?;
+        let execution = match slots.pop() {
+            Some(slot) if !model.blocks() => Execution::Inline(Mutex::new(slot)),
             last => {
-                stations.extend(last);
-                Means::threads(&name, stations, sizes.queue)?
+                slots.extend(last);
+                Execution::threads(&name, slots, sizes.queue)?
             }
         };
-        Ok(Self { loaded_in: clock.mono() - begun, name, model, workers, means, beside: Vec::new() })
+        Ok(Self {
+            loaded_in: clock.mono() - begun,
+            name,
+            model,
+            workers,
+            execution,
+            further_facts: Vec::new(),
+        })
     }
 
     /// Adds facts to those of the model.
-    pub(crate) fn telling(mut self, facts: Vec<(String, String)>) -> Self {
-        self.beside = facts;
+    pub(crate) fn with_facts(mut self, facts: Vec<(String, String)>) -> Self {
+        self.further_facts = facts;
         self
     }
 
@@ -70,14 +77,14 @@ impl Pool {
     /// # Errors
     /// Returns the job if the queue is full or the pool is shut down.
     pub fn submit(&self, job: Job) -> Result<(), Refused> {
-        match &self.means {
-            Means::Inline(station) => {
+        match &self.execution {
+            Execution::Inline(slot) => {
                 // The reply is called without the lock, because it may submit the next job.
-                let (reply, done) = station.lock().unwrap_or_else(PoisonError::into_inner).compute(job);
+                let (reply, done) = slot.lock().unwrap_or_else(PoisonError::into_inner).compute(job);
                 deliver(&self.name, reply, done);
                 Ok(())
             }
-            Means::Threads { queue, .. } => queue.push(job).map_err(|(job, why)| {
+            Execution::Threads { queue, .. } => queue.push(job).map_err(|(job, why)| {
                 let model = self.name.to_string();
                 let reason = match why {
                     Rejection::Full => InferenceError::QueueFull { model, capacity: queue.capacity() },
@@ -91,7 +98,7 @@ impl Pool {
     /// Ends the threads after their current samples, and answers all waiting jobs with [`InferenceError::Stopped`].
     /// Blocks: not for an I/O thread.
     pub fn shutdown(&self) {
-        let Means::Threads { queue, handles } = &self.means else { return };
+        let Execution::Threads { queue, handles } = &self.execution else { return };
         for Job { log, reply, .. } in queue.close() {
             let result = Err(InferenceError::Stopped { model: self.name.to_string() });
             deliver(&self.name, reply, Done { log, result });
@@ -118,7 +125,7 @@ impl Pool {
 
     /// Returns facts for the run's page.
     pub fn facts(&self) -> Vec<(String, String)> {
-        self.model.facts().into_iter().chain(self.beside.iter().cloned()).collect()
+        self.model.facts().into_iter().chain(self.further_facts.iter().cloned()).collect()
     }
 
     /// Returns whether jobs run on threads of the pool; otherwise [`submit`](Self::submit) computes at once.
@@ -138,9 +145,9 @@ impl Pool {
 
     /// Returns the number of samples that wait for a free worker.
     pub fn waiting(&self) -> usize {
-        match &self.means {
-            Means::Threads { queue, .. } => queue.len(),
-            Means::Inline(_) => 0,
+        match &self.execution {
+            Execution::Threads { queue, .. } => queue.len(),
+            Execution::Inline(_) => 0,
         }
     }
 }
@@ -167,15 +174,15 @@ pub(crate) struct Sizes {
     pub(crate) queue: usize,
 }
 
-impl Means {
-    fn threads(name: &Slug, stations: Vec<Station>, capacity: usize) -> Result<Self, LoadError> {
+impl Execution {
+    fn threads(name: &Slug, slots: Vec<WorkerSlot>, capacity: usize) -> Result<Self, LoadError> {
         let queue = Arc::new(Queue::new(capacity));
-        let mut handles = Vec::with_capacity(stations.len());
-        for (index, mut station) in stations.into_iter().enumerate() {
+        let mut handles = Vec::with_capacity(slots.len());
+        for (index, mut slot) in slots.into_iter().enumerate() {
             let jobs = Arc::clone(&queue);
             // The kernel keeps 15 characters of a thread's name: the number comes first, so that it is among them.
             let thread = thread::Builder::new().name(format!("{index}-{name}"));
-            match thread.spawn(move || station.serve(&jobs)) {
+            match thread.spawn(move || slot.serve(&jobs)) {
                 Ok(handle) => handles.push(handle),
                 Err(error) => {
                     queue.close();

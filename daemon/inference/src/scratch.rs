@@ -10,14 +10,14 @@ use tempfile::TempDir;
 /// Prefix of the names of all such folders.
 const PREFIX: &str = "peernet-";
 /// Name of a file in each folder, which the owner keeps locked while it lives. Folders without it are never removed.
-const HELD: &str = ".held";
+const LOCK_FILE: &str = ".held";
 
 /// Temporary folder. Dropping it deletes the folder; if its owner was killed, the next creation does.
 #[derive(Debug)]
 pub struct Scratch {
     folder: TempDir,
     /// The lock is released when the process ends, for whatever reason.
-    _held: File,
+    _lock: File,
 }
 
 impl Scratch {
@@ -31,17 +31,17 @@ impl Scratch {
     }
 
     fn new_in(parent: &Path, kind: &str) -> io::Result<Self> {
-        sweep(parent);
+        remove_abandoned(parent);
         loop {
             let folder = tempfile::Builder::new().prefix(&format!("{PREFIX}{kind}-")).tempdir_in(parent)?;
-            let file = folder.path().join(HELD);
-            let held = File::create_new(&file)?;
-            match held.try_lock() {
+            let file = folder.path().join(LOCK_FILE);
+            let lock = File::create_new(&file)?;
+            match lock.try_lock() {
                 // Another program may have found and removed the folder before it was locked.
                 Err(TryLockError::WouldBlock) => {}
                 Ok(()) if !file.exists() => {}
                 // On a file system without locks no program treats the folder as abandoned.
-                Ok(()) | Err(TryLockError::Error(_)) => return Ok(Self { folder, _held: held }),
+                Ok(()) | Err(TryLockError::Error(_)) => return Ok(Self { folder, _lock: lock }),
             }
         }
     }
@@ -53,18 +53,18 @@ impl Scratch {
 }
 
 /// Removes the folders of this user's processes that were killed.
-fn sweep(parent: &Path) {
+fn remove_abandoned(parent: &Path) {
     let user = rustix::process::geteuid().as_raw();
     for entry in fs::read_dir(parent).into_iter().flatten().filter_map(Result::ok) {
         let is_ours = entry.file_name().as_encoded_bytes().starts_with(PREFIX.as_bytes())
             && entry.metadata().is_ok_and(|about| about.is_dir() && about.uid() == user);
-        let (folder, file) = (entry.path(), entry.path().join(HELD));
+        let (folder, file) = (entry.path(), entry.path().join(LOCK_FILE));
         if !is_ours || !file.is_file() {
             continue;
         }
         // The lock is held until the folder is deleted, so that no other program takes it meanwhile.
-        let Ok(held) = File::open(&file) else { continue };
-        if held.try_lock().is_ok()
+        let Ok(lock) = File::open(&file) else { continue };
+        if lock.try_lock().is_ok()
             && let Err(error) = fs::remove_dir_all(&folder)
         {
             tracing::warn!(%error, folder = %folder.display(), "cannot remove the temporary folder of a process that is no more");
@@ -77,22 +77,22 @@ mod tests {
     use super::*;
 
     #[test]
-    fn those_of_the_dead_are_removed_and_those_of_the_living_stay() {
+    fn folders_of_ended_processes_are_removed_others_stay() {
         let parent = tempfile::tempdir().expect("a folder");
         let new = || Scratch::new_in(parent.path(), "model").expect("made");
         let living = new();
-        let Scratch { folder, _held: held } = new();
+        let Scratch { folder, _lock: lock } = new();
         let dead = folder.keep();
         fs::write(dead.join("weights.bin"), b"x").expect("written");
         let rescued = parent.path().join("peernet-results-x");
         fs::create_dir(&rescued).expect("made");
         let other = parent.path().join("other");
         fs::create_dir(&other).expect("made");
-        fs::write(other.join(HELD), "").expect("written");
+        fs::write(other.join(LOCK_FILE), "").expect("written");
 
         let later = new();
         assert!(dead.exists(), "its lock is held still");
-        drop(held);
+        drop(lock);
         drop(new());
         assert!(!dead.exists());
         assert!([living.path(), later.path(), &rescued, &other].into_iter().all(Path::exists));

@@ -13,7 +13,7 @@ use crate::queue::Queue;
 use crate::{Done, InferenceError, Job, Model, Worker};
 
 /// A worker with the objects that it needs to answer jobs; used by one thread at a time.
-pub(crate) struct Station {
+pub(crate) struct WorkerSlot {
     pub(crate) name: Slug,
     pub(crate) model: Arc<dyn Model>,
     pub(crate) clock: SharedClock,
@@ -21,7 +21,7 @@ pub(crate) struct Station {
     pub(crate) worker: Option<Box<dyn Worker>>,
 }
 
-impl Station {
+impl WorkerSlot {
     /// Serves jobs until the queue is closed.
     pub(crate) fn serve(&mut self, queue: &Queue<Job>) {
         while let Some(job) = queue.pop() {

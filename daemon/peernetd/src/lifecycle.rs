@@ -59,7 +59,7 @@ impl Default for LifecycleConfig {
 }
 
 /// Time that is reserved for each part that is still to be stopped.
-const LAST_SHARE: Duration = Duration::from_secs(1);
+const RESERVED_PER_PART: Duration = Duration::from_secs(1);
 
 /// Part of the process that runs until it is asked to stop.
 struct Part {
@@ -161,7 +161,7 @@ impl Lifecycle {
                     info!("{name}: stopping");
                     return Exit::Ok;
                 }
-                name = first_end(&self.parts) => {
+                name = wait_for_first_end(&self.parts) => {
                     error!("the {name} ended by itself: stopping");
                     return Exit::Software;
                 }
@@ -172,7 +172,7 @@ impl Lifecycle {
 }
 
 /// Waits until the task of a part has ended, also by a panic; returns the name of the part.
-async fn first_end(parts: &[Part]) -> &'static str {
+async fn wait_for_first_end(parts: &[Part]) -> &'static str {
     if parts.is_empty() {
         return std::future::pending().await;
     }
@@ -192,7 +192,7 @@ async fn stop_in_reverse(parts: Vec<Part>, deadline: Duration) -> Exit {
     let mut exit = Exit::Ok;
     for (after, mut part) in parts.into_iter().enumerate().rev() {
         part.stop.cancel();
-        let reserved = LAST_SHARE * u32::try_from(after).unwrap_or(u32::MAX);
+        let reserved = RESERVED_PER_PART * u32::try_from(after).unwrap_or(u32::MAX);
         match timeout_at(end.checked_sub(reserved).unwrap_or(end), &mut part.task).await {
             Ok(Ok(Ok(()))) => debug!("the {} has stopped", part.name),
             Ok(Ok(Err(problem))) => {

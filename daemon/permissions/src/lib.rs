@@ -23,7 +23,7 @@ const HEADER: &[u8] = b"SQLite format 3\0";
 
 /// Suffixes of the files that SQLite and PEERNet put beside a database or spool; the empty one stands for the file
 /// itself.
-const BESIDE: [&str; 6] = ["", "-wal", "-shm", "-lock", "-reserve", "-condemned"];
+const SUFFIXES: [&str; 6] = ["", "-wal", "-shm", "-lock", "-reserve", "-condemned"];
 
 /// Makes all files and folders that this process creates afterwards inaccessible to other users: 0640 and 0750 with
 /// the usual umask of 022. Child processes inherit this.
@@ -38,20 +38,20 @@ pub fn create_without_others() {
 /// the changed files.
 ///
 /// A file with other contents is left unchanged: a mistyped path may lead to a file that other users need.
-pub fn close_database(path: &Path) -> Vec<PathBuf> {
+pub fn restrict_database(path: &Path) -> Vec<PathBuf> {
     // SQLite names the files beside it after the resolved path.
     let path = fs::canonicalize(path).unwrap_or_else(|_| path.to_owned());
     if !may_be_database(&path) {
         return Vec::new();
     }
-    BESIDE
+    SUFFIXES
         .iter()
         .map(|ending| {
             let mut name = OsString::from(&path);
             name.push(ending);
             PathBuf::from(name)
         })
-        .filter(|path| close(path))
+        .filter(|path| restrict(path))
         .collect()
 }
 
@@ -70,13 +70,13 @@ fn may_be_database(path: &Path) -> bool {
 ///
 /// The current folder, and a folder in which every user may create files (`/tmp`), has other purposes as well and is
 /// left unchanged.
-pub fn close_folder(folder: &Path, files: &[&str]) -> Vec<PathBuf> {
+pub fn restrict_folder(folder: &Path, files: &[&str]) -> Vec<PathBuf> {
     let is_shared = fs::metadata(folder).is_ok_and(|about| about.mode() & STICKY != 0);
     let current = std::env::current_dir().and_then(fs::canonicalize);
     let is_current = current.is_ok_and(|current| fs::canonicalize(folder).is_ok_and(|it| it == current));
     let folder_itself = (!is_shared && !is_current).then(|| folder.to_owned());
     let paths = folder_itself.into_iter().chain(files.iter().map(|file| folder.join(file)));
-    paths.filter(|path| close(path)).collect()
+    paths.filter(|path| restrict(path)).collect()
 }
 
 /// Logs the changed paths in one line; logs nothing if there are none.
@@ -89,8 +89,8 @@ pub fn log_changes(changed: &[PathBuf]) {
     }
 }
 
-fn close(path: &Path) -> bool {
-    close_or_fail(path).unwrap_or_else(|error| {
+fn restrict(path: &Path) -> bool {
+    try_restrict(path).unwrap_or_else(|error| {
         if error.kind() != ErrorKind::NotFound {
             tracing::warn!(%error, "cannot take away what others may do with {}", path.display());
         }
@@ -98,7 +98,7 @@ fn close(path: &Path) -> bool {
     })
 }
 
-fn close_or_fail(path: &Path) -> io::Result<bool> {
+fn try_restrict(path: &Path) -> io::Result<bool> {
     let about = fs::symlink_metadata(path)?;
     let mode = about.mode() & 0o7777;
     if !is_ours(&about) || mode & OTHERS == 0 {
@@ -136,10 +136,10 @@ mod tests {
         {
             let path = folder.path().join(format!("a.sqlite{ending}"));
             put(&path, before);
-            close_database(&database);
+            restrict_database(&database);
             assert_eq!(mode(&path), after, "{ending}");
         }
-        assert_eq!(close_database(&database), Vec::<PathBuf>::new());
+        assert_eq!(restrict_database(&database), Vec::<PathBuf>::new());
     }
 
     #[test]
@@ -149,7 +149,7 @@ mod tests {
         for (contents, after) in [("root:x:0:0:root:/root:/bin/bash\n", 0o644), ("", 0o640)] {
             fs::write(&path, contents).expect("writable");
             fs::set_permissions(&path, Permissions::from_mode(0o644)).expect("own file");
-            close_database(&path);
+            restrict_database(&path);
             assert_eq!(mode(&path), after, "{contents}");
         }
     }
@@ -160,7 +160,7 @@ mod tests {
         for (before, after) in [(0o755, 0o750), (0o775, 0o770), (0o700, 0o700), (0o1777, 0o1777)] {
             fs::set_permissions(folder.path(), Permissions::from_mode(before)).expect("own folder");
             put(&folder.path().join("host-id"), 0o644);
-            close_folder(folder.path(), &["host-id", "none"]);
+            restrict_folder(folder.path(), &["host-id", "none"]);
             assert_eq!(mode(folder.path()), after);
             assert_eq!(mode(&folder.path().join("host-id")), 0o640);
         }
@@ -172,7 +172,7 @@ mod tests {
         let elsewhere = folder.path().join("elsewhere");
         put(&elsewhere, 0o644);
         std::os::unix::fs::symlink(&elsewhere, folder.path().join("host-id")).expect("a link");
-        close_folder(folder.path(), &["host-id"]);
+        restrict_folder(folder.path(), &["host-id"]);
         assert_eq!(mode(&elsewhere), 0o644);
     }
 }

@@ -17,7 +17,7 @@ use super::summary::{csv, latex, markdown};
 
 /// Location of the written results.
 #[derive(Debug)]
-pub struct Finished {
+pub struct WrittenResults {
     /// The folder: the requested one, or a temporary one if that cannot be written.
     pub folder: PathBuf,
     /// The files in it.
@@ -29,33 +29,33 @@ pub struct Finished {
 /// Permission bits of users who are neither the owner nor in the group.
 const OTHERS: u32 = 0o007;
 
-pub(crate) fn finish(folder: &Path, record: &RunRecord, rows: &Rows) -> Result<Finished, WriteError> {
-    let trouble = match all(folder, record, rows) {
-        Ok(files) => return Ok(Finished { folder: folder.to_owned(), files, trouble: None }),
+pub(crate) fn finish(folder: &Path, record: &RunRecord, rows: &Rows) -> Result<WrittenResults, WriteError> {
+    let trouble = match write_files(folder, record, rows) {
+        Ok(files) => return Ok(WrittenResults { folder: folder.to_owned(), files, trouble: None }),
         Err(trouble) => trouble,
     };
     let elsewhere = tempfile::Builder::new().prefix("peernet-results-").tempdir();
     let elsewhere =
-        elsewhere.map_err(|error| also(&trouble, &std::env::temp_dir(), &error.to_string()))?.keep();
-    match all(&elsewhere, record, rows) {
-        Ok(files) => Ok(Finished { folder: elsewhere, files, trouble: Some(trouble) }),
+        elsewhere.map_err(|error| join_errors(&trouble, &std::env::temp_dir(), &error.to_string()))?.keep();
+    match write_files(&elsewhere, record, rows) {
+        Ok(files) => Ok(WrittenResults { folder: elsewhere, files, trouble: Some(trouble) }),
         Err(error) => {
             // The folder is empty unless all rows were written; a folder with rows stays.
             let _ = std::fs::remove_dir(&elsewhere);
-            Err(also(&trouble, &error.path, &error.reason))
+            Err(join_errors(&trouble, &error.path, &error.reason))
         }
     }
 }
 
 /// Joins the errors of both folders.
-fn also(first: &WriteError, path: &Path, reason: &str) -> WriteError {
+fn join_errors(first: &WriteError, path: &Path, reason: &str) -> WriteError {
     let reason = format!("{}; nor {}: {reason}", first.reason, path.display());
     WriteError { path: first.path.clone(), reason }
 }
 
-fn all(folder: &Path, record: &RunRecord, rows: &Rows) -> Result<Vec<PathBuf>, WriteError> {
+fn write_files(folder: &Path, record: &RunRecord, rows: &Rows) -> Result<Vec<PathBuf>, WriteError> {
     let data = folder.join(DATA);
-    if !is_whole(&data, rows) {
+    if !is_complete(&data, rows) {
         replace(&data, rows)?;
     }
     let json = folder.join(RECORD);
@@ -73,7 +73,7 @@ fn all(folder: &Path, record: &RunRecord, rows: &Rows) -> Result<Vec<PathBuf>, W
 
 /// Returns whether the file has every row, and a cell for every value. A column that was added late lacks the values
 /// of the rows before it.
-fn is_whole(path: &Path, rows: &Rows) -> bool {
+fn is_complete(path: &Path, rows: &Rows) -> bool {
     let Ok(mut file) = File::open(path) else { return false };
     if !ends_with_line(&mut file).unwrap_or(false) {
         return false;
@@ -95,11 +95,11 @@ fn is_whole(path: &Path, rows: &Rows) -> bool {
 
 /// Writes a new file and renames it, so that there is a complete file at any time.
 fn replace(path: &Path, rows: &Rows) -> Result<(), WriteError> {
-    let beside = path.with_extension("csv.new");
-    let written = put(&beside, rows).and_then(|()| std::fs::rename(&beside, path));
+    let new_file = path.with_extension("csv.new");
+    let written = put(&new_file, rows).and_then(|()| std::fs::rename(&new_file, path));
     written.map_err(WriteError::at(path)).inspect_err(|_| {
         // The new file does not exist if it could not be created.
-        let _ = std::fs::remove_file(&beside);
+        let _ = std::fs::remove_file(&new_file);
     })
 }
 

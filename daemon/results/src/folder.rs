@@ -10,7 +10,7 @@ use peernet_analysis::record::RunRecord;
 use peernet_analysis::rows::Rows;
 
 use super::file_names::DATA;
-use super::{Finished, FolderError, Overwrite, RowWriter};
+use super::{FolderError, Overwrite, RowWriter, WrittenResults};
 
 /// Folder for results. As long as this value exists, only this program writes to the folder.
 #[derive(Clone, Debug)]
@@ -28,7 +28,7 @@ impl ResultFolder {
     pub fn create(dir: &Path, overwrite: Overwrite) -> Result<Self, FolderError> {
         let folder = Self::take(dir, overwrite)?;
         if overwrite == Overwrite::Replace {
-            super::ready::clear(folder.path())?;
+            super::preparation::clear(folder.path())?;
         }
         Ok(folder)
     }
@@ -40,12 +40,12 @@ impl ResultFolder {
     /// If another program writes to the folder, or if it contains files that may not be replaced, is not a folder or
     /// cannot be created.
     pub fn take(dir: &Path, overwrite: Overwrite) -> Result<Self, FolderError> {
-        super::ready::take(dir, overwrite).map(|(path, lock)| Self { path, _lock: Arc::new(lock) })
+        super::preparation::take(dir, overwrite).map(|(path, lock)| Self { path, _lock: Arc::new(lock) })
     }
 
     /// Returns the names of the files that [`Overwrite::Replace`] removes from a folder, whether they exist or not.
     pub fn replaced(dir: &Path) -> impl Iterator<Item = String> {
-        super::ready::replaced(dir)
+        super::preparation::replaced(dir)
     }
 
     /// Returns the path of the folder.
@@ -66,7 +66,7 @@ impl ResultFolder {
     ///
     /// # Errors
     /// If the temporary folder cannot be written either.
-    pub fn finish(&self, record: &RunRecord, rows: &Rows) -> Result<Finished, WriteError> {
+    pub fn finish(&self, record: &RunRecord, rows: &Rows) -> Result<WrittenResults, WriteError> {
         super::finish::finish(&self.path, record, rows)
     }
 
@@ -92,6 +92,6 @@ impl ResultFolder {
     /// Returns all result folders in a folder and below, itself included, in the natural order of their names. Links
     /// are not followed, and hidden folders are skipped.
     pub fn find(dir: &Path) -> Vec<PathBuf> {
-        super::ready::find(dir)
+        super::preparation::find(dir)
     }
 }

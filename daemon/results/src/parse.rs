@@ -25,15 +25,15 @@ pub(crate) enum Malformed {
 }
 
 /// State of reading a file line by line.
-pub(crate) struct Reading {
-    columns: Vec<Cells>,
+pub(crate) struct RowParser {
+    columns: Vec<ColumnParser>,
     /// `true` if the sum of the stages has to be added.
-    sums: bool,
+    needs_sum: bool,
     rows: Rows,
 }
 
 /// Column of the file.
-struct Cells {
+struct ColumnParser {
     name: Column,
     kind: Option<ColumnKind>,
     /// Index in [`PUBLISHED_STAGES`], if the column is one of them.
@@ -43,7 +43,7 @@ struct Cells {
     wanted: bool,
 }
 
-impl Reading {
+impl RowParser {
     /// Reads all rows with the wanted columns. The second value is whether a column tells which rows are warm-up;
     /// otherwise the first `warm_up` rows are.
     ///
@@ -57,30 +57,30 @@ impl Reading {
         let ends_with_line = ends_with_line(&mut file)?;
         let mut reader = csv::Reader::from_reader(file);
         let kind = |name: &str| FIXED_COLUMNS.iter().find(|(fixed, _)| *fixed == name).map(|(_, kind)| *kind);
-        let cells = |name: &str| Cells {
+        let cells = |name: &str| ColumnParser {
             name: column(name.trim()),
             kind: kind(name.trim()),
             stage: PUBLISHED_STAGES.iter().position(|stage| *stage == name.trim()),
             place: None,
             wanted: wanted(name.trim()),
         };
-        let columns: Vec<Cells> = reader.headers()?.iter().map(cells).collect();
+        let columns: Vec<ColumnParser> = reader.headers()?.iter().map(cells).collect();
         let has = |wanted: &str| columns.iter().any(|cells| cells.name == wanted);
         if !columns.iter().any(|cells| matches!(cells.kind, Some(ColumnKind::Node))) {
             return Err(Malformed::Foreign);
         }
-        let (flagged, ours, sums) = (has("warm-up"), has("outcome"), !has("stages-total"));
-        let mut reading = Self { columns, sums, rows: Rows::default() };
+        let (has_warm_up_column, ours, needs_sum) = (has("warm-up"), has("outcome"), !has("stages-total"));
+        let mut parser = Self { columns, needs_sum, rows: Rows::default() };
         let cut_off = ours && !ends_with_line;
         let mut records = reader.into_records().peekable();
         while let Some(record) = records.next() {
             if cut_off && records.peek().is_none() {
                 break;
             }
-            let is_warm_up = !flagged && reading.rows.len() < warm_up;
-            reading.row(&record?, is_warm_up)?;
+            let is_warm_up = !has_warm_up_column && parser.rows.len() < warm_up;
+            parser.row(&record?, is_warm_up)?;
         }
-        Ok((reading.rows, flagged))
+        Ok((parser.rows, has_warm_up_column))
     }
 
     fn row(&mut self, record: &csv::StringRecord, is_warm_up: bool) -> Result<(), Malformed> {
@@ -92,7 +92,7 @@ impl Reading {
         let mut stages = [None; PUBLISHED_STAGES.len()];
         for (cells, text) in columns.iter_mut().zip(record) {
             let cell = text.trim();
-            if cell.is_empty() || cells.is_passed_over() {
+            if cell.is_empty() || cells.is_ignored() {
                 continue;
             }
             let wrong = |expected| Malformed::Cell {
@@ -103,7 +103,7 @@ impl Reading {
             };
             if cells.is_text() {
                 let way = &mut judged[usize::from(cells.name.starts_with("download"))];
-                take_text(&mut row, way, &cells.name, text)
+                store_text(&mut row, way, &cells.name, text)
                     .ok_or_else(|| wrong("outcome, verdict or source"))?;
                 continue;
             }
@@ -124,7 +124,7 @@ impl Reading {
                 "warm-up" => row.warm_up = number != 0.0,
                 // Zero means that the time was not recorded.
                 "at" if number == 0.0 => {}
-                _ if cells.wanted && cells.may_be(number) => {
+                _ if cells.wanted && cells.is_meaningful(number) => {
                     let place = *cells.place.get_or_insert_with(|| row.place(rows, &cells.name));
                     row.numbers[place] = Some(number);
                 }
@@ -137,7 +137,7 @@ impl Reading {
         row.numbers[iteration].get_or_insert(number);
         // A stage whose duration is unknown is missing in the sum as well.
         let sum: Option<f64> = stages.into_iter().flatten().reduce(|sum, stage| sum + stage);
-        if let Some(sum) = sum.filter(|sum| self.sums && sum.is_finite()) {
+        if let Some(sum) = sum.filter(|sum| self.needs_sum && sum.is_finite()) {
             let place = row.place(rows, &column("stages-total"));
             row.numbers[place] = Some(sum);
         }
@@ -146,7 +146,7 @@ impl Reading {
     }
 }
 
-impl Cells {
+impl ColumnParser {
     /// Returns whether the column contains text.
     fn is_text(&self) -> bool {
         let words =
@@ -155,18 +155,18 @@ impl Cells {
     }
 
     /// Returns whether the number is meaningful: only upper bounds may be infinite.
-    fn may_be(&self, number: f64) -> bool {
+    fn is_meaningful(&self, number: f64) -> bool {
         number.is_finite() || (number == f64::INFINITY && self.name.ends_with("-hi"))
     }
 
     /// Returns whether the column is ignored: it is not one of the fixed columns, and it is not wanted.
-    fn is_passed_over(&self) -> bool {
+    fn is_ignored(&self) -> bool {
         self.kind.is_none() && !self.wanted
     }
 }
 
 /// Stores the text of a cell; returns `None` if the column does not permit it.
-fn take_text(
+fn store_text(
     row: &mut RowBuilder,
     way: &mut (Option<Verdict>, Option<DelaySource>),
     column: &str,

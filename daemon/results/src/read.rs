@@ -10,7 +10,7 @@ use peernet_analysis::rows::Rows;
 
 use super::FolderError;
 use super::file_names::{DATA, RECORD};
-use super::parse::Reading;
+use super::parse::RowParser;
 
 /// Number of rows at the beginning that the published figures leave out.
 const PUBLISHED_WARM_UP: usize = 5;
@@ -28,10 +28,10 @@ pub(crate) fn open(path: &Path, wanted: &dyn Fn(&str) -> bool) -> Result<Loaded,
     let record = if data.ends_with(DATA) { record(&folder.join(RECORD))? } else { None };
     // A program that writes a record marks the warm-up rows.
     let warm_up = if record.is_none() { PUBLISHED_WARM_UP } else { 0 };
-    let (rows, flagged) = Reading::of(&data, warm_up, wanted).map_err(failed(&data))?;
+    let (rows, flagged) = RowParser::of(&data, warm_up, wanted).map_err(failed(&data))?;
     let record = record.unwrap_or_else(|| {
         let reason = if flagged && data.ends_with(DATA) { NO_RECORD } else { "" };
-        RunRecord { reason: reason.into(), ..alone(path, &rows, flagged) }
+        RunRecord { reason: reason.into(), ..record_without_file(path, &rows, flagged) }
     });
     Ok(Loaded { folder, record, rows })
 }
@@ -49,7 +49,7 @@ fn record(path: &Path) -> Result<Option<RunRecord>, FolderError> {
 }
 
 /// Returns the record of rows without a record file.
-fn alone(path: &Path, rows: &Rows, flagged: bool) -> RunRecord {
+fn record_without_file(path: &Path, rows: &Rows, flagged: bool) -> RunRecord {
     let name = path.canonicalize().unwrap_or_else(|_| path.to_owned());
     let name = if path.is_file() { name.file_stem() } else { name.file_name() };
     let name = name.unwrap_or_default().to_string_lossy().into_owned();

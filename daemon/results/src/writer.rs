@@ -10,9 +10,9 @@ use peernet_analysis::rows::Row;
 use super::cells::{self, Header};
 
 /// Longest time between two writes, seconds of the rows' own time.
-const EVERY: f64 = 1.0;
+const WRITE_INTERVAL_S: f64 = 1.0;
 /// Number of waiting bytes after which rows are written before that time is over.
-const MANY_BYTES: usize = 256 * 1024;
+const MAX_WAITING_BYTES: usize = 256 * 1024;
 
 /// Writes rows to `data.csv` as they come: at least once a second, and at the end.
 ///
@@ -31,7 +31,7 @@ pub struct RowWriter {
     rows: (u64, u64),
     written_at: f64,
     /// Number of bytes that were still waiting after the last attempt.
-    tried: usize,
+    waiting_after_attempt: usize,
     /// `true` if part of a row may follow the complete rows.
     torn: bool,
     trouble: Option<WriteError>,
@@ -52,11 +52,11 @@ impl RowWriter {
             waiting,
             rows: (0, 0),
             written_at: 0.0,
-            tried: 0,
+            waiting_after_attempt: 0,
             torn: false,
             trouble: None,
         };
-        writer.put().map_err(WriteError::at(&writer.path))?;
+        writer.write_waiting().map_err(WriteError::at(&writer.path))?;
         Ok(writer)
     }
 
@@ -72,13 +72,13 @@ impl RowWriter {
     /// column are left out until [`ResultFolder::finish`](super::ResultFolder::finish) adds them.
     pub fn write(&mut self, row: &Row) {
         if self.rows.1 >= 2 * self.rows.0 && !self.header.covers(row) {
-            self.extend(row);
+            self.add_columns(row);
         }
         self.header.row(&mut self.waiting, row);
         self.rows.1 += 1;
         // The absolute difference, because a clock that was set back must not stop the writing.
-        let many = self.waiting.len() >= self.tried + MANY_BYTES;
-        if many || (row.at - self.written_at).abs() >= EVERY {
+        let has_many_bytes = self.waiting.len() >= self.waiting_after_attempt + MAX_WAITING_BYTES;
+        if has_many_bytes || (row.at - self.written_at).abs() >= WRITE_INTERVAL_S {
             self.flush();
             self.written_at = row.at;
         }
@@ -86,8 +86,8 @@ impl RowWriter {
 
     /// Writes the waiting rows; to be called when no rows come.
     pub fn flush(&mut self) {
-        self.trouble = self.put().map_err(WriteError::at(&self.path)).err();
-        self.tried = self.waiting.len();
+        self.trouble = self.write_waiting().map_err(WriteError::at(&self.path)).err();
+        self.waiting_after_attempt = self.waiting.len();
     }
 
     /// Returns the reason that rows wait in memory; `None` if they were written.
@@ -101,13 +101,13 @@ impl RowWriter {
     /// If rows cannot be written. The file then ends with the last row that was written;
     /// [`ResultFolder::finish`](super::ResultFolder::finish) finds another place for all rows.
     pub fn end(mut self) -> Result<PathBuf, WriteError> {
-        let written = self.put().and_then(|()| self.file.sync_all());
+        let written = self.write_waiting().and_then(|()| self.file.sync_all());
         written.map_err(WriteError::at(&self.path))?;
         Ok(self.path)
     }
 
-    fn put(&mut self) -> std::io::Result<()> {
-        self.mend()?;
+    fn write_waiting(&mut self) -> std::io::Result<()> {
+        self.truncate_torn_row()?;
         let (written, outcome) = write_on(&mut self.file, &self.waiting);
         let whole = whole_rows(&self.waiting[..written]);
         self.whole += whole as u64;
@@ -115,13 +115,13 @@ impl RowWriter {
         if outcome.is_err() {
             self.torn = true;
             // The first error is the one to report. This is tried again before the next write.
-            let _ = self.mend();
+            let _ = self.truncate_torn_row();
         }
         outcome
     }
 
     /// Removes the part of a row that a failed write may have left. Truncating works on a full disk as well.
-    fn mend(&mut self) -> std::io::Result<()> {
+    fn truncate_torn_row(&mut self) -> std::io::Result<()> {
         if self.torn {
             self.file.set_len(self.whole)?;
             self.file.seek(SeekFrom::Start(self.whole))?;
@@ -132,7 +132,7 @@ impl RowWriter {
 
     /// Rewrites the file with the columns of a row. After a failure everything stays as it is, and the next attempt
     /// is delayed.
-    fn extend(&mut self, row: &Row) {
+    fn add_columns(&mut self, row: &Row) {
         self.rows.0 = self.rows.1;
         self.flush();
         if self.trouble.is_some() {
@@ -140,23 +140,23 @@ impl RowWriter {
         }
         let mut header = self.header.clone();
         header.add(row);
-        match self.anew(&header) {
+        match self.rewrite(&header) {
             Ok((file, whole)) => (self.file, self.whole, self.header) = (file, whole, header),
             Err(error) => self.trouble = Some(WriteError::at(&self.path)(error)),
         }
     }
 
-    fn anew(&self, header: &Header) -> std::io::Result<(File, u64)> {
-        let beside = self.path.with_extension("csv.new");
-        let made = cells::widen(&self.path, &beside, header).and_then(|()| {
-            std::fs::rename(&beside, &self.path)?;
+    fn rewrite(&self, header: &Header) -> std::io::Result<(File, u64)> {
+        let new_file = self.path.with_extension("csv.new");
+        let made = cells::widen(&self.path, &new_file, header).and_then(|()| {
+            std::fs::rename(&new_file, &self.path)?;
             let mut file = OpenOptions::new().write(true).open(&self.path)?;
             let whole = file.seek(SeekFrom::End(0))?;
             Ok((file, whole))
         });
         made.inspect_err(|_| {
             // The new file does not exist if it could not be created.
-            let _ = std::fs::remove_file(&beside);
+            let _ = std::fs::remove_file(&new_file);
         })
     }
 }

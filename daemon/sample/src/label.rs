@@ -5,7 +5,7 @@ use crate::printable::printable_line;
 /// Number of words in a list of examples.
 const EXAMPLES: usize = 5;
 /// Longest word that is shown in full, characters.
-const LONGEST: usize = 40;
+const MAX_SHOWN_CHARS: usize = 40;
 
 /// Returns the form of a label in which labels are compared: labels with equal forms name one class. Folders are
 /// often named `Golden_Retriever` for `golden retriever`, so that case is ignored, and hyphens and underscores count
@@ -24,10 +24,10 @@ pub fn examples<'a>(words: impl IntoIterator<Item = &'a str>) -> String {
 
 fn shorten(word: &str) -> String {
     let word = printable_line(word);
-    if word.chars().count() <= LONGEST {
+    if word.chars().count() <= MAX_SHOWN_CHARS {
         return word.into_owned();
     }
-    word.chars().take(LONGEST - 1).chain(['…']).collect()
+    word.chars().take(MAX_SHOWN_CHARS - 1).chain(['…']).collect()
 }
 
 #[cfg(test)]

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use crate::exit::{Exit, Failure};
 use peernet_analysis::record::RunRecord;
 use peernet_analysis::rows::Rows;
-use peernet_results::{Finished, FolderError, Overwrite, ResultFolder, RowWriter};
+use peernet_results::{FolderError, Overwrite, ResultFolder, RowWriter, WrittenResults};
 
 use super::Order;
 use super::aside::Aside;
@@ -74,13 +74,13 @@ impl Results {
     pub(super) fn finish(&mut self, record: &RunRecord, rows: &Rows) -> Written {
         let mut earlier = self.earlier.take();
         match self.folder.finish(record, rows) {
-            Ok(Finished { folder, files, trouble: None }) => {
+            Ok(WrittenResults { folder, files, trouble: None }) => {
                 if let Some(earlier) = &mut earlier {
                     earlier.remove();
                 }
                 Written { folder, files, trouble: None }
             }
-            Ok(Finished { folder, files, trouble: Some(trouble) }) => {
+            Ok(WrittenResults { folder, files, trouble: Some(trouble) }) => {
                 let back = earlier.map_or_else(String::new, Aside::give_back);
                 let trouble =
                     format!("{trouble}; all that was measured is in {} instead{back}", folder.display());

@@ -12,13 +12,13 @@ use super::CommandLine;
 
 /// Number of hexadecimal digits of a fingerprint: two commands of one host have the same fingerprint with probability
 /// 2⁻⁴⁸.
-const DIGITS: usize = 12;
+const FINGERPRINT_DIGITS: usize = 12;
 
 /// Prefix of the fact about a program.
 const PROGRAM: &str = "the program ";
 
 /// Names of the facts about programs.
-const FACTS: [&str; 3] = ["Sensor", "Model", "Actuator"];
+const FACT_NAMES: [&str; 3] = ["Sensor", "Model", "Actuator"];
 
 /// Tables of a pipeline in which earlier builds could name a program.
 const TABLES: [&str; 2] = ["sensor", "actuator"];
@@ -49,7 +49,7 @@ impl FingerprintKey {
             CommandLine::Words(words) => words.iter().for_each(|each| word(each)),
         }
         let code = mac.finalize().into_bytes();
-        code.iter().map(|byte| format!("{byte:02x}")).collect::<String>()[..DIGITS].to_owned()
+        code.iter().map(|byte| format!("{byte:02x}")).collect::<String>()[..FINGERPRINT_DIGITS].to_owned()
     }
 }
 
@@ -140,7 +140,7 @@ pub fn hide_arguments(configuration: &str) -> String {
 /// Removes the arguments from facts that name a program with its arguments, as earlier builds stored them.
 pub fn hide_arguments_in_facts(facts: &mut [(String, String)]) {
     for (name, fact) in facts {
-        if FACTS.contains(&name.as_str())
+        if FACT_NAMES.contains(&name.as_str())
             && let Some(line) = fact.strip_prefix(PROGRAM)
         {
             let line = CommandLine::Shell(line.to_owned());

@@ -18,7 +18,7 @@ use crate::digest;
 use crate::process::{MAX_TIMEOUT_MS, find_program, impossible_variable};
 
 /// Largest number of a command's files that are recorded as facts.
-const MOST_FILES: usize = 4;
+const MAX_FILES: usize = 4;
 
 /// Permission bit that lets users read a file who are neither its owner nor in its group.
 const READ_BY_OTHERS: u32 = 0o004;
@@ -103,7 +103,7 @@ impl ExecConfig {
     pub fn facts(&self, role: Role) -> Vec<(String, String)> {
         let heading = role.heading();
         let mut facts = vec![(heading.to_owned(), fact_of(&self.command))];
-        facts.extend(digest::fact(heading, &self.files(role)));
+        facts.extend(digest::files_fact(heading, &self.files(role)));
         facts
     }
 
@@ -140,7 +140,7 @@ impl ExecConfig {
         };
         let named = words.into_iter().skip(on_path.iter().count());
         let named = named.filter(|word| is_file(word) && (is_code(word) || is_public(word)));
-        on_path.into_iter().chain(named.map(|word| folder.join(word))).take(MOST_FILES).collect()
+        on_path.into_iter().chain(named.map(|word| folder.join(word))).take(MAX_FILES).collect()
     }
 
     /// Checks that a program exists.

@@ -117,7 +117,7 @@ pub enum ExchangeError {
         "it wrote {0:?} before it was asked: one reply for each request, and nothing else, goes to standard output (it is \
          stopped and started anew)"
     )]
-    Unasked(String),
+    UnsolicitedOutput(String),
     /// The program did not reply before its timeout.
     #[error(
         "it gave no whole reply within {after:?}{last_words}; it is killed and started anew (timeout_ms sets how long it \
@@ -131,7 +131,7 @@ pub enum ExchangeError {
     },
     /// The program failed several times in a row and is not restarted yet.
     #[error("it failed again and again; it is started anew in {left:.1?}; the last time {last}")]
-    Pausing {
+    RestartDelayed {
         /// Time until the next start.
         left: Duration,
         /// Reason of the last failure.

@@ -30,9 +30,9 @@ pub use arguments::{FingerprintKey, hide_arguments, hide_arguments_in_facts, wit
 pub use command::{CommandLine, ExecConfig};
 pub use error::{CommandError, ExchangeError, FramingError};
 pub use program::{Exchange, Program};
-pub use reply::{Assembler, Next, Notes, Reply, Said};
+pub use reply::{Next, Notes, Reply, ReplyAssembler, ReplyOutcome};
 pub use request::Request;
-pub use timeline::Timed;
+pub use timeline::TimedStage;
 
 /// Version of the framing.
 pub const VERSION: u32 = 1;

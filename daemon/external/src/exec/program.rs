@@ -3,14 +3,15 @@
 use bytes::Bytes;
 use peernet_clock::{MonoTime, SharedClock, Span};
 
-use super::words::shown;
+use super::words::shorten;
 use super::{
-    Assembler, ExchangeError, ExecConfig, MAX_LINE, Next, Notes, Reply, Request, Role, Said, VERSION,
+    ExchangeError, ExecConfig, MAX_LINE, Next, Notes, Reply, ReplyAssembler, ReplyOutcome, Request, Role,
+    VERSION,
 };
-use crate::process::{Launch, Process, ProcessError, Restarts, Voice};
+use crate::process::{Launch, Process, ProcessError, RestartBackoff, StderrLog};
 
 /// Time that a program has to end after its standard input is closed.
-const FAREWELL: Span = Span::from_millis(1000);
+const STOP_TIMEOUT: Span = Span::from_millis(1000);
 
 /// External program in one role. All calls block.
 #[derive(Debug)]
@@ -20,11 +21,11 @@ pub struct Program {
     timeout: Span,
     clock: SharedClock,
     process: Option<Process>,
-    restarts: Restarts,
+    restart_backoff: RestartBackoff,
     /// Text of the last failure, returned to callers while the program is not restarted.
     last: String,
     /// `true` after a sensor has reported its end; it is not asked again.
-    over: bool,
+    is_finished: bool,
 }
 
 /// Request with its reply.
@@ -38,8 +39,8 @@ pub struct Exchange {
     pub ended: MonoTime,
     /// Notes that preceded the reply.
     pub notes: Notes,
-    /// Result of the request; never [`Said::Error`].
-    pub said: Said,
+    /// Result of the request; never [`ReplyOutcome::Error`].
+    pub outcome: ReplyOutcome,
 }
 
 impl Program {
@@ -60,7 +61,7 @@ impl Program {
         environment.insert("PEERNET_ROLE".to_owned(), role.word().to_owned());
         let launch = Launch {
             name: name.to_owned(),
-            voice: Voice::Exec,
+            stderr_log: StderrLog::Exec,
             program: program.into(),
             arguments: arguments.into_iter().map(Into::into).collect(),
             folder: config.folder.clone(),
@@ -74,9 +75,9 @@ impl Program {
             timeout: config.timeout(),
             clock: SharedClock::clone(clock),
             process: Some(process),
-            restarts: Restarts::default(),
+            restart_backoff: RestartBackoff::default(),
             last: String::new(),
-            over: false,
+            is_finished: false,
         })
     }
 
@@ -88,27 +89,33 @@ impl Program {
     /// # Errors
     /// The reason that this request has no reply. The next request may succeed.
     pub fn ask(&mut self, request: Request<'_>) -> Result<Exchange, ExchangeError> {
-        if self.over {
+        if self.is_finished {
             let now = self.clock.mono();
             let notes = Notes::default();
-            return Ok(Exchange { restarted: None, began: now, ended: now, notes, said: Said::End });
+            return Ok(Exchange {
+                restarted: None,
+                began: now,
+                ended: now,
+                notes,
+                outcome: ReplyOutcome::End,
+            });
         }
         let restarted = self.process.is_none().then(|| self.clock.mono());
         let mut process = match self.process.take() {
             Some(process) => process,
-            None => self.start_anew()?,
+            None => self.restart()?,
         };
         let began = self.clock.mono();
         let replied = exchange(&mut process, request, self.role, began + self.timeout);
         let ended = self.clock.mono();
         match replied {
-            Ok(Reply { notes, said }) => {
+            Ok(Reply { notes, outcome }) => {
                 self.process = Some(process);
-                self.restarts.worked();
-                self.over = said == Said::End;
-                match said {
-                    Said::Error(text) => Err(ExchangeError::Refused(text)),
-                    said => Ok(Exchange { restarted, began, ended, notes, said }),
+                self.restart_backoff.record_success();
+                self.is_finished = outcome == ReplyOutcome::End;
+                match outcome {
+                    ReplyOutcome::Error(text) => Err(ExchangeError::Refused(text)),
+                    outcome => Ok(Exchange { restarted, began, ended, notes, outcome }),
                 }
             }
             Err(error) => {
@@ -128,16 +135,16 @@ impl Program {
         }
     }
 
-    fn start_anew(&mut self) -> Result<Process, ExchangeError> {
-        if let Some(left) = self.restarts.wait(self.clock.mono()) {
-            return Err(ExchangeError::Pausing { left: left.to_duration(), last: self.last.clone() });
+    fn restart(&mut self) -> Result<Process, ExchangeError> {
+        if let Some(left) = self.restart_backoff.remaining_delay(self.clock.mono()) {
+            return Err(ExchangeError::RestartDelayed { left: left.to_duration(), last: self.last.clone() });
         }
         tracing::info!(name = self.launch.name, "starting the program anew");
         Process::start(&self.launch, &self.clock).map_err(|error| self.failed(ExchangeError::Start(error)))
     }
 
     fn failed(&mut self, error: ExchangeError) -> ExchangeError {
-        self.restarts.died(self.clock.mono());
+        self.restart_backoff.record_failure(self.clock.mono());
         self.last = error.to_string();
         error
     }
@@ -146,7 +153,7 @@ impl Program {
 impl Drop for Program {
     fn drop(&mut self) {
         if let Some(process) = self.process.take() {
-            let ended = process.end(FAREWELL);
+            let ended = process.end(STOP_TIMEOUT);
             tracing::debug!(name = self.launch.name, %ended, "the program was told to end");
         }
     }
@@ -160,12 +167,12 @@ fn exchange(
 ) -> Result<Reply, ExchangeError> {
     // Output before the request would be taken for the reply, and every later reply would be the wrong one.
     if process.has_more() {
-        return Err(ExchangeError::Unasked(shown(&process.peek_line())));
+        return Err(ExchangeError::UnsolicitedOutput(shorten(&process.peek_line())));
     }
     let pieces = request.pieces();
     let slices: Vec<&[u8]> = pieces.iter().map(Bytes::as_ref).collect();
     process.write(&slices, until)?;
-    let mut assembler = Assembler::new(role);
+    let mut assembler = ReplyAssembler::new(role);
     let mut next = Next::Line;
     loop {
         next = match next {

@@ -5,12 +5,12 @@ use peernet_clock::Span;
 use peernet_sample::{MediaType, Part};
 
 use super::error::FramingError;
-use super::words::{first, shown, text};
+use super::words::{shorten, split_first_word, text};
 use super::{MAX_BYTES, MAX_LINES, MAX_PARTS, Role, VERSION, shape};
 use peernet_sample::printable_lines;
 
 /// Node names that PEERNet itself gives to every tree, so that programs must not use them.
-const OURS: [&str; 34] = [
+const RESERVED_NAMES: [&str; 34] = [
     "iteration",
     "sensing",
     "capture",
@@ -47,7 +47,7 @@ const OURS: [&str; 34] = [
     "unknown-label",
 ];
 /// Stages of a model. Only models may report them, and only as durations.
-const OF_A_MODEL: [&str; 3] = ["preprocessing", "inference", "postprocessing"];
+const MODEL_STAGES: [&str; 3] = ["preprocessing", "inference", "postprocessing"];
 
 /// Reply of a program to one request.
 #[derive(Clone, Debug, PartialEq)]
@@ -55,12 +55,12 @@ pub struct Reply {
     /// Notes that preceded the result.
     pub notes: Notes,
     /// Result of the request.
-    pub said: Said,
+    pub outcome: ReplyOutcome,
 }
 
 /// Result of a request.
 #[derive(Clone, Debug, PartialEq)]
-pub enum Said {
+pub enum ReplyOutcome {
     /// A sample or an answer.
     Parts(Vec<Part>),
     /// The actuator has acted.
@@ -99,7 +99,7 @@ pub enum Next {
 
 /// State machine that assembles one reply from the lines and bytes that it asks for.
 #[derive(Debug)]
-pub struct Assembler {
+pub struct ReplyAssembler {
     role: Role,
     notes: Notes,
     parts: Vec<Part>,
@@ -110,7 +110,7 @@ pub struct Assembler {
     open: Option<(peernet_sample::Description, bool)>,
 }
 
-impl Assembler {
+impl ReplyAssembler {
     /// Creates the assembler for one reply of a program in the given role.
     pub fn new(role: Role) -> Self {
         Self { role, notes: Notes::default(), parts: Vec::new(), lines: 0, bytes: 0, open: None }
@@ -126,8 +126,8 @@ impl Assembler {
             return Err(FramingError::TooManyLines);
         }
         let line = text(line)?;
-        let (word, rest) = first(line);
-        let wrong = |form| FramingError::Form { line: shown(line), form };
+        let (word, rest) = split_first_word(line);
+        let wrong = |form| FramingError::Form { line: shorten(line), form };
         let notes = &mut self.notes;
         match (word, self.role) {
             ("", _) if line.trim().is_empty() => {}
@@ -139,20 +139,20 @@ impl Assembler {
             }
             ("stage", role) => {
                 let (name, span) = stage(rest).ok_or_else(|| wrong(STAGE))?;
-                notes.stages.push((free(name, role == Role::Model)?, span));
+                notes.stages.push((check_name(name, role == Role::Model)?, span));
             }
             ("value", _) => {
                 let (name, number, unit) = value(rest).ok_or_else(|| wrong(VALUE))?;
-                notes.values.push((free(name, false)?, number, unit.to_owned()));
+                notes.values.push((check_name(name, false)?, number, unit.to_owned()));
             }
-            ("error", _) => return Ok(self.whole(Said::Error(printable_lines(rest).into_owned()))),
+            ("error", _) => return Ok(self.finish(ReplyOutcome::Error(printable_lines(rest).into_owned()))),
             ("sequence", Role::Sensor) => {
                 notes.sequence = Some(rest.parse().map_err(|_| wrong("sequence NUMBER"))?);
             }
             ("label", Role::Sensor) => notes.label = Some(rest.to_owned()).filter(|label| !label.is_empty()),
             ("source", Role::Sensor) => notes.source = Some(rest.to_owned()),
-            ("end", Role::Sensor) => return Ok(self.whole(Said::End)),
-            ("done", Role::Actuator) => return Ok(self.whole(Said::Done)),
+            ("end", Role::Sensor) => return Ok(self.finish(ReplyOutcome::End)),
+            ("done", Role::Actuator) => return Ok(self.finish(ReplyOutcome::Done)),
             ("answer" | "part", Role::Sensor | Role::Model) => {
                 return self
                     .announce(rest, word == "answer")
@@ -169,7 +169,7 @@ impl Assembler {
         self.parts.push(Part { description, bytes });
         if last {
             let parts = std::mem::take(&mut self.parts);
-            return self.whole(Said::Parts(parts));
+            return self.finish(ReplyOutcome::Parts(parts));
         }
         Next::Line
     }
@@ -198,8 +198,8 @@ impl Assembler {
         Ok(Next::Bytes(bytes))
     }
 
-    fn whole(&mut self, said: Said) -> Next {
-        Next::Reply(Reply { notes: std::mem::take(&mut self.notes), said })
+    fn finish(&mut self, outcome: ReplyOutcome) -> Next {
+        Next::Reply(Reply { notes: std::mem::take(&mut self.notes), outcome })
     }
 
     fn unknown(&self, line: &str) -> FramingError {
@@ -208,7 +208,7 @@ impl Assembler {
             Role::Model => "answer, part, error, stage, value, version",
             Role::Actuator => "done, error, stage, value, version",
         };
-        FramingError::Word { line: shown(line), role: self.role.word(), words: words.to_owned() }
+        FramingError::Word { line: shorten(line), role: self.role.word(), words: words.to_owned() }
     }
 }
 
@@ -217,8 +217,8 @@ const VALUE: &str = "value NAME NUMBER [UNIT]";
 const ANSWER: &str = "answer BYTES [MEDIA-TYPE [SHAPE]] (a shape such as 480x640x3:u8)";
 
 /// Returns `name` if programs may use it.
-fn free(name: &str, or_of_a_model: bool) -> Result<String, FramingError> {
-    let taken = OURS.contains(&name) || !or_of_a_model && OF_A_MODEL.contains(&name);
+fn check_name(name: &str, is_model: bool) -> Result<String, FramingError> {
+    let taken = RESERVED_NAMES.contains(&name) || !is_model && MODEL_STAGES.contains(&name);
     if taken { Err(FramingError::Name(name.to_owned())) } else { Ok(name.to_owned()) }
 }
 
@@ -233,14 +233,14 @@ fn stage(rest: &str) -> Option<(&str, Span)> {
 /// Parses `NAME NUMBER [UNIT]`.
 fn value(rest: &str) -> Option<(&str, f64, &str)> {
     let (name, rest) = named(rest)?;
-    let (number, unit) = first(rest);
+    let (number, unit) = split_first_word(rest);
     let number: f64 = number.parse().ok()?;
     (number.is_finite() && unit.len() <= 16).then_some((name, number, unit))
 }
 
 /// Splits off a name of lower-case letters, digits and hyphens.
 fn named(rest: &str) -> Option<(&str, &str)> {
-    let (name, rest) = first(rest);
+    let (name, rest) = split_first_word(rest);
     let good = |byte: u8| byte.is_ascii_lowercase() || byte.is_ascii_digit() || byte == b'-';
     (!name.is_empty() && name.len() <= 64 && name.bytes().all(good)).then_some((name, rest))
 }

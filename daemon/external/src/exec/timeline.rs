@@ -15,7 +15,7 @@ const ROUNDING: Span = Span::from_millis(1);
 
 /// Stage with its beginning and end.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Timed {
+pub struct TimedStage {
     /// Name of the stage.
     pub name: String,
     /// Beginning of the stage.
@@ -47,17 +47,17 @@ impl Exchange {
     ///
     /// # Errors
     /// [`ExchangeError::Stages`] if the stages add up to more than the whole.
-    pub fn stages(&self) -> Result<Vec<Timed>, ExchangeError> {
-        let timed = |name: &str, from, to| Timed { name: name.to_owned(), from, to };
+    pub fn stages(&self) -> Result<Vec<TimedStage>, ExchangeError> {
+        let timed = |name: &str, from, to| TimedStage { name: name.to_owned(), from, to };
         let is_stage = |name: &String| STAGES.contains(&name.as_str());
         let own = self.notes.stages.iter().filter(|(name, _)| is_stage(name));
-        let told: Span = own.map(|(_, span)| *span).sum();
-        if told > self.whole() + ROUNDING {
-            let (stages, whole) = (told.to_duration(), self.whole().to_duration());
+        let reported: Span = own.map(|(_, span)| *span).sum();
+        if reported > self.whole() + ROUNDING {
+            let (stages, whole) = (reported.to_duration(), self.whole().to_duration());
             return Err(ExchangeError::Stages { stages, whole });
         }
         let begins = match self.restarted {
-            Some(from) => from + (self.ended - from - told).max(Span::ZERO),
+            Some(from) => from + (self.ended - from - reported).max(Span::ZERO),
             None => self.began,
         };
         let (mut stages, mut at) = (Vec::new(), begins);
@@ -85,20 +85,23 @@ impl Exchange {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::exec::{Notes, Said};
+    use crate::exec::{Notes, ReplyOutcome};
 
     /// Returns the stages of a program that reported these durations (milliseconds) and replied after 10 ms.
-    fn stages(told: &[(&str, i64)]) -> Result<Vec<(String, i64, i64)>, ExchangeError> {
-        after(None, told)
+    fn stages(reported: &[(&str, i64)]) -> Result<Vec<(String, i64, i64)>, ExchangeError> {
+        after(None, reported)
     }
 
     /// Returns the stages of a program that was restarted the given number of milliseconds before the request.
-    fn after(restart: Option<i64>, told: &[(&str, i64)]) -> Result<Vec<(String, i64, i64)>, ExchangeError> {
-        let stages = told.iter().map(|(name, ms)| ((*name).to_owned(), Span::from_millis(*ms))).collect();
+    fn after(
+        restart: Option<i64>,
+        reported: &[(&str, i64)],
+    ) -> Result<Vec<(String, i64, i64)>, ExchangeError> {
+        let stages = reported.iter().map(|(name, ms)| ((*name).to_owned(), Span::from_millis(*ms))).collect();
         let (began, ended) = (MonoTime::from_nanos(0), MonoTime::from_nanos(10_000_000));
         let restarted = restart.map(|before| MonoTime::from_nanos(-before * 1_000_000));
         let notes = Notes { stages, ..Notes::default() };
-        let exchange = Exchange { restarted, began, ended, notes, said: Said::Done };
+        let exchange = Exchange { restarted, began, ended, notes, outcome: ReplyOutcome::Done };
         let millis = |at: MonoTime| at.nanos() / 1_000_000;
         Ok(exchange
             .stages()?
@@ -109,9 +112,9 @@ mod tests {
 
     #[test]
     fn what_a_program_does_not_tell_is_the_way_to_it_and_back() {
-        let told = stages(&[("preprocessing", 1), ("inference", 6), ("warm", 3)]).expect("adds up");
+        let reported = stages(&[("preprocessing", 1), ("inference", 6), ("warm", 3)]).expect("adds up");
         let expected = [("preprocessing", 0, 1), ("inference", 1, 7), ("warm", 0, 3), ("ipc", 7, 10)];
-        assert_eq!(told, expected.map(|(name, from, to)| (name.to_owned(), from, to)));
+        assert_eq!(reported, expected.map(|(name, from, to)| (name.to_owned(), from, to)));
     }
 
     #[test]
@@ -122,9 +125,9 @@ mod tests {
 
     #[test]
     fn after_a_restart_only_what_was_told_is_a_stage() {
-        let told = after(Some(2), &[("inference", 3), ("postprocessing", 1)]).expect("adds up");
+        let reported = after(Some(2), &[("inference", 3), ("postprocessing", 1)]).expect("adds up");
         let expected = [("inference", 6, 9), ("postprocessing", 9, 10), ("restart", -2, 6)];
-        assert_eq!(told, expected.map(|(name, from, to)| (name.to_owned(), from, to)));
+        assert_eq!(reported, expected.map(|(name, from, to)| (name.to_owned(), from, to)));
         assert_eq!(after(Some(2), &[]).expect("adds up"), [("restart".to_owned(), -2, 10)]);
         assert!(after(Some(90_000), &[("inference", 11_500)]).is_err(), "it replied within 10 ms");
     }

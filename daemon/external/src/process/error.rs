@@ -2,7 +2,7 @@
 
 use std::io;
 
-use super::Ended;
+use super::ProcessEnd;
 
 /// Reason that a process cannot be started, written to or read from.
 #[derive(Debug, thiserror::Error)]
@@ -17,7 +17,7 @@ pub enum ProcessError {
     },
     /// The process ended or closed its pipe, so that no further call can succeed.
     #[error("{0}")]
-    Ended(Ended),
+    ProcessEnd(ProcessEnd),
     /// The process neither read nor wrote before the deadline.
     #[error("it did not answer in time")]
     TimedOut,

@@ -10,7 +10,7 @@ use super::spawner;
 
 /// Shell command of the watcher. Its standard input closes when this program ends, for whatever reason; then it kills
 /// its group. It ignores the signals that ask the group to end.
-const WATCH: &str = "trap '' HUP INT QUIT TERM USR1 USR2; read -r _; kill -KILL 0";
+const WATCHER_SCRIPT: &str = "trap '' HUP INT QUIT TERM USR1 USR2; read -r _; kill -KILL 0";
 
 /// A process that leads a process group, and a watcher in that group.
 ///
@@ -87,7 +87,7 @@ impl Watcher {
     fn start(leader: &Child) -> io::Result<Self> {
         let group = i32::try_from(leader.id()).map_err(io::Error::other)?;
         let mut command = Command::new("/bin/sh");
-        command.args(["-c", WATCH, "peernet-watcher"]).process_group(group).current_dir("/");
+        command.args(["-c", WATCHER_SCRIPT, "peernet-watcher"]).process_group(group).current_dir("/");
         command.stdin(Stdio::piped()).stdout(Stdio::null()).stderr(Stdio::null());
         let mut child = command.spawn()?;
         Ok(Self { _alive: child.stdin.take(), child })

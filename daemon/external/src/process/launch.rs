@@ -12,7 +12,7 @@ use std::sync::Arc;
 use rustix::io::{FdFlags, fcntl_setfd};
 use rustix::process::{Signal, getpid, getppid, set_parent_process_death_signal};
 
-use super::Voice;
+use super::StderrLog;
 
 /// Program with its arguments and surroundings; may be started repeatedly.
 #[derive(Clone, Debug)]
@@ -20,7 +20,7 @@ pub struct Launch {
     /// Owner of the process, for the log: `the sensor of pipeline camera`.
     pub name: String,
     /// Log target of its standard error.
-    pub voice: Voice,
+    pub stderr_log: StderrLog,
     /// The program: a path, or a name that is searched in `PATH`.
     pub program: OsString,
     /// Arguments of the program.

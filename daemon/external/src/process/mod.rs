@@ -6,23 +6,23 @@
 //! All calls block the calling thread, until a deadline at most. Each process leads a group of its own, which is
 //! ended with it and with this program, for whatever reason these end.
 
-mod ended;
 mod error;
 mod group;
 mod launch;
 mod pipe;
-mod restarts;
+mod process_end;
+mod restart_backoff;
 mod running;
 mod spawner;
-mod voice;
+mod stderr_log;
 
-pub use ended::{Ended, Fault};
 pub use error::ProcessError;
 pub(crate) use launch::impossible_variable;
 pub use launch::{Launch, find_program};
-pub use restarts::Restarts;
+pub use process_end::{Fault, ProcessEnd};
+pub use restart_backoff::RestartBackoff;
 pub use running::Process;
-pub use voice::Voice;
+pub use stderr_log::StderrLog;
 
 /// Longest timeout for a process, milliseconds: one day.
 pub(crate) const MAX_TIMEOUT_MS: u64 = 24 * 3600 * 1000;

@@ -12,16 +12,16 @@ use rustix::process::{PidfdFlags, Signal, pidfd_open};
 
 use super::group::Group;
 use super::pipe::{self, PipeError, Reader, Wait};
-use super::voice::Listening;
-use super::{Ended, Fault, Launch, ProcessError};
+use super::stderr_log::StderrReader;
+use super::{Fault, Launch, ProcessEnd, ProcessError};
 
 /// Longest time between the moment a process closes its pipes as it ends and its end.
-const GOING: Span = Span::from_millis(200);
+const PIPE_CLOSE_BEFORE_EXIT: Span = Span::from_millis(200);
 /// Time that a process that closed a pipe and still runs has to end by itself, so that its exit status can be
 /// reported.
-const DYING: Span = Span::from_millis(1000);
+const EXIT_AFTER_PIPE_CLOSE: Span = Span::from_millis(1000);
 /// Longest wait for the rest of its standard error after its end.
-const LAST_WORDS: Duration = Duration::from_millis(200);
+const LAST_OUTPUT_TIMEOUT: Duration = Duration::from_millis(200);
 
 /// A process, its pipes, and the thread that reads its standard error. Dropping it kills the process and its group.
 #[derive(Debug)]
@@ -32,12 +32,12 @@ pub struct Process {
     /// Write end of its standard input; `None` once it is closed.
     input: Option<OwnedFd>,
     output: Reader,
-    voice: Listening,
+    stderr_log: StderrReader,
     clock: SharedClock,
     status: Option<ExitStatus>,
     fault: Option<Fault>,
     killed: bool,
-    asked: bool,
+    termination_requested: bool,
 }
 
 impl Process {
@@ -52,23 +52,23 @@ impl Process {
             // The process was killed, so that its status means nothing.
             let _ = group.finish();
         });
-        let (input, output, voice) = pipes.map_err(failed)?;
+        let (input, output, stderr_log) = pipes.map_err(failed)?;
         Ok(Self {
             pidfd: group.pid().and_then(|pid| pidfd_open(pid, PidfdFlags::empty()).ok()),
             group,
             input: Some(input),
             output: Reader::new(output),
-            voice,
+            stderr_log,
             clock: SharedClock::clone(clock),
             status: None,
             fault: None,
             killed: false,
-            asked: false,
+            termination_requested: false,
         })
     }
 
     /// Returns its standard input and output, and starts the thread that reads its standard error.
-    fn pipes(group: &mut Group, launch: &Launch) -> io::Result<(OwnedFd, OwnedFd, Listening)> {
+    fn pipes(group: &mut Group, launch: &Launch) -> io::Result<(OwnedFd, OwnedFd, StderrReader)> {
         let missing = || io::Error::other("it came without its pipes");
         let child = group.leader();
         let input = OwnedFd::from(child.stdin.take().ok_or_else(missing)?);
@@ -76,8 +76,8 @@ impl Process {
         let stderr = child.stderr.take().ok_or_else(missing)?;
         pipe::prepare(&input)?;
         pipe::prepare(&output)?;
-        let voice = Listening::begin(stderr, launch.voice, launch.name.clone())?;
-        Ok((input, output, voice))
+        let stderr_log = StderrReader::begin(stderr, launch.stderr_log, launch.name.clone())?;
+        Ok((input, output, stderr_log))
     }
 
     /// Writes all parts to its standard input, without joining them in one buffer.
@@ -126,22 +126,22 @@ impl Process {
     }
 
     /// Kills the process and its group.
-    pub fn kill(mut self) -> Ended {
+    pub fn kill(mut self) -> ProcessEnd {
         self.reap(None);
         self.ended()
     }
 
     /// Ends the process: closes its standard input, sends SIGTERM after half of `grace`, and kills the group when
     /// `grace` is over. Blocks no longer than `grace`.
-    pub fn end(mut self, grace: Span) -> Ended {
+    pub fn end(mut self, grace: Span) -> ProcessEnd {
         self.input = None;
         let half = Span::from_nanos(grace.nanos() / 2);
         if !self.ends_within(half) {
-            self.asked = true;
+            self.termination_requested = true;
             self.group.terminate();
             self.ends_within(half);
         }
-        self.reap(Some(Fault::Stayed));
+        self.reap(Some(Fault::IgnoredTermination));
         self.ended()
     }
 
@@ -150,19 +150,25 @@ impl Process {
         error.into_process_error().unwrap_or_else(|fault| {
             // A process that ends closes its pipes as well. A closed pipe is a fault only of a process that still
             // runs.
-            let goes_on = !self.ends_within(GOING);
+            let is_running = !self.ends_within(PIPE_CLOSE_BEFORE_EXIT);
             self.input = None;
-            if goes_on {
-                self.ends_within(DYING);
+            if is_running {
+                self.ends_within(EXIT_AFTER_PIPE_CLOSE);
             }
-            self.reap(fault.filter(|_| goes_on));
-            ProcessError::Ended(self.ended())
+            self.reap(fault.filter(|_| is_running));
+            ProcessError::ProcessEnd(self.ended())
         })
     }
 
-    fn ended(&self) -> Ended {
-        let last_lines = self.voice.last_lines(LAST_WORDS);
-        Ended { status: self.status, fault: self.fault, killed: self.killed, asked: self.asked, last_lines }
+    fn ended(&self) -> ProcessEnd {
+        let last_lines = self.stderr_log.last_lines(LAST_OUTPUT_TIMEOUT);
+        ProcessEnd {
+            status: self.status,
+            fault: self.fault,
+            killed: self.killed,
+            termination_requested: self.termination_requested,
+            last_lines,
+        }
     }
 
     /// Waits for the end of the process without collecting its status. If the kernel has no pidfd, this does not
@@ -179,7 +185,7 @@ impl Process {
             self.status = self.group.finish();
             let by_kill = self.status.is_some_and(|status| status.signal() == Some(Signal::KILL.as_raw()));
             self.killed = !ended && by_kill;
-            self.fault = fault.filter(|fault| self.killed || *fault != Fault::Stayed);
+            self.fault = fault.filter(|fault| self.killed || *fault != Fault::IgnoredTermination);
         }
     }
 }

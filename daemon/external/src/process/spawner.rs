@@ -10,31 +10,31 @@ use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 use std::thread;
 
 /// Request to start a process.
-struct Order {
+struct SpawnRequest {
     command: Command,
     reply: SyncSender<io::Result<Child>>,
 }
 
 /// Starts a process on the spawner thread.
 pub(super) fn spawn(command: Command) -> io::Result<Child> {
-    static SPAWNER: OnceLock<SyncSender<Order>> = OnceLock::new();
+    static SPAWNER: OnceLock<SyncSender<SpawnRequest>> = OnceLock::new();
     let gone = || io::Error::other("the thread that starts processes is gone");
-    let orders = match SPAWNER.get() {
-        Some(orders) => orders,
+    let requests = match SPAWNER.get() {
+        Some(requests) => requests,
         None => {
-            let (orders, taken) = sync_channel(1);
-            thread::Builder::new().name("spawner".to_owned()).spawn(move || serve(&taken))?;
+            let (requests, received) = sync_channel(1);
+            thread::Builder::new().name("spawner".to_owned()).spawn(move || serve(&received))?;
             // If two threads get here at the same time, the spawner of the second one ends at once.
-            SPAWNER.get_or_init(|| orders)
+            SPAWNER.get_or_init(|| requests)
         }
     };
     let (reply, started) = sync_channel(1);
-    orders.send(Order { command, reply }).map_err(|_| gone())?;
+    requests.send(SpawnRequest { command, reply }).map_err(|_| gone())?;
     started.recv().map_err(|_| gone())?
 }
 
-fn serve(orders: &Receiver<Order>) {
-    for Order { mut command, reply } in orders {
+fn serve(requests: &Receiver<SpawnRequest>) {
+    for SpawnRequest { mut command, reply } in requests {
         // The requester waits for the reply, so that this cannot fail.
         let _ = reply.send(command.spawn());
     }

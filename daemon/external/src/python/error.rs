@@ -5,7 +5,7 @@ use std::path::PathBuf;
 
 use peernet_clock::Span;
 
-use crate::process::{Ended, ProcessError};
+use crate::process::{ProcessEnd, ProcessError};
 
 /// Reason that an object cannot be created or that a call failed.
 #[derive(Debug, thiserror::Error)]
@@ -70,7 +70,7 @@ pub enum PythonError {
         /// Name of the object.
         object: String,
         /// End of the process.
-        ended: Ended,
+        ended: ProcessEnd,
     },
     /// The call exceeded its timeout, and the process was killed.
     #[error(
@@ -87,7 +87,7 @@ pub enum PythonError {
     },
     /// The process died repeatedly and is not restarted yet.
     #[error("{object} is started anew in {:.1} s, because it keeps dying: {last}", .left.seconds())]
-    Resting {
+    RestartDelayed {
         /// Name of the object.
         object: String,
         /// Time until the next start.
@@ -99,7 +99,7 @@ pub enum PythonError {
     #[error(
         "the Python process of {object} does not speak as agreed: {source}; it was killed and is started anew"
     )]
-    Garbled {
+    InvalidMessage {
         /// Name of the object.
         object: String,
         /// Defect of the message.

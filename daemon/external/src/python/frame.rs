@@ -8,7 +8,7 @@ use std::os::fd::RawFd;
 use peernet_sample::{Description, Part};
 use serde::{Deserialize, Serialize};
 
-use super::{About, Images, Role, Stage};
+use super::{Images, ObjectDescription, Role, Stage};
 use crate::text::words;
 
 /// First bytes of every message, by which other output on the pipe is noticed.
@@ -37,7 +37,7 @@ pub(super) enum Request<'a> {
 #[serde(rename_all = "kebab-case")]
 pub(super) enum Reply {
     /// The object has been created.
-    Ready(About),
+    Ready(ObjectDescription),
     /// The returned value, and the stages with their stamps in nanoseconds.
     Value { parts: Vec<PartHead>, stages: Vec<(Stage, i64, i64)> },
     /// The sensor has no more samples.

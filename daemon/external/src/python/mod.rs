@@ -9,25 +9,25 @@
 //! Before any of the user's code runs, the worker moves the pipes to other descriptors and replaces standard input and
 //! output, so that printed text cannot get between the messages.
 
-mod called;
+mod call_result;
 mod config;
 mod error;
 mod frame;
 mod interpreter;
 mod object;
-mod window;
+mod shared_memory;
 mod worker;
 
-pub use called::{Called, Stage, Times};
+pub use call_result::{CallResult, CallTimes, Stage};
 pub use config::{Images, PythonConfig};
 pub use error::PythonError;
 pub use frame::{FrameError, PICKLE};
-pub use object::{About, PythonObject, Role};
+pub use object::{ObjectDescription, PythonObject, Role};
 
 /// Source code that the Python process runs.
 const SOURCE: &str = concat!(
     include_str!("values.py"),
-    include_str!("border.py"),
+    include_str!("wire_values.py"),
     include_str!("imports.py"),
     include_str!("worker.py")
 );

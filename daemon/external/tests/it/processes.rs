@@ -5,7 +5,7 @@ use std::process::{Command, Stdio};
 use std::sync::Arc;
 
 use peernet_clock::{ClockIdentity, SharedClock, Span, SystemClock};
-use peernet_external::process::{Launch, Process, ProcessError, Voice};
+use peernet_external::process::{Launch, Process, ProcessError, StderrLog};
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use rustix::process::{Pid, PidfdFlags, pidfd_open};
 
@@ -20,7 +20,7 @@ fn clock() -> SharedClock {
 fn shell(script: &str, clock: &SharedClock) -> Process {
     let launch = Launch {
         name: "the program of a test".to_owned(),
-        voice: Voice::Exec,
+        stderr_log: StderrLog::Exec,
         program: "sh".into(),
         arguments: vec!["-c".into(), script.into()],
         folder: None,
@@ -76,7 +76,7 @@ fn a_process_that_ends_when_told_to_leaves_nothing() {
 #[test]
 fn the_end_by_the_signal_that_asked_for_it_is_no_fault() {
     let clock = clock();
-    for (script, is_as_asked) in [
+    for (script, is_expected) in [
         ("echo here; exec sleep 600", true),
         ("trap 'exit 143' TERM; echo here; while :; do sleep 0.01; done", true),
         ("trap 'exit 3' TERM; echo here; while :; do sleep 0.01; done", false),
@@ -86,7 +86,7 @@ fn the_end_by_the_signal_that_asked_for_it_is_no_fault() {
         let mut process = shell(script, &clock);
         line(&mut process, &clock).expect("it has begun");
         let ended = process.end(Span::from_seconds(4));
-        assert_eq!(ended.as_asked(), is_as_asked, "{script}: {ended:?}");
+        assert_eq!(ended.ended_as_requested(), is_expected, "{script}: {ended:?}");
     }
 }
 

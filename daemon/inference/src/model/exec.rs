@@ -4,7 +4,9 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 use peernet_clock::SharedClock;
 pub use peernet_external::exec::ExecConfig;
-use peernet_external::exec::{CommandLine, ExchangeError, FingerprintKey, Program, Request, Role, Said};
+use peernet_external::exec::{
+    CommandLine, ExchangeError, FingerprintKey, Program, ReplyOutcome, Request, Role,
+};
 use peernet_external::hide_values;
 use peernet_logger::{Name, Recorder, Unit};
 use peernet_sample::Sample;
@@ -23,7 +25,7 @@ impl ModelConfig {
 }
 
 impl ModelKind for ExecConfig {
-    fn untold_keys(&self) -> &'static [&'static str] {
+    fn unpublished_keys(&self) -> &'static [&'static str] {
         &["command", "folder"]
     }
 
@@ -119,8 +121,8 @@ impl Worker for ExecWorker {
         for (name, value, unit) in &exchange.notes.values {
             log.value(Name::from(name.as_str()), *value, Unit::new(unit));
         }
-        match exchange.said {
-            Said::Parts(parts) => Ok(Sample { parts, source: String::new(), label: None }),
+        match exchange.outcome {
+            ReplyOutcome::Parts(parts) => Ok(Sample { parts, source: String::new(), label: None }),
             other => Err(failed(format!("it answered as a model does not: {other:?}"))),
         }
     }

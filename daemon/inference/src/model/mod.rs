@@ -18,7 +18,7 @@ use peernet_external::exec::FingerprintKey;
 use peernet_logger::Slug;
 use serde::{Deserialize, Serialize};
 
-use crate::litter::Litter;
+use crate::temp_dirs::TempDirs;
 use crate::{LoadError, Model};
 use onnx::OnnxRuntimeConfig;
 
@@ -42,7 +42,7 @@ pub trait ModelKind {
 
     /// Returns the keys whose values a run's description leaves out: they are recorded elsewhere in it, or reveal
     /// where files are on this host.
-    fn untold_keys(&self) -> &'static [&'static str] {
+    fn unpublished_keys(&self) -> &'static [&'static str] {
         &[]
     }
 
@@ -90,7 +90,7 @@ pub struct LoadContext<'a> {
     /// The table `[onnxruntime]`.
     pub(crate) runtime: &'a OnnxRuntimeConfig,
     /// Set to which temporary folders are added.
-    pub(crate) litter: &'a Litter,
+    pub(crate) temp_dirs: &'a TempDirs,
     /// Clock for deadlines.
     pub(crate) clock: &'a SharedClock,
 }

@@ -20,7 +20,7 @@ impl ModelConfig {
 }
 
 impl ModelKind for PythonConfig {
-    fn untold_keys(&self) -> &'static [&'static str] {
+    fn unpublished_keys(&self) -> &'static [&'static str] {
         &["object", "folder", "python"]
     }
 
@@ -98,7 +98,7 @@ impl Worker for PythonWorker {
         if let Some(from) = called.times.restarted {
             log.timed(stage::RESTART, from, begun);
         }
-        log.timed(stage::IPC, begun, begun + called.times.border());
+        log.timed(stage::IPC, begun, begun + called.times.overhead());
         let has_inferred = called.times.stages.iter().any(|(own, ..)| *own == Stage::Infer);
         for (own, from, to) in called.times.stages {
             let name = match own {

@@ -7,7 +7,7 @@ use serde_json::Value;
 use super::{ModelConfig, Table};
 
 /// Shared keys that are recorded elsewhere in a run's description.
-const ELSEWHERE: [&str; 2] = ["name", "device"];
+const RECORDED_ELSEWHERE: [&str; 2] = ["name", "device"];
 
 impl ModelConfig {
     /// Returns the settings of the model and the environment that it runs in, as pairs.
@@ -21,7 +21,7 @@ impl ModelConfig {
     /// Returns the keys of its table with their values, defaults included: `kind = onnx, workers = 2, …`.
     fn settings(&self) -> String {
         let table = serde_json::to_value(self).unwrap_or_default();
-        let untold = [&ELSEWHERE, self.own().untold_keys()].concat();
+        let untold = [&RECORDED_ELSEWHERE, self.own().unpublished_keys()].concat();
         let keys = table.as_object().into_iter().flatten();
         let told = |(key, value): (&String, &Value)| match value {
             _ if untold.contains(&key.as_str()) => None,

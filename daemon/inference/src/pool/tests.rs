@@ -13,11 +13,11 @@ use crate::model::echo::{Echo, EchoConfig};
 type Compute = dyn Fn(&Sample) -> Result<Sample, InferenceError> + Send + Sync;
 
 /// Model that runs a function of the test.
-struct Told(Arc<Compute>);
+struct TestModel(Arc<Compute>);
 
-impl Model for Told {
+impl Model for TestModel {
     fn worker(&self) -> Result<Box<dyn Worker>, LoadError> {
-        Ok(Box::new(Told(Arc::clone(&self.0))))
+        Ok(Box::new(TestModel(Arc::clone(&self.0))))
     }
 
     fn device(&self) -> String {
@@ -29,7 +29,7 @@ impl Model for Told {
     }
 }
 
-impl Worker for Told {
+impl Worker for TestModel {
     fn infer(&mut self, sample: &Sample, log: &mut Recorder) -> Result<Sample, InferenceError> {
         let _inference = log.time(stage::INFERENCE);
         (self.0)(sample)
@@ -45,7 +45,7 @@ fn pool(
     queue: usize,
     compute: impl Fn(&Sample) -> Result<Sample, InferenceError> + Send + Sync + 'static,
 ) -> Arc<Pool> {
-    start(Arc::new(Told(Arc::new(compute))), Sizes { workers, queue }, clock())
+    start(Arc::new(TestModel(Arc::new(compute))), Sizes { workers, queue }, clock())
 }
 
 fn start(model: Arc<dyn Model>, sizes: Sizes, clock: Arc<ManualClock>) -> Arc<Pool> {
@@ -64,13 +64,13 @@ fn job(text: &'static str, reply: impl FnOnce(Done) + Send + 'static) -> Job {
 }
 
 /// Creates a job and the receiver of its result.
-fn awaited(text: &'static str) -> (Job, Receiver<Done>) {
+fn job_with_receiver(text: &'static str) -> (Job, Receiver<Done>) {
     let (sender, receiver) = sync_channel(1);
     (job(text, move |done| sender.send(done).expect("is awaited")), receiver)
 }
 
 fn run(pool: &Pool, text: &'static str) -> Done {
-    let (job, done) = awaited(text);
+    let (job, done) = job_with_receiver(text);
     pool.submit(job).expect("has room");
     done.recv().expect("is answered")
 }
@@ -92,7 +92,7 @@ fn gated() -> (impl Fn(&Sample) -> Result<Sample, InferenceError> + Send + Sync,
 #[test]
 fn the_wait_for_a_worker_is_recorded() {
     let clock = clock();
-    let model = Arc::new(Told(Arc::new(|sample| Ok(sample.clone()))));
+    let model = Arc::new(TestModel(Arc::new(|sample| Ok(sample.clone()))));
     let pool = start(model, Sizes { workers: 1, queue: 1 }, Arc::clone(&clock));
     clock.advance(Span::from_millis(7));
     let done = run(&pool, "a");
@@ -106,13 +106,13 @@ fn the_wait_for_a_worker_is_recorded() {
 fn a_full_queue_gives_the_job_back() {
     let (compute, begins, go) = gated();
     let pool = pool(1, 1, compute);
-    let (first, first_done) = awaited("first");
+    let (first, first_done) = job_with_receiver("first");
     pool.submit(first).expect("a worker is free");
     begins.recv().expect("the worker began");
-    let (second, second_done) = awaited("second");
+    let (second, second_done) = job_with_receiver("second");
     pool.submit(second).expect("the queue has room");
     assert_eq!(pool.waiting(), 1);
-    let refused = pool.submit(awaited("third").0).expect_err("the queue is full");
+    let refused = pool.submit(job_with_receiver("third").0).expect_err("the queue is full");
     assert_eq!(refused.job.sample, sample("third"));
     assert_eq!(refused.reason, InferenceError::QueueFull { model: "told".to_owned(), capacity: 1 });
     for done in [first_done, second_done] {
@@ -128,8 +128,8 @@ fn workers_compute_at_the_same_time() {
         both.wait();
         Ok(sample.clone())
     });
-    let (a, a_done) = awaited("a");
-    let (b, b_done) = awaited("b");
+    let (a, a_done) = job_with_receiver("a");
+    let (b, b_done) = job_with_receiver("b");
     pool.submit(a).expect("has room");
     pool.submit(b).expect("has room");
     assert!(a_done.recv().expect("is answered").result.is_ok());
@@ -164,10 +164,10 @@ fn a_reply_that_panics_leaves_the_pool_working() {
 fn shutting_down_answers_everybody() {
     let (compute, begins, go) = gated();
     let pool = pool(1, 4, compute);
-    let (running, running_done) = awaited("running");
+    let (running, running_done) = job_with_receiver("running");
     pool.submit(running).expect("has room");
     begins.recv().expect("the worker began");
-    let (waiting, waiting_done) = awaited("waiting");
+    let (waiting, waiting_done) = job_with_receiver("waiting");
     pool.submit(waiting).expect("has room");
 
     let ending = std::thread::spawn({
@@ -176,7 +176,7 @@ fn shutting_down_answers_everybody() {
     });
     let stopped = Err(InferenceError::Stopped { model: "told".to_owned() });
     assert_eq!(waiting_done.recv().expect("is answered").result, stopped);
-    let refused = pool.submit(awaited("late").0).expect_err("is shut down");
+    let refused = pool.submit(job_with_receiver("late").0).expect_err("is shut down");
     assert_eq!(Err(refused.reason), stopped);
     go.send(()).expect("the worker waits");
     assert_eq!(running_done.recv().expect("is answered").result, Ok(sample("running")));

@@ -16,7 +16,7 @@ use super::Database;
 use crate::log;
 
 /// Interval at which the size of the growing copy is read.
-const LOOK: Duration = Duration::from_millis(200);
+const PROGRESS_INTERVAL: Duration = Duration::from_millis(200);
 
 /// Copies the database to a file that must not exist.
 pub(crate) fn backup(database: Database, target: &Path) -> Exit {
@@ -56,7 +56,7 @@ async fn copy(database: &Path, target: &Path) -> Result<Copied, Failure> {
     let stop = CancellationToken::new();
     let made = backup.run(stop.clone());
     tokio::pin!(made);
-    let mut look = tokio::time::interval(LOOK);
+    let mut progress_timer = tokio::time::interval(PROGRESS_INTERVAL);
     loop {
         tokio::select! {
             made = &mut made => {
@@ -65,7 +65,7 @@ async fn copy(database: &Path, target: &Path) -> Result<Copied, Failure> {
             }
             _ = interrupts.recv() => stop.cancel(),
             _ = terminations.recv() => stop.cancel(),
-            _ = look.tick() => {
+            _ = progress_timer.tick() => {
                 if let Ok(file) = std::fs::metadata(&partial) {
                     bar.set_position(file.len());
                 }

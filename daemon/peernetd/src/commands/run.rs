@@ -18,7 +18,7 @@ use peernet_cli::exit::{Exit, Failure, in_one_line};
 use peernet_cli::output::complain;
 
 /// Time that blocking threads have to end after everything else has ended.
-const LAST_MOMENTS: Duration = Duration::from_secs(1);
+const BLOCKING_THREADS_TIMEOUT: Duration = Duration::from_secs(1);
 
 /// Runs the roles of a configuration file until a signal arrives.
 pub(crate) fn run(file: &Path) -> Exit {
@@ -51,16 +51,16 @@ pub(crate) fn run(file: &Path) -> Exit {
                 return Exit::Unavailable;
             }
         };
-    let exit = runtime.block_on(live(configuration)).unwrap_or_else(|failure| {
+    let exit = runtime.block_on(run_parts(configuration)).unwrap_or_else(|failure| {
         tracing::error!("{failure}");
         failure.exit
     });
-    runtime.shutdown_timeout(LAST_MOMENTS);
+    runtime.shutdown_timeout(BLOCKING_THREADS_TIMEOUT);
     exit
 }
 
 /// Starts the parts, receivers before senders, and runs until the end.
-async fn live(configuration: Configuration) -> Result<Exit, Failure> {
+async fn run_parts(configuration: Configuration) -> Result<Exit, Failure> {
     let unavailable = |error: anyhow::Error| Failure::new(Exit::Unavailable, error);
     let clock = configuration.clock().map_err(|error| unavailable(error.into()))?;
     let agent_clock = configuration.agent_clock(&clock).map_err(|error| unavailable(error.into()))?;

@@ -49,7 +49,7 @@ fn record() -> RunRecord {
     }
 }
 
-fn write(folder: &Path, rows: &[Row]) -> Finished {
+fn write(folder: &Path, rows: &[Row]) -> WrittenResults {
     let folder = ResultFolder::create(folder, Overwrite::Replace).expect("it can be made");
     let mut writer = folder.writer().expect("writable");
     rows.iter().for_each(|row| writer.write(row));

@@ -3,7 +3,7 @@
 use peernet_clock::{MonoTime, SharedClock};
 pub use peernet_external::exec::ExecConfig;
 use peernet_external::exec::{
-    CommandLine, ExchangeError, FingerprintKey, Notes, Program, Request, Role, Said,
+    CommandLine, ExchangeError, FingerprintKey, Notes, Program, ReplyOutcome, Request, Role,
 };
 use peernet_external::hide_values;
 use peernet_logger::{Name, Recorder, Unit, stage};
@@ -62,7 +62,7 @@ impl Exec {
     }
 
     /// Records the stages, values and dropped samples that the program reported with its sample.
-    fn note(&mut self, notes: &Notes, log: &mut Recorder, began: MonoTime) {
+    fn record_notes(&mut self, notes: &Notes, log: &mut Recorder, began: MonoTime) {
         for (name, span) in &notes.stages {
             log.timed(Name::from(name.as_str()), began, began + *span);
         }
@@ -84,11 +84,11 @@ impl Sensor for Exec {
     fn sample(&mut self, log: &mut Recorder) -> Result<Option<Sample>, SensorError> {
         let exchange = self.program.ask(Request::Next).map_err(|error| self.failed(error))?;
         let restart = exchange.restart();
-        let Said::Parts(parts) = exchange.said else { return Ok(None) };
+        let ReplyOutcome::Parts(parts) = exchange.outcome else { return Ok(None) };
         if let Some((from, to)) = restart {
             log.timed(stage::CAPTURE_RESTART, from, to);
         }
-        self.note(&exchange.notes, log, exchange.began);
+        self.record_notes(&exchange.notes, log, exchange.began);
         let Notes { source, label, .. } = exchange.notes;
         Ok(Some(Sample { parts, source: source.unwrap_or_default(), label }))
     }

@@ -48,7 +48,7 @@ impl Sensor for Python {
             log.timed(stage::CAPTURE_RESTART, from, begun);
         }
         // Summaries group nodes by name, so that this stage must not have the name of the model's `ipc`.
-        log.timed(stage::CAPTURE_IPC, begun, begun + called.times.border());
+        log.timed(stage::CAPTURE_IPC, begun, begun + called.times.overhead());
         let Some(parts) = called.result? else { return Ok(None) };
         Ok(Some(Sample { parts, source: self.name.clone(), label: None }))
     }

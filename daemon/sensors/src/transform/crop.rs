@@ -28,23 +28,23 @@ impl TransformKind for CropConfig {
     fn build(&self) -> Result<Box<dyn Transform>, SensorError> {
         let &Self { width, height, x, y } = self;
         check_size(width, height, "crop")?;
-        Ok(Box::new(Cut { crop: Crop { width, height, x, y }, picture: Picture::default() }))
+        Ok(Box::new(CropTransform { crop: Crop { width, height, x, y }, picture: Picture::default() }))
     }
 }
 
-struct Cut {
+struct CropTransform {
     crop: Crop,
     picture: Picture,
 }
 
-impl Transform for Cut {
+impl Transform for CropTransform {
     fn apply(&mut self, sample: Sample, _log: &mut Recorder) -> Result<Sample, SensorError> {
         let Self { crop: rectangle, picture } = self;
         change(sample, "crop", |part| {
             read_part(part, channels(part), picture)?;
-            let mut cut = Picture::default();
-            crop(picture, *rectangle, &mut cut)?;
-            Ok(cut.into_part())
+            let mut cropped = Picture::default();
+            crop(picture, *rectangle, &mut cropped)?;
+            Ok(cropped.into_part())
         })
     }
 

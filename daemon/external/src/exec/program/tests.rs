@@ -35,7 +35,7 @@ fn a_shell_echoes_samples() {
     let mut program = start(Role::Model, ECHO, PATIENT);
     for _ in 0..3 {
         let exchange = program.ask(Request::Sample(&echo())).expect("replies");
-        assert_eq!(exchange.said, Said::Parts(echo().parts));
+        assert_eq!(exchange.outcome, ReplyOutcome::Parts(echo().parts));
         assert_eq!(exchange.notes.stages[0].0, "inference");
         assert!(exchange.ended > exchange.began);
     }
@@ -45,7 +45,10 @@ fn a_shell_echoes_samples() {
 fn a_sample_larger_than_any_pipe_passes_both_ways() {
     let mut program = start(Role::Model, ECHO, PATIENT);
     let large = Sample::of(Description::bytes(), vec![7; 5 << 20].into());
-    assert_eq!(program.ask(Request::Sample(&large)).expect("replies").said, Said::Parts(large.parts));
+    assert_eq!(
+        program.ask(Request::Sample(&large)).expect("replies").outcome,
+        ReplyOutcome::Parts(large.parts)
+    );
 }
 
 #[test]
@@ -55,7 +58,11 @@ fn it_knows_its_role_and_the_version_of_the_framing() {
     let first = program.ask(Request::Next).expect("replies");
     assert_eq!(first.notes.source.as_deref(), Some("sensor 1 next"));
     for _ in 0..3 {
-        assert_eq!(program.ask(Request::Next).expect("has ended").said, Said::End, "and is not asked again");
+        assert_eq!(
+            program.ask(Request::Next).expect("has ended").outcome,
+            ReplyOutcome::End,
+            "and is not asked again"
+        );
     }
 }
 
@@ -199,7 +206,7 @@ fn a_reply_too_many_does_not_shift_the_others() {
         start(Role::Sensor, "while read -r line; do printf 'answer 1\\naanswer 1\\nb'; done", PATIENT);
     assert!(program.ask(Request::Next).is_ok());
     let error = program.ask(Request::Next).expect_err("one too many");
-    assert!(matches!(error, ExchangeError::Unasked(_)), "{error}");
+    assert!(matches!(error, ExchangeError::UnsolicitedOutput(_)), "{error}");
 }
 
 #[test]
@@ -216,7 +223,7 @@ fn one_that_hangs_is_killed_and_one_that_dies_again_and_again_is_left_alone_for_
     assert!(matches!(error, ExchangeError::TooSlow { .. }), "{error}");
     let mut errors = (0..6).map(|_| program.ask(Request::Next).expect_err("it hangs"));
     let pausing =
-        errors.find(|error| matches!(error, ExchangeError::Pausing { .. })).expect("it is left alone");
+        errors.find(|error| matches!(error, ExchangeError::RestartDelayed { .. })).expect("it is left alone");
     assert!(pausing.to_string().contains("no whole reply within 50ms"), "{pausing}");
 }
 

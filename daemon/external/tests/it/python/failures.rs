@@ -133,7 +133,7 @@ fn a_process_that_keeps_dying_rests_longer_and_longer() {
     let mut rested = 0;
     for _ in 0..6 {
         match model.call(&[bytes(b"exit")]).result.expect_err("it dies") {
-            PythonError::Resting { left, last, .. } => {
+            PythonError::RestartDelayed { left, last, .. } => {
                 assert!(last.contains("exit status 3"), "{last}");
                 std::thread::sleep(left.to_duration());
                 rested += 1;

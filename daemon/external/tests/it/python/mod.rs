@@ -1,12 +1,12 @@
 //! Tests with objects in real Python processes.
 
 mod about;
-mod border;
 mod deaths;
 mod failures;
 mod hostile;
 mod refusals;
 mod table;
+mod transfer;
 mod values;
 
 use std::fs;

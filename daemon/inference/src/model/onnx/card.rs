@@ -12,7 +12,7 @@ use super::regular;
 use crate::LoadError;
 
 /// Largest size of a card, bytes. A thousand labels take some ten kilobytes.
-const LONGEST: u64 = 1 << 20;
+const MAX_CARD_BYTES: u64 = 1 << 20;
 
 /// Card of a model. A new model needs a card and no code.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
@@ -205,8 +205,8 @@ pub(super) enum CardError {
 fn text(file: &Path) -> io::Result<String> {
     let mut file = regular::open(file)?;
     let length = file.metadata()?.len();
-    if length > LONGEST {
-        return Err(io::Error::other(format!("it has {length} bytes; a card has at most {LONGEST}")));
+    if length > MAX_CARD_BYTES {
+        return Err(io::Error::other(format!("it has {length} bytes; a card has at most {MAX_CARD_BYTES}")));
     }
     let mut text = String::new();
     file.read_to_string(&mut text)?;

@@ -32,7 +32,7 @@ const fn one() -> NonZeroUsize {
 }
 
 impl ModelKind for OnnxConfig {
-    fn untold_keys(&self) -> &'static [&'static str] {
+    fn unpublished_keys(&self) -> &'static [&'static str] {
         &["path"]
     }
 

@@ -9,7 +9,7 @@ use ort::environment::Environment;
 use ort::logging::LogLevel;
 
 use super::OnnxRuntimeConfig;
-use super::search::{Candidate, Surroundings};
+use super::search::{Candidate, SearchSettings};
 use crate::LibraryError;
 
 /// The loaded library. A process can load one library, which stays loaded until the process ends.
@@ -23,9 +23,9 @@ static LOADED: Mutex<Option<Arc<Runtime>>> = Mutex::new(None);
 impl Runtime {
     /// Returns the library that the search finds; loads it on the first call.
     pub(super) fn get(config: &OnnxRuntimeConfig) -> Result<Arc<Self>, LibraryError> {
-        let surroundings = Surroundings::of_this_process(config.library.as_deref());
+        let search_settings = SearchSettings::of_this_process(config.library.as_deref());
         let mut loaded = LOADED.lock().unwrap_or_else(PoisonError::into_inner);
-        let (found, mut looked) = surroundings.search()?;
+        let (found, mut searched) = search_settings.search()?;
         if let Some(runtime) = loaded.as_ref() {
             return match found {
                 Some(Candidate { path: wanted, .. }) if wanted != runtime.library => {
@@ -36,7 +36,7 @@ impl Runtime {
         }
         let runtime = match found {
             Some(candidate) => Self::load(&candidate)?,
-            None => Self::load_from_system(&mut looked)?,
+            None => Self::load_from_system(&mut searched)?,
         };
         let runtime = Arc::new(runtime);
         *loaded = Some(Arc::clone(&runtime));
@@ -62,12 +62,12 @@ impl Runtime {
     }
 
     /// Loads the library by the names that the system's loader knows, with and without the version of its interface.
-    fn load_from_system(looked: &mut Vec<String>) -> Result<Self, LibraryError> {
+    fn load_from_system(searched: &mut Vec<String>) -> Result<Self, LibraryError> {
         for name in ["libonnxruntime.so.1", "libonnxruntime.so"] {
             match ort::init_from(name) {
                 Ok(builder) => return Self::begin(builder, name.into(), "the system's library path"),
                 Err(LoadDynamicError::Dlopen { .. }) => {
-                    looked.push(format!("{name} in the system's library path: none"));
+                    searched.push(format!("{name} in the system's library path: none"));
                 }
                 Err(error) => {
                     let origin = "the system's library path";
@@ -79,7 +79,7 @@ impl Runtime {
                 }
             }
         }
-        Err(LibraryError::NotFound { looked: std::mem::take(looked) })
+        Err(LibraryError::NotFound { searched: std::mem::take(searched) })
     }
 
     fn load(candidate: &Candidate) -> Result<Self, LibraryError> {

@@ -95,7 +95,7 @@ impl Onnx {
     fn load(config: &OnnxConfig, shared: &SharedKeys, context: &LoadContext<'_>) -> Result<Self, LoadError> {
         let (plan, runtime) = Self::plan(config, shared, context.runtime)?;
         let (hash, card_hash) = (hash(&config.path, MODEL)?, hash(&config.path, CARD)?);
-        let shared = Shared::prepare(&plan, &runtime, context.litter)?;
+        let shared = Shared::prepare(&plan, &runtime, context.temp_dirs)?;
         Ok(Self { plan: Arc::new(plan), hash, card_hash, runtime, shared })
     }
 

@@ -14,7 +14,7 @@ use ort::session::builder::GraphOptimizationLevel;
 use super::device::Device;
 use super::library::Runtime;
 use super::{MODEL, Plan, session};
-use crate::litter::Litter;
+use crate::temp_dirs::TempDirs;
 use crate::{LoadError, Scratch};
 
 /// Initialisers shorter than this number of bytes stay in the model's file.
@@ -23,12 +23,12 @@ const SMALLEST: &str = "1024";
 /// Optimised model on disk; dropping it deletes the files.
 pub(super) struct Shared {
     folder: Scratch,
-    litter: Litter,
+    temp_dirs: TempDirs,
 }
 
 impl Drop for Shared {
     fn drop(&mut self) {
-        self.litter.removed(self.folder.path());
+        self.temp_dirs.deregister(self.folder.path());
     }
 }
 
@@ -38,7 +38,7 @@ impl Shared {
     pub(super) fn prepare(
         plan: &Plan,
         runtime: &Runtime,
-        litter: &Litter,
+        temp_dirs: &TempDirs,
     ) -> Result<Option<Self>, LoadError> {
         if plan.workers < 2 || plan.device != Device::Cpu {
             return Ok(None);
@@ -49,8 +49,8 @@ impl Shared {
                 "{error}; several workers share a model through a temporary folder: set TMPDIR or workers = 1"
             ),
         })?;
-        litter.made(folder.path());
-        let shared = Self { folder, litter: litter.clone() };
+        temp_dirs.register(folder.path());
+        let shared = Self { folder, temp_dirs: temp_dirs.clone() };
         shared.write(plan, runtime).map_err(|error| session::refused(plan, &error))?;
         Ok(Some(shared))
     }

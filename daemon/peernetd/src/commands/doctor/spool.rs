@@ -8,12 +8,12 @@ use peernet_store::maintenance::{Finding, Severity, free_bytes};
 use serde::Serialize;
 
 /// A disk with less free space counts as full, bytes.
-const LITTLE_ROOM: u64 = 16 << 20;
+const MIN_FREE_BYTES: u64 = 16 << 20;
 /// Advice about a damaged spool.
-const RENEW: &str = "stop the agent, move the file with its -wal to another folder and keep it, start the agent again: it \
+const RENEW_ADVICE: &str = "stop the agent, move the file with its -wal to another folder and keep it, start the agent again: it \
                      makes a new one, and the aggregator records what was lost as a gap";
 /// Advice about a full disk.
-const MAKE_ROOM: &str = "make room: what is measured while the aggregator is away and does not fit into the agent's \
+const FREE_SPACE_ADVICE: &str = "make room: what is measured while the aggregator is away and does not fit into the agent's \
                          memory is lost, and counted";
 
 /// State of a spool.
@@ -42,12 +42,12 @@ pub(super) async fn examine(path: &Path) -> anyhow::Result<SpoolReport> {
     let mut log = path.as_os_str().to_owned();
     log.push("-wal");
     report.file_bytes = length(path) + length(Path::new(&log));
-    report.room(path);
+    report.check_free_space(path);
     match inspect(path).await {
-        Ok(inspection) => report.take(inspection),
+        Ok(inspection) => report.add_inspection(inspection),
         // SQLite needs some disk space even for reading.
-        Err(InspectError::Read(error)) if report.disk_free_bytes < LITTLE_ROOM => {
-            report.problem(format!("the spool cannot be read: {error}"), MAKE_ROOM);
+        Err(InspectError::Read(error)) if report.disk_free_bytes < MIN_FREE_BYTES => {
+            report.problem(format!("the spool cannot be read: {error}"), FREE_SPACE_ADVICE);
         }
         Err(InspectError::Read(error)) => {
             return Err(error).with_context(|| format!("cannot read the spool {}", path.display()));
@@ -65,21 +65,21 @@ pub(super) async fn examine(path: &Path) -> anyhow::Result<SpoolReport> {
 }
 
 impl SpoolReport {
-    fn room(&mut self, path: &Path) {
+    fn check_free_space(&mut self, path: &Path) {
         match free_bytes(path) {
             Ok(bytes) => {
                 self.disk_free_bytes = bytes;
-                if bytes < LITTLE_ROOM {
-                    self.problem(format!("its disk has only {} KiB of room", bytes >> 10), MAKE_ROOM);
+                if bytes < MIN_FREE_BYTES {
+                    self.problem(format!("its disk has only {} KiB of room", bytes >> 10), FREE_SPACE_ADVICE);
                 }
             }
             Err(error) => self.problem(format!("cannot tell how full its disk is: {error}"), "look at `df`"),
         }
     }
 
-    fn take(&mut self, inspection: Inspection) {
+    fn add_inspection(&mut self, inspection: Inspection) {
         for what in inspection.damages.iter().map(SpoolDamage::to_string) {
-            self.problem(what, RENEW);
+            self.problem(what, RENEW_ADVICE);
         }
         self.findings.extend(losses(inspection.dropped, inspection.lost_when_killed));
         self.inspection = inspection;

@@ -11,7 +11,7 @@ use std::path::{Path, PathBuf};
 
 use bytes::Bytes;
 use peernet_clock::SharedClock;
-use peernet_external::identified;
+use peernet_external::describe_with_hash;
 use peernet_logger::Recorder;
 use peernet_sample::{Description, MediaType, Sample, examples};
 use rand::SeedableRng;
@@ -111,7 +111,7 @@ impl Images {
         let (path, labels) = (config.path.as_path(), config.labels.as_deref());
         let about = fs::metadata(path).map_err(|error| SensorError::Read { path: path.to_owned(), error })?;
         let (pictures, labels) =
-            if about.is_dir() { of_folder(path, labels)? } else { single(path, labels)? };
+            if about.is_dir() { read_folder(path, labels)? } else { read_single(path, labels)? };
         let mut images = Self {
             path: path.to_owned(),
             pictures,
@@ -176,15 +176,15 @@ impl Sensor for Images {
             ("Data set".to_owned(), data_set::describe_files(files)),
             ("Labels".to_owned(), self.labels()),
         ];
-        facts.extend(self.labels.as_deref().map(|file| ("Labels file".to_owned(), identified(file))));
+        facts.extend(self.labels.as_deref().map(|file| ("Labels file".to_owned(), describe_with_hash(file))));
         facts
     }
 }
 
 /// Pictures, and the file of their labels.
-type Found = (Vec<Picture>, Option<PathBuf>);
+type LabelledPictures = (Vec<Picture>, Option<PathBuf>);
 
-fn of_folder(path: &Path, file: Option<&Path>) -> Result<Found, SensorError> {
+fn read_folder(path: &Path, file: Option<&Path>) -> Result<LabelledPictures, SensorError> {
     let files = folder::pictures(path)?;
     if files.is_empty() {
         return Err(SensorError::Empty(path.to_owned()));
@@ -221,7 +221,7 @@ fn of_folder(path: &Path, file: Option<&Path>) -> Result<Found, SensorError> {
     }
 }
 
-fn single(file: &Path, labels: Option<&Path>) -> Result<Found, SensorError> {
+fn read_single(file: &Path, labels: Option<&Path>) -> Result<LabelledPictures, SensorError> {
     let media = folder::media(file).filter(|_| folder::is_file(file));
     let media = media.ok_or_else(|| SensorError::NotAPicture(file.to_owned()))?;
     let source = file.file_name().unwrap_or_default().to_string_lossy().into_owned();

@@ -141,7 +141,7 @@ impl Ros {
     }
 
     /// Records capture time and arrival, and the delay between them if both stamps are of one clock.
-    fn note_stamp(&self, stamp: WallTime, received: WallTime, log: &mut Recorder) {
+    fn record_stamp(&self, stamp: WallTime, received: WallTime, log: &mut Recorder) {
         let raw = received - stamp;
         let delay = match self.config.stamp_clock {
             StampClock::Host => OneWayDelay::same_clock(raw),
@@ -166,7 +166,7 @@ impl Sensor for Ros {
             reason: error.to_string(),
         })?;
         if let Some(stamp) = payload.stamp {
-            self.note_stamp(stamp, message.received, log);
+            self.record_stamp(stamp, message.received, log);
         }
         Ok(Some(Sample { parts: payload.parts, source: self.config.topic.clone(), label: None }))
     }

@@ -7,21 +7,21 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 /// Set of the temporary folders of a bank's models; clones share the set.
 #[derive(Clone, Debug, Default)]
-pub(crate) struct Litter(Arc<Mutex<BTreeSet<PathBuf>>>);
+pub(crate) struct TempDirs(Arc<Mutex<BTreeSet<PathBuf>>>);
 
-impl Litter {
+impl TempDirs {
     /// Adds a folder that was created.
-    pub(crate) fn made(&self, folder: &Path) {
+    pub(crate) fn register(&self, folder: &Path) {
         self.lock().insert(folder.to_owned());
     }
 
     /// Removes a folder from the set, because its owner deletes it.
-    pub(crate) fn removed(&self, folder: &Path) {
+    pub(crate) fn deregister(&self, folder: &Path) {
         self.lock().remove(folder);
     }
 
     /// Deletes all folders in the set, even if they are in use: mapped files stay readable until the process ends.
-    pub(crate) fn sweep(&self) {
+    pub(crate) fn delete_all(&self) {
         for folder in std::mem::take(&mut *self.lock()) {
             if let Err(error) = fs::remove_dir_all(&folder) {
                 tracing::warn!(%error, folder = %folder.display(), "cannot remove a model's temporary folder");
@@ -39,17 +39,17 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_nobody_removed_is_swept() {
+    fn registered_folders_are_deleted() {
         let parent = tempfile::tempdir().expect("a folder");
-        let [kept, left] = ["kept", "left"].map(|name| parent.path().join(name));
-        let litter = Litter::default();
-        for folder in [&kept, &left] {
+        let [kept, abandoned] = ["kept", "left"].map(|name| parent.path().join(name));
+        let temp_dirs = TempDirs::default();
+        for folder in [&kept, &abandoned] {
             fs::create_dir(folder).expect("made");
             fs::write(folder.join("weights.bin"), b"x").expect("written");
-            litter.made(folder);
+            temp_dirs.register(folder);
         }
-        litter.removed(&kept);
-        litter.sweep();
-        assert!(kept.exists() && !left.exists());
+        temp_dirs.deregister(&kept);
+        temp_dirs.delete_all();
+        assert!(kept.exists() && !abandoned.exists());
     }
 }

@@ -19,14 +19,14 @@ const KEPT_BYTES: usize = 400;
 
 /// Log target of a process's standard error.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Voice {
+pub enum StderrLog {
     /// Target `peernet_external::python`.
     Python,
     /// Target `peernet_external::exec`.
     Exec,
 }
 
-impl Voice {
+impl StderrLog {
     fn say(self, name: &str, line: &str) {
         match self {
             Self::Python => tracing::info!(target: "peernet_external::python", name, "{line}"),
@@ -37,13 +37,13 @@ impl Voice {
 
 /// The thread that logs the lines, and the last of them.
 #[derive(Debug)]
-pub(super) struct Listening {
+pub(super) struct StderrReader {
     last: Arc<Mutex<VecDeque<String>>>,
     over: Receiver<()>,
 }
 
-impl Listening {
-    pub(super) fn begin(stderr: ChildStderr, voice: Voice, name: String) -> io::Result<Self> {
+impl StderrReader {
+    pub(super) fn begin(stderr: ChildStderr, stderr_log: StderrLog, name: String) -> io::Result<Self> {
         let last = Arc::new(Mutex::new(VecDeque::with_capacity(KEPT_LINES)));
         let (end, over) = sync_channel(0);
         let keep = Arc::clone(&last);
@@ -51,7 +51,7 @@ impl Listening {
             // Dropping the sender reports that the standard error is closed.
             let _end = end;
             listen(stderr, |line| {
-                voice.say(&name, line);
+                stderr_log.say(&name, line);
                 remember(&keep, line);
             });
         })?;

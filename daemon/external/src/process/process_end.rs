@@ -8,7 +8,7 @@ use rustix::process::Signal;
 
 /// End of a process, with the last lines that it wrote to its standard error.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Ended {
+pub struct ProcessEnd {
     /// Exit status or signal; `None` if the system did not report it.
     pub status: Option<ExitStatus>,
     /// Misbehaviour after which the process had to be ended; `None` if it just ended.
@@ -16,7 +16,7 @@ pub struct Ended {
     /// `true` if this program killed it.
     pub killed: bool,
     /// `true` if this program had asked it to end (SIGTERM).
-    pub asked: bool,
+    pub termination_requested: bool,
     /// Last lines of its standard error, oldest first.
     pub last_lines: Vec<String>,
 }
@@ -29,7 +29,7 @@ pub enum Fault {
     /// The process closed its standard output.
     ClosedOutput,
     /// The process did not end after SIGTERM.
-    Stayed,
+    IgnoredTermination,
 }
 
 impl Fault {
@@ -37,23 +37,23 @@ impl Fault {
         match self {
             Self::ClosedInput => "closed its standard input",
             Self::ClosedOutput => "closed its standard output",
-            Self::Stayed => "did not end when it was asked to",
+            Self::IgnoredTermination => "did not end when it was asked to",
         }
     }
 }
 
-impl Ended {
+impl ProcessEnd {
     /// Returns whether it ended by itself and with exit status 0.
-    pub fn well(&self) -> bool {
+    pub fn is_success(&self) -> bool {
         self.status.is_some_and(|status| status.success())
     }
 
     /// Returns whether it ended as requested: with exit status 0, by the SIGTERM that this program sent, or with the
     /// exit status that a shell makes of that signal (128 + 15).
-    pub fn as_asked(&self) -> bool {
+    pub fn ended_as_requested(&self) -> bool {
         let term = Signal::TERM.as_raw();
         let by_term = |status: ExitStatus| status.signal() == Some(term) || status.code() == Some(128 + term);
-        self.well() || self.asked && self.status.is_some_and(by_term)
+        self.is_success() || self.termination_requested && self.status.is_some_and(by_term)
     }
 
     /// Returns the status as text: `exit status 3`, `signal 11 (SIGSEGV)`.
@@ -84,7 +84,7 @@ impl Ended {
     }
 }
 
-impl fmt::Display for Ended {
+impl fmt::Display for ProcessEnd {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str("the process ")?;
         match self.fault.map(Fault::in_words) {

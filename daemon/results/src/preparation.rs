@@ -25,13 +25,13 @@ pub enum Overwrite {
 }
 
 /// Largest depth below a folder at which results are searched.
-const DEEPEST: usize = 8;
+const MAX_DEPTH: usize = 8;
 
 /// Folder with its open file, which holds the lock against other programs.
-pub(crate) type Taken = (PathBuf, File);
+pub(crate) type LockedFolder = (PathBuf, File);
 
 /// Finds the folder that `overwrite` permits and locks it for this program; its contents are left unchanged.
-pub(crate) fn take(dir: &Path, overwrite: Overwrite) -> Result<Taken, FolderError> {
+pub(crate) fn take(dir: &Path, overwrite: Overwrite) -> Result<LockedFolder, FolderError> {
     let failed = |path: &Path| {
         let path = path.to_owned();
         move |error: std::io::Error| FolderError::Make { path, reason: error.to_string() }
@@ -59,8 +59,9 @@ pub(crate) fn take(dir: &Path, overwrite: Overwrite) -> Result<Taken, FolderErro
 
 /// Locks a folder itself: that needs no file in it, and the lock ends with the program, for whatever reason.
 fn lock(dir: &Path) -> Result<File, FolderError> {
-    let made = |error: std::io::Error| FolderError::Make { path: dir.to_owned(), reason: error.to_string() };
-    let folder = File::open(dir).map_err(made)?;
+    let make_error =
+        |error: std::io::Error| FolderError::Make { path: dir.to_owned(), reason: error.to_string() };
+    let folder = File::open(dir).map_err(make_error)?;
     match folder.try_lock() {
         Err(TryLockError::WouldBlock) => Err(FolderError::Busy(dir.to_owned())),
         // Not every network file system can lock a folder. Results are more important there than the protection.
@@ -103,11 +104,11 @@ fn subfolder(dir: &Path) -> std::io::Result<PathBuf> {
 
 pub(crate) fn find(dir: &Path) -> Vec<PathBuf> {
     let mut found = Vec::new();
-    look(dir, DEEPEST, &mut found);
+    search(dir, MAX_DEPTH, &mut found);
     found
 }
 
-fn look(dir: &Path, levels: usize, found: &mut Vec<PathBuf>) {
+fn search(dir: &Path, levels: usize, found: &mut Vec<PathBuf>) {
     if dir.join(DATA).is_file() {
         found.push(dir.to_owned());
     }
@@ -120,12 +121,14 @@ fn look(dir: &Path, levels: usize, found: &mut Vec<PathBuf>) {
         .filter(|entry| !entry.file_name().as_encoded_bytes().starts_with(b"."))
         .map(|entry| entry.path())
         .collect();
-    folders.sort_by_cached_key(|path| natural(&path.file_name().unwrap_or_default().to_string_lossy()));
-    folders.iter().for_each(|folder| look(folder, levels, found));
+    folders.sort_by_cached_key(|path| {
+        natural_order_key(&path.file_name().unwrap_or_default().to_string_lossy())
+    });
+    folders.iter().for_each(|folder| search(folder, levels, found));
 }
 
 /// Returns a sort key by which `run-2` precedes `run-10`: texts and numbers alternate.
-fn natural(name: &str) -> Vec<(String, u128)> {
+fn natural_order_key(name: &str) -> Vec<(String, u128)> {
     let mut key = Vec::new();
     let mut rest = name;
     while !rest.is_empty() {

@@ -5,22 +5,22 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use peernet_logger::Slug;
 
-use super::shelf::{Shelf, Stamp};
+use super::cache_entry::{CacheEntry, Stamp};
 use super::{BankConfig, ModelFolders};
 use crate::LoadError;
 
 /// Models of the folders that are loaded or being loaded.
-pub(super) struct Stock {
+pub(super) struct ModelCache {
     config: BankConfig,
     folders: ModelFolders,
     /// Entries, ordered by their last request; the oldest comes first.
-    shelves: Mutex<Vec<Arc<Shelf>>>,
+    entries: Mutex<Vec<Arc<CacheEntry>>>,
 }
 
-impl Stock {
+impl ModelCache {
     pub(super) fn new(config: BankConfig) -> Self {
         let folders = ModelFolders::of(config.folders.iter().cloned());
-        Self { config, folders, shelves: Mutex::default() }
+        Self { config, folders, entries: Mutex::default() }
     }
 
     /// Returns the names of the models on disk that can be requested.
@@ -38,7 +38,7 @@ impl Stock {
     ///
     /// # Errors
     /// If the model does not exist or has an error, if the device is not offered, or if all entries are in use.
-    pub(super) fn shelf(&self, name: &Slug, device: Option<&str>) -> Result<Arc<Shelf>, LoadError> {
+    pub(super) fn entry(&self, name: &Slug, device: Option<&str>) -> Result<Arc<CacheEntry>, LoadError> {
         let found = self.folders.find(name.as_str())?;
         found.card?;
         let devices = &self.config.devices;
@@ -52,34 +52,34 @@ impl Stock {
             None => devices.first().ok_or_else(|| other("any device"))?,
         };
         let stamp = Stamp::of(&found.folder);
-        let (shelf, unloaded) = {
-            let mut shelves = self.lock();
-            let unloaded = make_room(&mut shelves, name, device, &stamp, self.config.most_loaded.get())?;
-            let kept = shelves.iter().position(|shelf| is(shelf, name, device));
-            let shelf = match kept {
-                Some(at) => shelves.remove(at),
-                None => Shelf::new(self.config.model(name, &found.folder, device), Some(stamp)),
+        let (entry, unloaded) = {
+            let mut entries = self.lock();
+            let unloaded = make_room(&mut entries, name, device, &stamp, self.config.most_loaded.get())?;
+            let kept = entries.iter().position(|entry| is(entry, name, device));
+            let entry = match kept {
+                Some(at) => entries.remove(at),
+                None => CacheEntry::new(self.config.model(name, &found.folder, device), Some(stamp)),
             };
-            shelves.push(Arc::clone(&shelf));
-            (shelf, unloaded)
+            entries.push(Arc::clone(&entry));
+            (entry, unloaded)
         };
         // The old models are unloaded before the caller loads the new one, so that the limit is never exceeded.
         for old in unloaded {
             tracing::info!(model = %old.config.name(), device = old.config.device(), "unloaded a model of the bank");
             old.clear();
         }
-        Ok(shelf)
+        Ok(entry)
     }
 
     /// Removes an entry whose model could not be loaded.
-    pub(super) fn discard(&self, failed: &Arc<Shelf>) {
+    pub(super) fn discard(&self, failed: &Arc<CacheEntry>) {
         // Other callers may be retrying at this moment; then the last of them removes the entry.
-        self.lock().retain(|shelf| {
-            !(Arc::ptr_eq(shelf, failed) && Arc::strong_count(shelf) == 2 && shelf.is_idle())
+        self.lock().retain(|entry| {
+            !(Arc::ptr_eq(entry, failed) && Arc::strong_count(entry) == 2 && entry.is_idle())
         });
     }
 
-    pub(super) fn shelves(&self) -> Vec<Arc<Shelf>> {
+    pub(super) fn entries(&self) -> Vec<Arc<CacheEntry>> {
         self.lock().clone()
     }
 
@@ -105,43 +105,43 @@ impl Stock {
 
     /// Locks the entries. No code panics while it holds the lock, so that the state behind a poisoned lock is
     /// consistent.
-    fn lock(&self) -> MutexGuard<'_, Vec<Arc<Shelf>>> {
-        self.shelves.lock().unwrap_or_else(PoisonError::into_inner)
+    fn lock(&self) -> MutexGuard<'_, Vec<Arc<CacheEntry>>> {
+        self.entries.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
-fn is(shelf: &Shelf, name: &Slug, device: &str) -> bool {
-    shelf.config.name() == name && shelf.config.device() == device
+fn is(entry: &CacheEntry, name: &Slug, device: &str) -> bool {
+    entry.config.name() == name && entry.config.device() == device
 }
 
 /// Removes and returns the entries that have to be unloaded for the requested model.
 fn make_room(
-    shelves: &mut Vec<Arc<Shelf>>,
+    entries: &mut Vec<Arc<CacheEntry>>,
     name: &Slug,
     device: &str,
     stamp: &Stamp,
     most: usize,
-) -> Result<Vec<Arc<Shelf>>, LoadError> {
+) -> Result<Vec<Arc<CacheEntry>>, LoadError> {
     // While the lock is held, no caller can get hold of an entry that only the list holds.
-    let idle = |shelf: &Arc<Shelf>| Arc::strong_count(shelf) == 1 && shelf.is_idle();
-    if let Some(at) = shelves.iter().position(|shelf| is(shelf, name, device)) {
-        if shelves[at].stamp.as_ref() == Some(stamp) {
+    let idle = |entry: &Arc<CacheEntry>| Arc::strong_count(entry) == 1 && entry.is_idle();
+    if let Some(at) = entries.iter().position(|entry| is(entry, name, device)) {
+        if entries[at].stamp.as_ref() == Some(stamp) {
             return Ok(Vec::new());
         }
         // The files have changed. Two versions of one model must not be in use at the same time.
-        if !idle(&shelves[at]) {
+        if !idle(&entries[at]) {
             return Err(LoadError::Changed(name.to_string()));
         }
-        return Ok(vec![shelves.remove(at)]);
+        return Ok(vec![entries.remove(at)]);
     }
-    if shelves.len() < most {
+    if entries.len() < most {
         return Ok(Vec::new());
     }
-    match shelves.iter().position(idle) {
-        Some(at) => Ok(vec![shelves.remove(at)]),
+    match entries.iter().position(idle) {
+        Some(at) => Ok(vec![entries.remove(at)]),
         None => {
             let in_use =
-                shelves.iter().map(|shelf| format!("{} on {}", shelf.config.name(), shelf.config.device()));
+                entries.iter().map(|entry| format!("{} on {}", entry.config.name(), entry.config.device()));
             Err(LoadError::BankFull { model: name.to_string(), most, in_use: in_use.collect() })
         }
     }

@@ -6,7 +6,7 @@ use super::load::{Problem, read_unchecked};
 
 /// Files of the roles that are on.
 #[derive(Debug)]
-pub(crate) struct Places {
+pub(crate) struct DataFiles {
     /// Database of the aggregator.
     pub(crate) database: Option<PathBuf>,
     /// Spool of the agent, if it reports to an aggregator.
@@ -17,12 +17,12 @@ pub(crate) struct Places {
 ///
 /// # Errors
 /// If the configuration cannot be read or parsed.
-pub(crate) fn places(file: &Path) -> Result<Places, Vec<Problem>> {
+pub(crate) fn data_files(file: &Path) -> Result<DataFiles, Vec<Problem>> {
     let configuration = read_unchecked(file)?;
     let database = configuration.aggregator.map(|aggregator| aggregator.database);
     let spool = configuration
         .agent
         .filter(|config| config.agent.aggregator.is_some())
         .map(|config| config.spool.path(&config.agent.state_dir));
-    Ok(Places { database, spool })
+    Ok(DataFiles { database, spool })
 }

@@ -9,14 +9,14 @@ use crate::{LoadError, ModelConfig, Pool};
 
 /// One model on one device. The lock is held while the model loads, so that it is loaded only once and other models
 /// are not delayed.
-pub(super) struct Shelf {
+pub(super) struct CacheEntry {
     pub(super) config: ModelConfig,
     /// State of its files when the entry was created; `None` if changes of the files do not matter.
     pub(super) stamp: Option<Stamp>,
     pool: Mutex<Option<Arc<Pool>>>,
 }
 
-impl Shelf {
+impl CacheEntry {
     pub(super) fn new(config: ModelConfig, stamp: Option<Stamp>) -> Arc<Self> {
         Arc::new(Self { config, stamp, pool: Mutex::new(None) })
     }
@@ -27,12 +27,12 @@ impl Shelf {
         start: impl FnOnce() -> Result<Pool, LoadError>,
     ) -> Result<(Arc<Pool>, bool), LoadError> {
         // A panic during loading leaves the entry empty, which is a valid state.
-        let mut place = self.pool.lock().unwrap_or_else(PoisonError::into_inner);
-        if let Some(pool) = place.as_ref() {
+        let mut slot = self.pool.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(pool) = slot.as_ref() {
             return Ok((Arc::clone(pool), false));
         }
         let pool = Arc::new(start()?);
-        *place = Some(Arc::clone(&pool));
+        *slot = Some(Arc::clone(&pool));
         Ok((pool, true))
     }
 

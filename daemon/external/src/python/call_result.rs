@@ -7,11 +7,11 @@ use super::PythonError;
 
 /// Result of a call, with its timing.
 #[derive(Debug)]
-pub struct Called {
+pub struct CallResult {
     /// The returned value as parts; `None` if a sensor has no more samples.
     pub result: Result<Option<Vec<Part>>, PythonError>,
     /// Timing of the call.
-    pub times: Times,
+    pub times: CallTimes,
 }
 
 /// Step of the user's own code.
@@ -30,7 +30,7 @@ pub enum Stage {
 
 /// Timing of a call on this process's monotonic clock.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Times {
+pub struct CallTimes {
     /// Start of a new process for this call, if the last one had died. It was ready at `begun`.
     pub restarted: Option<MonoTime>,
     /// Beginning of the call.
@@ -41,7 +41,7 @@ pub struct Times {
     pub stages: Vec<(Stage, MonoTime, MonoTime)>,
 }
 
-impl Times {
+impl CallTimes {
     /// Converts the worker's stamps.
     ///
     /// The worker stamps with `time.monotonic_ns()`, which reads the same clock as this process. Under clock fault
@@ -66,7 +66,7 @@ impl Times {
     }
 
     /// Returns the time that is not spent in the user's code: both transfers and both conversions.
-    pub fn border(&self) -> Span {
+    pub fn overhead(&self) -> Span {
         let own: Span = self.stages.iter().map(|(_, from, to)| *to - *from).sum();
         (self.ended - self.begun - own).max(Span::ZERO)
     }
@@ -83,17 +83,17 @@ mod tests {
     #[test]
     fn stages_stand_where_they_were_stamped() {
         let stamps = [(Stage::Preprocess, 120, 130), (Stage::Infer, 131, 180)];
-        let times = Times::new(at(100), at(200), &stamps);
+        let times = CallTimes::new(at(100), at(200), &stamps);
         assert_eq!(times.stages, [(Stage::Preprocess, at(120), at(130)), (Stage::Infer, at(131), at(180))]);
-        assert_eq!(times.border(), Span::from_nanos(41));
+        assert_eq!(times.overhead(), Span::from_nanos(41));
     }
 
     #[test]
     fn stamps_of_another_clock_keep_their_lengths() {
         let stamps = [(Stage::Preprocess, 9120, 9130), (Stage::Infer, 9131, 9180)];
-        let times = Times::new(at(100), at(200), &stamps);
+        let times = CallTimes::new(at(100), at(200), &stamps);
         assert_eq!(times.stages, [(Stage::Preprocess, at(100), at(110)), (Stage::Infer, at(110), at(159))]);
-        assert_eq!(times.border(), Span::from_nanos(41));
-        assert_eq!(Times::new(at(0), at(5), &stamps).border(), Span::ZERO);
+        assert_eq!(times.overhead(), Span::from_nanos(41));
+        assert_eq!(CallTimes::new(at(0), at(5), &stamps).overhead(), Span::ZERO);
     }
 }

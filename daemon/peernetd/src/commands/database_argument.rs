@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use anyhow::anyhow;
 use peernet_cli::exit::{Exit, Failure};
 
-use crate::configuration::{Problem, places};
+use crate::configuration::{Problem, data_files};
 
 /// The aggregator's database, by itself or as a configuration names it.
 #[derive(Debug, clap::Args)]
@@ -27,7 +27,7 @@ impl Database {
     pub(crate) fn path(self) -> Result<PathBuf, Failure> {
         match (self.database, self.config) {
             (Some(path), _) => Ok(path),
-            (None, Some(config)) => places(&config)
+            (None, Some(config)) => data_files(&config)
                 .map_err(|problems| wrong_configuration(&problems))?
                 .database
                 .ok_or_else(|| {

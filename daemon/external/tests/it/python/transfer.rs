@@ -3,7 +3,7 @@
 use std::fs;
 use std::path::Path;
 
-use peernet_external::python::{Stage, Times};
+use peernet_external::python::{CallTimes, Stage};
 use peernet_sample::{Description, ElementType, MediaType, Part};
 
 use super::{Module, bytes, value};
@@ -69,7 +69,7 @@ class Own:
 
 #[test]
 fn stages_lie_within_the_call_and_the_rest_is_the_border() {
-    let Times { begun, ended, stages, restarted } =
+    let CallTimes { begun, ended, stages, restarted } =
         Module::new(ECHO, "own::Own").model().call(&[bytes(b"x")]).times;
     assert_eq!(
         stages.iter().map(|one| one.0).collect::<Vec<_>>(),
