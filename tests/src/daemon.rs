@@ -3,7 +3,7 @@
 use peernet_clock::Span;
 use rustix::process::Signal;
 
-use crate::{Ended, FalseTime, Process, Site, Spooled};
+use crate::{FalseTime, LoopbackDeployment, Process, ProcessEnd, SpooledIterations};
 
 /// A configuration file with the process that runs it. Data from the logs of earlier processes is kept.
 #[derive(Debug)]
@@ -14,40 +14,40 @@ pub struct Daemon {
     process: Option<Process>,
     /// Time that the process is shown; `None` for the kernel's.
     time: Option<FalseTime>,
-    spooled: Vec<Spooled>,
+    spooled: Vec<SpooledIterations>,
 }
 
 impl Daemon {
     /// Writes the configuration without starting the process.
-    pub fn new(site: &Site, name: &str, configuration: &str) -> Self {
+    pub fn new(deployment: &LoopbackDeployment, name: &str, configuration: &str) -> Self {
         let (name, spooled) = (name.to_owned(), Vec::new());
         let mut daemon = Self { name, configuration: String::new(), process: None, time: None, spooled };
-        daemon.configure(site, configuration);
+        daemon.configure(deployment, configuration);
         daemon
     }
 
     /// Writes the configuration and starts the process.
-    pub fn started(site: &Site, name: &str, configuration: &str) -> Self {
-        let mut daemon = Self::new(site, name, configuration);
-        daemon.start(site);
+    pub fn started(deployment: &LoopbackDeployment, name: &str, configuration: &str) -> Self {
+        let mut daemon = Self::new(deployment, name, configuration);
+        daemon.start(deployment);
         daemon
     }
 
     /// Writes another configuration for the next start.
-    pub fn configure(&mut self, site: &Site, configuration: &str) {
+    pub fn configure(&mut self, deployment: &LoopbackDeployment, configuration: &str) {
         self.configuration = configuration.replace("NAME", &self.name);
-        site.write(&self.file(), &self.configuration);
+        deployment.write(&self.file(), &self.configuration);
     }
 
     /// Starts it without its pipelines: an agent that measures nothing.
     ///
     /// # Panics
     /// If it runs already.
-    pub fn start_idle(&mut self, site: &Site) {
+    pub fn start_idle(&mut self, deployment: &LoopbackDeployment) {
         let (idle, _) = self.configuration.split_once("[[pipeline]]").unwrap_or((&self.configuration, ""));
         let file = format!("{}-idle.toml", self.name);
-        site.write(&file, idle);
-        self.start_from(site, &file);
+        deployment.write(&file, idle);
+        self.start_from(deployment, &file);
     }
 
     fn file(&self) -> String {
@@ -58,37 +58,38 @@ impl Daemon {
     ///
     /// # Panics
     /// If it runs already.
-    pub fn start(&mut self, site: &Site) {
-        self.start_from(site, &self.file());
+    pub fn start(&mut self, deployment: &LoopbackDeployment) {
+        self.start_from(deployment, &self.file());
     }
 
-    fn start_from(&mut self, site: &Site, file: &str) {
+    fn start_from(&mut self, deployment: &LoopbackDeployment, file: &str) {
         assert!(self.process.is_none(), "{} runs already", self.name);
         let time = self.time.as_ref().map(FalseTime::environment);
-        self.process = Some(site.start_with(file, time.as_ref().map_or(&[], |time| &time[..])));
+        self.process = Some(deployment.start_with(file, time.as_ref().map_or(&[], |time| &time[..])));
     }
 
     /// Shows it another time than the kernel's, from its next start on.
-    pub fn show_time(&mut self, site: &Site, ahead: Span) {
+    pub fn show_time(&mut self, deployment: &LoopbackDeployment, ahead: Span) {
         match &self.time {
             Some(time) => time.show(ahead),
             None => {
-                self.time = Some(FalseTime::new(&site.folder().join(format!("{}-time", self.name)), ahead));
+                self.time =
+                    Some(FalseTime::new(&deployment.folder().join(format!("{}-time", self.name)), ahead));
             }
         }
     }
 
     /// Waits until it is ready. If it ends instead, because of a condition that `mend` corrects, it is started again,
     /// as a service manager does. Returns the number of restarts.
-    pub fn is_ready(&mut self, site: &Site, mut mend: impl FnMut()) -> u32 {
+    pub fn is_ready(&mut self, deployment: &LoopbackDeployment, mut mend: impl FnMut()) -> u32 {
         let mut ended = 0;
-        while !self.process().says("ready") {
+        while !self.process().logs_before_end("ready") {
             let process = self.take().ended();
             let failed = process.status.code().is_some_and(|code| code != 0);
             assert!(failed, "{} ended with {}:\n{}", self.name, process.status, process.log);
             self.keep(&process);
             mend();
-            self.start(site);
+            self.start(deployment);
             ended += 1;
         }
         ended
@@ -108,7 +109,7 @@ impl Daemon {
     }
 
     /// Kills it (SIGKILL) and waits for its end.
-    pub fn kill(&mut self) -> Ended {
+    pub fn kill(&mut self) -> ProcessEnd {
         let ended = self.take().kill();
         assert_eq!(
             std::os::unix::process::ExitStatusExt::signal(&ended.status),
@@ -125,7 +126,7 @@ impl Daemon {
     ///
     /// # Panics
     /// If its exit code is not 0.
-    pub fn stop(&mut self) -> Ended {
+    pub fn stop(&mut self) -> ProcessEnd {
         // The process handles signals only after it is ready.
         self.process().wait_for("ready");
         let ended = self.take().stop();
@@ -138,18 +139,19 @@ impl Daemon {
         self.process.take().unwrap_or_else(|| panic!("{} does not run", self.name))
     }
 
-    fn keep(&mut self, ended: &Ended) {
-        self.spooled.extend(Spooled::all(&ended.log));
+    fn keep(&mut self, ended: &ProcessEnd) {
+        self.spooled.extend(SpooledIterations::all(&ended.log));
     }
 
     /// Returns the batches that it reported as spooled, in all processes that have ended.
-    pub fn spooled(&self) -> &[Spooled] {
+    pub fn spooled(&self) -> &[SpooledIterations] {
         &self.spooled
     }
 
     /// Returns the batches that it reported as spooled so far, including the running process.
-    pub fn spooled_now(&self) -> Vec<Spooled> {
-        let now = self.process.as_ref().map(|process| Spooled::all(&process.log())).unwrap_or_default();
+    pub fn spooled_now(&self) -> Vec<SpooledIterations> {
+        let now =
+            self.process.as_ref().map(|process| SpooledIterations::all(&process.log())).unwrap_or_default();
         self.spooled.iter().cloned().chain(now).collect()
     }
 }

@@ -4,14 +4,14 @@ use std::path::{Path, PathBuf};
 
 use peernet_clock::WallTime;
 
-use crate::spooled::TELLS_SPOOLED;
-use crate::{Account, Api, Daemon, Ledger, Site, until, wall};
+use crate::spooled_iterations::SPOOL_LOG_LEVEL;
+use crate::{Api, Daemon, EventCounts, LoopbackDeployment, StoredEvents, until, wall};
 
 /// Daemons of one test: an aggregator and agents that measure independently.
 #[derive(Debug)]
 pub struct Fleet {
     /// Files and ports of the test.
-    pub site: Site,
+    pub deployment: LoopbackDeployment,
     /// Client of the REST API.
     pub api: Api,
     /// The aggregator.
@@ -21,7 +21,7 @@ pub struct Fleet {
     database: PathBuf,
 }
 
-/// Default path of the database, as a template for [`Site::write`].
+/// Default path of the database, as a template for [`LoopbackDeployment::write`].
 const DATABASE: &str = "{folder}/store/aggregator.sqlite";
 
 /// Returns the configuration of an agent that logs its spooled batches, with additional keys of `[agent]` and
@@ -70,33 +70,34 @@ impl Fleet {
     }
 
     fn with(database: &str, keys: &str, agents: &[&str], configuration: &str) -> Self {
-        let site = Site::new();
+        let deployment = LoopbackDeployment::new();
         let tables = format!(
             "[aggregator]\nname = \"aggregator\"\nlisten = \"tcp://127.0.0.1:{{events}}\"\n\
              database = \"{database}\"\n{keys}\n[web]\nlisten = \"127.0.0.1:{{http}}\"\n"
         );
-        let aggregator = Daemon::started(&site, "aggregator", &tables);
-        let agents = agents.iter().map(|name| Daemon::new(&site, name, configuration)).collect();
-        let database = database.replace("{folder}", &site.folder().display().to_string());
-        let fleet = Self { api: Api::at(site.http), site, aggregator, agents, database: database.into() };
-        fleet.answers();
+        let aggregator = Daemon::started(&deployment, "aggregator", &tables);
+        let agents = agents.iter().map(|name| Daemon::new(&deployment, name, configuration)).collect();
+        let database = database.replace("{folder}", &deployment.folder().display().to_string());
+        let fleet =
+            Self { api: Api::at(deployment.http), deployment, aggregator, agents, database: database.into() };
+        fleet.wait_until_ready();
         fleet
     }
 
     /// Waits until the aggregator answers.
-    pub fn answers(&self) {
+    pub fn wait_until_ready(&self) {
         until("the dashboard", || self.api.get("/healthz").filter(|(status, _)| *status == 200));
     }
 
     /// Starts the aggregator again and waits until it answers.
-    pub fn aggregator_returns(&mut self) {
-        self.aggregator.start(&self.site);
-        self.answers();
+    pub fn restart_aggregator(&mut self) {
+        self.aggregator.start(&self.deployment);
+        self.wait_until_ready();
     }
 
     /// Starts an agent.
     pub fn start(&mut self, agent: usize) {
-        self.agents[agent].start(&self.site);
+        self.agents[agent].start(&self.deployment);
     }
 
     /// Starts all agents.
@@ -105,23 +106,23 @@ impl Fleet {
     }
 
     /// Waits until the counts of an agent fulfil `holds`.
-    pub fn account(&self, agent: usize, what: &str, holds: impl FnMut(&Account) -> bool) -> Account {
-        Account::until(&self.api, &self.agents[agent].name, what, holds)
+    pub fn counts(&self, agent: usize, what: &str, holds: impl FnMut(&EventCounts) -> bool) -> EventCounts {
+        EventCounts::until(&self.api, &self.agents[agent].name, what, holds)
     }
 
     /// Starts an agent without its pipelines and waits until it is connected to the aggregator. Returns the time of
     /// that: until then the live state may describe its previous process.
-    pub fn idle(&mut self, agent: usize) -> WallTime {
-        self.agents[agent].start_idle(&self.site);
+    pub fn start_without_pipelines(&mut self, agent: usize) -> WallTime {
+        self.agents[agent].start_idle(&self.deployment);
         self.agents[agent].process().wait_for("connected to the aggregator");
         wall()
     }
 
     /// Starts an agent without its pipelines, and waits until the contents of its spool are stored. The agent keeps
     /// running.
-    pub fn deliver(&mut self, agent: usize) -> Account {
-        let since = self.idle(agent);
-        Account::at_rest(&self.api, &self.agents[agent].name, since)
+    pub fn deliver(&mut self, agent: usize) -> EventCounts {
+        let since = self.start_without_pipelines(agent);
+        EventCounts::at_rest(&self.api, &self.agents[agent].name, since)
     }
 
     /// Returns the path of the database.
@@ -131,18 +132,18 @@ impl Fleet {
 
     /// Returns the stored data after a check of its consistency. To be called when the aggregator has stopped, if
     /// possible.
-    pub fn ledger(&self) -> Ledger {
-        let ledger = Ledger::of(&self.database);
-        ledger.agrees();
-        ledger
+    pub fn stored_events(&self) -> StoredEvents {
+        let stored_events = StoredEvents::of(&self.database);
+        stored_events.assert_consistent();
+        stored_events
     }
 
     /// Stops all running processes, each of which must exit with 0. Returns the stored data.
-    pub fn stop(&mut self) -> Ledger {
+    pub fn stop(&mut self) -> StoredEvents {
         for agent in self.agents.iter_mut().filter(|agent| agent.runs()) {
             agent.stop();
         }
         self.aggregator.stop();
-        self.ledger()
+        self.stored_events()
     }
 }

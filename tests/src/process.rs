@@ -17,7 +17,7 @@ const LAST_LINES: usize = 200;
 
 /// Option of `env` that restores the default action of signals. They may be ignored: `nohup` ignores the first, `&`
 /// in a script the next two, and child processes inherit that.
-const MINDED: &str = "--default-signal=HUP,INT,QUIT,TERM";
+const DEFAULT_SIGNALS: &str = "--default-signal=HUP,INT,QUIT,TERM";
 
 /// Running program.
 #[derive(Debug)]
@@ -30,7 +30,7 @@ pub struct Process {
 
 /// Result of a program that has ended.
 #[derive(Debug)]
-pub struct Ended {
+pub struct ProcessEnd {
     /// Exit status.
     pub status: ExitStatus,
     /// Everything that it wrote to standard output and standard error.
@@ -57,7 +57,7 @@ impl Process {
     ) -> Self {
         // `env` is replaced by the program, so that signals reach the program.
         let mut child = Command::new("env")
-            .arg(MINDED)
+            .arg(DEFAULT_SIGNALS)
             .arg(program)
             .args(arguments)
             .current_dir(folder)
@@ -119,7 +119,7 @@ impl Process {
     ///
     /// # Panics
     /// If [`PATIENCE`] passes before.
-    pub fn says(&self, text: &str) -> bool {
+    pub fn logs_before_end(&self, text: &str) -> bool {
         let said = |lines: &[String]| lines.iter().any(|line| line.contains(text));
         let guard = self.log.lines.lock().expect("no reader panics");
         let (guard, timeout) = self
@@ -127,10 +127,10 @@ impl Process {
             .changed
             .wait_timeout_while(guard, PATIENCE, |(lines, ended)| !said(lines) && *ended < self.readers.len())
             .expect("no reader panics");
-        let says = said(&guard.0);
+        let logs_before_end = said(&guard.0);
         drop(guard);
         assert!(!timeout.timed_out(), "{} neither ended nor said {text:?}:\n{}", self.name, self.log());
-        says
+        logs_before_end
     }
 
     /// Sends SIGTERM.
@@ -139,13 +139,13 @@ impl Process {
     }
 
     /// Sends SIGKILL and waits for the end.
-    pub fn kill(mut self) -> Ended {
+    pub fn kill(mut self) -> ProcessEnd {
         self.signal(Signal::KILL);
         self.wait()
     }
 
     /// Sends SIGTERM and waits for the end.
-    pub fn stop(mut self) -> Ended {
+    pub fn stop(mut self) -> ProcessEnd {
         self.terminate();
         self.wait()
     }
@@ -160,7 +160,7 @@ impl Process {
     ///
     /// # Panics
     /// If the program does not end within [`PATIENCE`].
-    pub fn wait(&mut self) -> Ended {
+    pub fn wait(&mut self) -> ProcessEnd {
         let guard = self.log.lines.lock().expect("no reader panics");
         let (guard, timeout) = self
             .log
@@ -170,11 +170,11 @@ impl Process {
         drop(guard);
         assert!(!timeout.timed_out(), "{} does not end; it said:\n{}", self.name, self.log());
         let status = self.child.wait().expect("the child is ours");
-        Ended { status, log: self.log() }
+        ProcessEnd { status, log: self.log() }
     }
 
     /// Waits for the end of a program that ends by itself.
-    pub fn ended(mut self) -> Ended {
+    pub fn ended(mut self) -> ProcessEnd {
         self.wait()
     }
 }
@@ -210,7 +210,7 @@ impl Drop for Process {
     }
 }
 
-impl Ended {
+impl ProcessEnd {
     /// Returns the exit code; -1 if a signal ended the program.
     pub fn code(&self) -> i32 {
         self.status.code().unwrap_or(-1)
@@ -222,11 +222,11 @@ impl Ended {
 /// # Panics
 /// If [`PATIENCE`] passes before.
 pub fn until<T>(what: &str, question: impl FnMut() -> Option<T>) -> T {
-    patiently(question).unwrap_or_else(|| panic!("waited {PATIENCE:?} in vain for {what}"))
+    poll(question).unwrap_or_else(|| panic!("waited {PATIENCE:?} in vain for {what}"))
 }
 
 /// Calls `question` until it returns a value; returns `None` if [`PATIENCE`] passes before.
-pub(crate) fn patiently<T>(mut question: impl FnMut() -> Option<T>) -> Option<T> {
+pub(crate) fn poll<T>(mut question: impl FnMut() -> Option<T>) -> Option<T> {
     let pause = Duration::from_millis(50);
     for _ in 0..PATIENCE.as_millis() / pause.as_millis() {
         if let Some(answer) = question() {

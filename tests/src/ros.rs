@@ -3,7 +3,7 @@
 use std::net::TcpStream;
 use std::path::Path;
 
-use crate::{Process, Site, free_port, program, root, until};
+use crate::{LoopbackDeployment, Process, free_port, program, root, until};
 
 /// ROS 1 system on the loopback interface.
 #[derive(Debug)]
@@ -67,12 +67,12 @@ impl Ros1System {
 
     /// Writes the configuration of an agent and starts it as a part of the system; `tables` follow its table
     /// `[agent]`.
-    pub fn agent(&self, site: &Site, name: &str, tables: &str) -> Process {
+    pub fn agent(&self, deployment: &LoopbackDeployment, name: &str, tables: &str) -> Process {
         let file = format!("{name}.toml");
-        site.write(&file, &(crate::site::agent(name, "127.0.0.1") + tables));
+        deployment.write(&file, &(crate::loopback_deployment::agent(name, "127.0.0.1") + tables));
         let environment = self.environment();
         let environment: Vec<(&str, &str)> =
             environment.iter().map(|(name, value)| (*name, value.as_str())).collect();
-        site.start_with(&file, &environment)
+        deployment.start_with(&file, &environment)
     }
 }

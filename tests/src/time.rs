@@ -15,9 +15,9 @@ pub fn wall() -> WallTime {
 
 /// Point in time from which durations are measured.
 #[derive(Clone, Copy, Debug)]
-pub struct Since(MonoTime);
+pub struct Stopwatch(MonoTime);
 
-impl Since {
+impl Stopwatch {
     /// Returns the present time.
     pub fn now() -> Self {
         Self(clock().mono())

@@ -67,7 +67,7 @@ impl Host {
     }
 
     /// Adds an address to an interface, with a prefix of 24 bits.
-    pub fn also(&self, interface: &str, address: &str) {
+    pub fn add_address(&self, interface: &str, address: &str) {
         ip(&["-n", &self.namespace, "address", "add", &format!("{address}/24"), "dev", interface]);
     }
 

@@ -36,7 +36,7 @@ pub const HOME: &str = "home";
 
 /// Properties of one direction of a wire.
 #[derive(Clone, Copy, Debug)]
-pub struct Way {
+pub struct WireProperties {
     /// Delay, milliseconds.
     pub delay_ms: u32,
     /// Largest deviation from the delay in both directions, milliseconds.
@@ -45,7 +45,7 @@ pub struct Way {
     pub loss_percent: u32,
 }
 
-impl Way {
+impl WireProperties {
     /// Returns the argument of `wirefilter` for a direction.
     fn delay(self, direction: &str) -> String {
         format!("{direction}{}+{}", self.delay_ms, self.jitter_ms)
@@ -102,7 +102,7 @@ impl Network {
     ///
     /// # Panics
     /// As [`direct`](Self::direct).
-    pub fn wire(folder: &Path, up: Way, down: Way) -> Self {
+    pub fn wire(folder: &Path, up: WireProperties, down: WireProperties) -> Self {
         // With jitter, `wirefilter` must keep the order of packets. It keeps one order for both directions, so that a
         // packet of the quick direction would wait for one of the slow direction. Without jitter that is not needed.
         Self::wire_that_reorders(folder, up, down, up.jitter_ms + down.jitter_ms == 0)
@@ -112,11 +112,11 @@ impl Network {
     ///
     /// # Panics
     /// As [`direct`](Self::direct).
-    pub fn reordering_wire(folder: &Path, up: Way, down: Way) -> Self {
+    pub fn reordering_wire(folder: &Path, up: WireProperties, down: WireProperties) -> Self {
         Self::wire_that_reorders(folder, up, down, true)
     }
 
-    fn wire_that_reorders(folder: &Path, up: Way, down: Way, reorders: bool) -> Self {
+    fn wire_that_reorders(folder: &Path, up: WireProperties, down: WireProperties, reorders: bool) -> Self {
         let mut network = Self::hosts(false);
         let plug = |host: &Host| {
             let socket = folder.join(&host.namespace).display().to_string();
@@ -130,7 +130,7 @@ impl Network {
             socket
         };
         let plugs = format!("{}:{}", plug(&network.edge), plug(&network.cloud));
-        let loss = |name: &str, way: Way| format!("{name}{}", way.loss_percent);
+        let loss = |name: &str, way: WireProperties| format!("{name}{}", way.loss_percent);
         let (up_delay, down_delay) = (up.delay("LR"), down.delay("RL"));
         let (up_loss, down_loss) = (loss("LR", up), loss("RL", down));
         let delays = ["-d", &up_delay, "-d", &down_delay, "-l", &up_loss, "-l", &down_loss];
@@ -146,7 +146,7 @@ impl Network {
     ///
     /// # Panics
     /// If this is not a [`wire`](Self::wire), or if it does not answer.
-    pub fn delay(&self, up: Way, down: Way) {
+    pub fn delay(&self, up: WireProperties, down: WireProperties) {
         let commands = self.wire.as_ref().expect("a wire");
         let mut stream = until("the wire", || UnixStream::connect(commands).ok());
         for delay in [up.delay("LR"), down.delay("RL")] {

@@ -3,7 +3,7 @@
 
 use std::process::{Command, Stdio};
 
-use peernet_tests::{AGGREGATOR, Api, Ended, Process, Site, program, until};
+use peernet_tests::{AGGREGATOR, Api, LoopbackDeployment, Process, ProcessEnd, program, until};
 use rustix::process::{Pid, Signal, kill_process};
 use serde_json::Value;
 
@@ -50,30 +50,30 @@ const FILES: [&str; 7] = [
     "throughput.svg",
 ];
 
-struct Plant {
-    site: Site,
+struct CalibratedHosts {
+    deployment: LoopbackDeployment,
     peer: String,
 }
 
-impl Plant {
+impl CalibratedHosts {
     fn new() -> Self {
-        let site = Site::new();
-        let peer = format!("127.0.0.1:{}", site.data);
-        Self { site, peer }
+        let deployment = LoopbackDeployment::new();
+        let peer = format!("127.0.0.1:{}", deployment.data);
+        Self { deployment, peer }
     }
 
     fn start(&self, name: &str, file: &str) -> Process {
-        self.site.write(name, file);
-        let process = self.site.start(name);
+        self.deployment.write(name, file);
+        let process = self.deployment.start(name);
         process.wait_for("ready");
         process
     }
 
     fn peernet(&self, arguments: &[&str]) -> Process {
-        Process::start(&program("peernet"), arguments, self.site.folder(), &[])
+        Process::start(&program("peernet"), arguments, self.deployment.folder(), &[])
     }
 
-    fn calibrate(&self, arguments: &[&str]) -> Ended {
+    fn calibrate(&self, arguments: &[&str]) -> ProcessEnd {
         self.peernet(&[&["calibrate", &self.peer, "--result-loc", "results"], arguments].concat()).ended()
     }
 
@@ -87,7 +87,7 @@ impl Plant {
     }
 
     fn results(&self) -> Value {
-        let file = self.site.folder().join("results/calibration.json");
+        let file = self.deployment.folder().join("results/calibration.json");
         serde_json::from_slice(&std::fs::read(file).expect("it was written")).expect("it is JSON")
     }
 }
@@ -98,14 +98,14 @@ fn number(value: &Value) -> f64 {
 
 #[test]
 fn a_link_is_calibrated_whatever_the_clocks_show() {
-    let plant = Plant::new();
-    let _cloud = plant.start("cloud.toml", CLOUD);
+    let hosts = CalibratedHosts::new();
+    let _cloud = hosts.start("cloud.toml", CLOUD);
     let sweep = ["--sizes", "100,1kB,10kB,100kB,1MB", "--repeats", "60", "--seconds", "50"];
-    let done = plant.calibrate(&sweep);
+    let done = hosts.calibrate(&sweep);
     assert_eq!(done.code(), 0, "{}", done.log);
     assert!(done.log.contains("the intercepts, ") && done.log.contains("clock bounds"), "{}", done.log);
 
-    let study = plant.results();
+    let study = hosts.results();
     assert_eq!(study["counts"], serde_json::json!({ "measured": 300, "warm_up": 10, "failed": 0 }));
     assert_eq!((&study["setting"]["cloud"], &study["setting"]["rehearsed"]), (&"cloud".into(), &true.into()));
     for (direction, ahead) in [("up", 1.0), ("down", -1.0)] {
@@ -131,7 +131,7 @@ fn a_link_is_calibrated_whatever_the_clocks_show() {
     let offset = number(&study["clocks"]["offset"]);
     assert!((offset - 1.0).abs() < 1e-3, "the cloud is 1 s ahead, not {offset} s");
 
-    let folder = plant.site.folder().join("results");
+    let folder = hosts.deployment.folder().join("results");
     assert!(FILES.iter().all(|name| folder.join(name).is_file()), "{folder:?}");
     for name in ["latency.png", "throughput.png"] {
         let picture = image::open(folder.join(name)).expect("a picture");
@@ -141,7 +141,7 @@ fn a_link_is_calibrated_whatever_the_clocks_show() {
     assert_eq!(samples.lines().count(), 311);
     every_delay_lies_within_its_bounds(&samples);
 
-    let again = plant.calibrate(&sweep);
+    let again = hosts.calibrate(&sweep);
     assert_eq!(again.code(), 64, "{}", again.log);
     assert!(again.log.contains("--overwrite"), "{}", again.log);
 }
@@ -172,52 +172,52 @@ fn every_delay_lies_within_its_bounds(samples: &str) {
 
 #[test]
 fn what_was_measured_until_ctrl_c_is_written() {
-    let plant = Plant::new();
-    let _cloud = plant.start("cloud.toml", CLOUD);
+    let hosts = CalibratedHosts::new();
+    let _cloud = hosts.start("cloud.toml", CLOUD);
     let arguments =
-        ["calibrate", &plant.peer, "--result-loc", "results", "--repeats", "1000000", "--seconds", "600"];
-    let running = plant.peernet(&arguments);
+        ["calibrate", &hosts.peer, "--result-loc", "results", "--repeats", "1000000", "--seconds", "600"];
+    let running = hosts.peernet(&arguments);
     running.wait_for("s left");
     running.signal(Signal::INT);
     let ended = running.ended();
     assert_eq!(ended.code(), 130, "{}", ended.log);
-    let study = plant.results();
+    let study = hosts.results();
     assert_eq!(study["setting"]["interrupted"], true);
     assert!(number(&study["counts"]["measured"]) > 0.0, "{}", study["counts"]);
-    assert!(FILES.iter().all(|name| plant.site.folder().join("results").join(name).is_file()));
+    assert!(FILES.iter().all(|name| hosts.deployment.folder().join("results").join(name).is_file()));
 }
 
 #[test]
 fn who_cannot_be_calibrated_is_told_why() {
-    let plant = Plant::new();
-    let nobody = plant.calibrate(&[]);
+    let hosts = CalibratedHosts::new();
+    let nobody = hosts.calibrate(&[]);
     assert_eq!(nobody.code(), 69, "{}", nobody.log);
-    assert!(nobody.log.contains(&plant.peer), "{}", nobody.log);
-    let few = plant.calibrate(&["--sizes", "100,1kB"]);
+    assert!(nobody.log.contains(&hosts.peer), "{}", nobody.log);
+    let few = hosts.calibrate(&["--sizes", "100,1kB"]);
     assert_eq!(few.code(), 64, "{}", few.log);
-    let none = plant.calibrate(&["--repeats", "0"]);
+    let none = hosts.calibrate(&["--repeats", "0"]);
     assert_eq!(none.code(), 64, "{}", none.log);
     assert!(none.log.contains("at least 1"), "{}", none.log);
 
     let closed = CLOUD.replace("[serve]", "[serve]\ncalibration = false");
-    let _cloud = plant.start("closed.toml", &closed);
-    let refused = plant.calibrate(&[]);
+    let _cloud = hosts.start("closed.toml", &closed);
+    let refused = hosts.calibrate(&[]);
     assert_eq!(refused.code(), 69, "{}", refused.log);
     assert!(refused.log.contains("[serve] calibration = true"), "{}", refused.log);
-    assert!(!plant.site.folder().join("results").exists(), "there is nothing to keep");
+    assert!(!hosts.deployment.folder().join("results").exists(), "there is nothing to keep");
 
-    let wrong = plant.site.write("wrong.toml", "[agent]\n[clock]\nmax_drift = 3\n");
-    let wrong = plant.calibrate(&["--config", &wrong.display().to_string()]);
+    let wrong = hosts.deployment.write("wrong.toml", "[agent]\n[clock]\nmax_drift = 3\n");
+    let wrong = hosts.calibrate(&["--config", &wrong.display().to_string()]);
     assert_eq!(wrong.code(), 78, "{}", wrong.log);
     assert!(wrong.log.contains("max_drift"), "{}", wrong.log);
 }
 
 #[test]
 fn the_port_of_something_else_is_told_from_a_slow_peer() {
-    let plant = Plant::new();
-    let (_aggregator, _) = plant.site.aggregator();
-    let peer = format!("tcp://127.0.0.1:{}", plant.site.events);
-    let slip = plant.peernet(&["calibrate", &peer, "--result-loc", "results"]).ended();
+    let hosts = CalibratedHosts::new();
+    let (_aggregator, _) = hosts.deployment.aggregator();
+    let peer = format!("tcp://127.0.0.1:{}", hosts.deployment.events);
+    let slip = hosts.peernet(&["calibrate", &peer, "--result-loc", "results"]).ended();
     assert_eq!(slip.code(), 69, "{}", slip.log);
     let told = format!("something listens at {peer} but does not answer like an agent's [serve]");
     assert!(slip.log.contains(&told) && slip.log.contains("port of an aggregator"), "{}", slip.log);
@@ -226,23 +226,23 @@ fn the_port_of_something_else_is_told_from_a_slow_peer() {
 
 #[test]
 fn a_size_beyond_the_peers_limit_is_refused_at_the_start() {
-    let plant = Plant::new();
-    let _cloud = plant.start("cloud.toml", CLOUD);
-    let large = plant.calibrate(&["--sizes", "1,2kB,100MB"]);
+    let hosts = CalibratedHosts::new();
+    let _cloud = hosts.start("cloud.toml", CLOUD);
+    let large = hosts.calibrate(&["--sizes", "1,2kB,100MB"]);
     assert_eq!(large.code(), 69, "{}", large.log);
     for part in ["payloads of 100 MB", "max_message_bytes", "67108864", "--sizes"] {
         assert!(large.log.contains(part), "{part} is missing in\n{}", large.log);
     }
-    assert!(!plant.site.folder().join("results").exists(), "there is nothing to keep");
+    assert!(!hosts.deployment.folder().join("results").exists(), "there is nothing to keep");
 }
 
 #[test]
 fn on_one_clock_bounds_are_exact() {
-    let plant = Plant::new();
-    let _cloud = plant.start("cloud.toml", &CLOUD.replace("[rehearsal]\noffset_ms = 1000\n", ""));
-    let done = plant.calibrate(&["--sizes", "100,1kB,10kB", "--repeats", "20"]);
+    let hosts = CalibratedHosts::new();
+    let _cloud = hosts.start("cloud.toml", &CLOUD.replace("[rehearsal]\noffset_ms = 1000\n", ""));
+    let done = hosts.calibrate(&["--sizes", "100,1kB,10kB", "--repeats", "20"]);
     assert_eq!(done.code(), 0, "{}", done.log);
-    assert_eq!(plant.results()["verdict"]["kind"], "exact");
+    assert_eq!(hosts.results()["verdict"]["kind"], "exact");
     let exact = done.log.lines().filter(|line| line.contains(" exact")).count();
     // Three sizes, the clock bounds in both directions, and the verdict.
     assert_eq!(exact, 6, "{}", done.log);
@@ -250,18 +250,18 @@ fn on_one_clock_bounds_are_exact() {
 
 #[test]
 fn a_peer_that_comes_back_with_another_clock_ends_the_study() {
-    let plant = Plant::new();
-    let cloud = plant.start("cloud.toml", CLOUD);
-    let running = plant.endless();
+    let hosts = CalibratedHosts::new();
+    let cloud = hosts.start("cloud.toml", CLOUD);
+    let running = hosts.endless();
     cloud.kill();
     running.wait_for("cloud is away");
-    let _other = plant.start("other.toml", &CLOUD.replace("offset_ms = 1000", "offset_ms = 300"));
+    let _other = hosts.start("other.toml", &CLOUD.replace("offset_ms = 1000", "offset_ms = 300"));
     let ended = running.ended();
     assert_eq!(ended.code(), 69, "{}", ended.log);
     for part in ["came back with another clock", "made wrong on purpose (offset +300 ms)"] {
         assert!(ended.log.contains(part), "{part} is missing in\n{}", ended.log);
     }
-    let study = plant.results();
+    let study = hosts.results();
     assert_eq!(
         (&study["setting"]["interrupted"], &study["setting"]["rehearsed"]),
         (&true.into(), &true.into())
@@ -272,31 +272,32 @@ fn a_peer_that_comes_back_with_another_clock_ends_the_study() {
     // The study contains no data of the second clock.
     let offset = number(&study["clocks"]["offset"]);
     assert!((offset - 1.0).abs() < 1e-3, "the clock of the study is 1 s ahead, not {offset} s");
-    let samples = std::fs::read_to_string(plant.site.folder().join("results/samples.csv")).expect("written");
+    let samples =
+        std::fs::read_to_string(hosts.deployment.folder().join("results/samples.csv")).expect("written");
     every_delay_lies_within_its_bounds(&samples);
 }
 
 #[test]
 fn a_peer_that_was_away_and_comes_back_is_told() {
-    let plant = Plant::new();
+    let hosts = CalibratedHosts::new();
     // Another name for the system's clock, which is related by exchanges and is the same after a restart.
     let same = CLOUD
         .replace("[rehearsal]\noffset_ms = 1000\n", "")
         .replace("[probes]", "clock_identity = \"cloud\"\n\n[probes]");
-    let cloud = plant.start("cloud.toml", &same);
-    let running = plant.endless();
+    let cloud = hosts.start("cloud.toml", &same);
+    let running = hosts.endless();
     // The cloud is stopped first, so that a payload is certainly lost.
     cloud.signal(Signal::STOP);
     running.wait_for("cloud is away");
     cloud.kill();
     let lines = running.log().matches("s left").count();
-    let _again = plant.start("cloud.toml", &same);
+    let _again = hosts.start("cloud.toml", &same);
     running.wait_for_nth("s left", lines + 1);
     running.signal(Signal::INT);
     let ended = running.ended();
     assert_eq!(ended.code(), 130, "{}", ended.log);
     assert!(ended.log.contains("the peer went away once during the study and came back"), "{}", ended.log);
-    let study = plant.results();
+    let study = hosts.results();
     assert_eq!((&study["setting"]["reconnections"], &study["clocks"]["steps"]), (&1.into(), &0.into()));
     let lost = &study["failures"][0];
     assert_eq!(lost["outcome"], "lost", "{study:#}");
@@ -306,19 +307,19 @@ fn a_peer_that_was_away_and_comes_back_is_told() {
 
 #[test]
 fn a_reader_that_has_gone_is_no_reason_to_panic() {
-    let site = Site::new();
+    let deployment = LoopbackDeployment::new();
     let start = |name: &str, arguments: &[&str]| {
         let mut program = Command::new(program(name));
-        let program = program.args(arguments).current_dir(site.folder());
+        let program = program.args(arguments).current_dir(deployment.folder());
         program.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().expect("it starts")
     };
-    site.write("aggregator.toml", AGGREGATOR);
+    deployment.write("aggregator.toml", AGGREGATOR);
     let mut daemon = start("peernetd", &["run", "aggregator.toml"]);
     drop((daemon.stdout.take(), daemon.stderr.take()));
-    let api = Api::at(site.http);
+    let api = Api::at(deployment.http);
     until("the dashboard", || api.get("/healthz").filter(|(status, _)| *status == 200));
 
-    let url = format!("http://127.0.0.1:{}", site.http);
+    let url = format!("http://127.0.0.1:{}", deployment.http);
     let mut asked = start("peernet", &["status", "--url", &url]);
     drop(asked.stdout.take());
     let asked = asked.wait_with_output().expect("it ends");
@@ -332,13 +333,13 @@ fn a_reader_that_has_gone_is_no_reason_to_panic() {
 
 #[test]
 fn a_stored_run_is_computed_again_and_left_as_it_was() {
-    let plant = Plant::new();
-    let (_aggregator, api) = plant.site.aggregator();
-    let _cloud = plant.start("cloud.toml", CLOUD);
-    let edge = plant.site.agent("edge", EDGE);
+    let hosts = CalibratedHosts::new();
+    let (_aggregator, api) = hosts.deployment.aggregator();
+    let _cloud = hosts.start("cloud.toml", CLOUD);
+    let edge = hosts.deployment.agent("edge", EDGE);
     let run = api.finished_run();
-    let url = format!("http://127.0.0.1:{}", plant.site.http);
-    let status = plant.peernet(&["status", "--url", &url]).ended();
+    let url = format!("http://127.0.0.1:{}", hosts.deployment.http);
+    let status = hosts.peernet(&["status", "--url", &url]).ended();
     assert_eq!(status.code(), 0, "{}", status.log);
     for part in ["connected, rehearsed", "REHEARSAL: edge's clock", "offset -500 ms"] {
         assert!(status.log.contains(part), "{part} is missing in\n{}", status.log);
@@ -348,13 +349,13 @@ fn a_stored_run_is_computed_again_and_left_as_it_was() {
     let before = api.json(&format!("/api/v1/runs/{run}/stages"));
 
     let number = run.to_string();
-    let shown = plant.peernet(&["recompute", &number, "--url", &url]).ended();
+    let shown = hosts.peernet(&["recompute", &number, "--url", &url]).ended();
     assert_eq!(shown.code(), 0, "{}", shown.log);
     let rehearsal = "wrong on purpose: cloud's (offset +1000 ms), the edge's (offset -500 ms)";
     for part in ["upload", "download", "before", "after", "nothing stored was changed", rehearsal] {
         assert!(shown.log.contains(part), "{part} is missing in\n{}", shown.log);
     }
-    let json = plant.peernet(&["recompute", &number, "--url", &url, "--json"]).ended();
+    let json = hosts.peernet(&["recompute", &number, "--url", &url, "--json"]).ended();
     let json: Value = serde_json::from_str(&json.log).unwrap_or_else(|error| panic!("{error}: {}", json.log));
     for stage in json["stages"].as_array().expect("a list") {
         let after = &stage["after"];
@@ -367,7 +368,7 @@ fn a_stored_run_is_computed_again_and_left_as_it_was() {
     }
     assert_eq!(before, api.json(&format!("/api/v1/runs/{run}/stages")));
 
-    let unknown = plant.peernet(&["recompute", "4711", "--url", &url]).ended();
+    let unknown = hosts.peernet(&["recompute", "4711", "--url", &url]).ended();
     assert_eq!(unknown.code(), 69, "{}", unknown.log);
     assert!(unknown.log.contains("4711"), "{}", unknown.log);
 }

@@ -1,7 +1,7 @@
 //! Tests of the whole chain from the sensor to the store and the page, over three processes, with a real model on
 //! real pictures.
 
-use peernet_tests::{Process, Site, program, root};
+use peernet_tests::{LoopbackDeployment, Process, program, root};
 use serde_json::Value;
 
 const CLOUD: &str = r#"
@@ -45,10 +45,10 @@ fn number(value: &Value, key: &str) -> f64 {
 
 #[test]
 fn an_offloaded_picture_is_measured_stage_by_stage_and_stored() {
-    let site = Site::new();
-    let (_aggregator, api) = site.aggregator();
-    let cloud = site.agent("cloud", CLOUD);
-    let edge = site.agent("edge", EDGE);
+    let deployment = LoopbackDeployment::new();
+    let (_aggregator, api) = deployment.aggregator();
+    let cloud = deployment.agent("cloud", CLOUD);
+    let edge = deployment.agent("edge", EDGE);
 
     // Page and API show the pipeline while it runs.
     api.until("/api/v1/pipelines/edge/offload", |pipeline| {
@@ -95,7 +95,7 @@ fn an_offloaded_picture_is_measured_stage_by_stage_and_stored() {
 
 #[test]
 fn all_roles_in_one_process_lose_nothing_at_the_end() {
-    let site = Site::new();
+    let deployment = LoopbackDeployment::new();
     let all = std::fs::read_to_string(root().join("configs/all-in-one.toml"))
         .expect("the configuration is shipped");
     let all = all
@@ -103,15 +103,15 @@ fn all_roles_in_one_process_lose_nothing_at_the_end() {
         .replace("tcp://127.0.0.1:5551", "tcp://127.0.0.1:{data}")
         .replace("127.0.0.1:8040", "127.0.0.1:{http}")
         .replace("models/quality-control", "{root}/models/quality-control");
-    site.write("all.toml", &all);
-    let api = peernet_tests::Api::at(site.http);
+    deployment.write("all.toml", &all);
+    let api = peernet_tests::Api::at(deployment.http);
 
-    let first = site.start("all.toml");
+    let first = deployment.start("all.toml");
     api.until("/api/v1/runs", |runs| (number(&runs["runs"].get(1)?["counts"], "ok") > 20.0).then_some(()));
     assert_eq!(first.stop().code(), 0);
 
     // A second start finds the runs of the first one ended, with everything that was measured before it stopped.
-    let second = site.start("all.toml");
+    let second = deployment.start("all.toml");
     let runs = api.until("/api/v1/runs", |runs| {
         let runs: Vec<Value> =
             runs["runs"].as_array()?.iter().filter(|run| run["reason"] == "stopped").cloned().collect();
@@ -136,18 +136,18 @@ fn all_roles_in_one_process_lose_nothing_at_the_end() {
 
 #[test]
 fn the_command_line_shows_what_runs_and_says_when_nobody_answers() {
-    let site = Site::new();
-    let url = format!("http://127.0.0.1:{}", site.http);
+    let deployment = LoopbackDeployment::new();
+    let url = format!("http://127.0.0.1:{}", deployment.http);
     let peernet = || {
         let arguments = ["status", "--url", url.as_str()];
-        Process::start(&program("peernet"), &arguments, site.folder(), &[]).ended()
+        Process::start(&program("peernet"), &arguments, deployment.folder(), &[]).ended()
     };
     let nobody = peernet();
     assert_eq!(nobody.code(), 69, "{}", nobody.log);
     assert!(nobody.log.contains("--url"), "{}", nobody.log);
 
-    let (_aggregator, api) = site.aggregator();
-    let edge = site.agent("edge", EDGE);
+    let (_aggregator, api) = deployment.aggregator();
+    let edge = deployment.agent("edge", EDGE);
     api.until("/api/v1/pipelines/edge/offload", |pipeline| (pipeline["state"] == "waiting").then_some(()));
     let status = peernet();
     assert_eq!(status.code(), 0, "{}", status.log);

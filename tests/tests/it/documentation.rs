@@ -8,7 +8,7 @@
 use std::os::unix::fs::symlink;
 use std::path::{Path, PathBuf};
 
-use peernet_tests::{Document, Process, Site, onnxruntime, program, root};
+use peernet_tests::{Document, LoopbackDeployment, Process, onnxruntime, program, root};
 
 use crate::external::build;
 
@@ -28,11 +28,11 @@ fn is_experiment(block: &str) -> bool {
 
 #[test]
 fn experiments_in_the_documents_pass_the_check() {
-    let site = Site::new();
+    let deployment = LoopbackDeployment::new();
     let mut checked = Vec::new();
     for document in Document::all() {
         for (line, block) in document.fenced("toml").into_iter().filter(|(_, block)| is_experiment(block)) {
-            let file = site.write("experiment.toml", &block);
+            let file = deployment.write("experiment.toml", &block);
             let arguments = [Path::new("run"), Path::new("--check"), &file];
             let ended = Process::start(&program("peernet"), &arguments, root(), &[]).ended();
             assert_eq!(ended.code(), 0, "{}:{line}:\n{}", document.path.display(), ended.log);
@@ -47,12 +47,12 @@ fn experiments_in_the_documents_pass_the_check() {
 
 #[test]
 fn examples_that_are_complete_files_pass_the_check_and_excerpts_can_be_read() {
-    let site = Site::new();
+    let deployment = LoopbackDeployment::new();
     let _needed = onnxruntime();
     for name in ["configs", "docs", "models", "onnxruntime"] {
-        symlink(root().join(name), site.folder().join(name)).expect("the temporary folder is writable");
+        symlink(root().join(name), deployment.folder().join(name)).expect("the temporary folder is writable");
     }
-    build(site.folder());
+    build(deployment.folder());
     let mut wrong = Vec::new();
     for document in Document::all() {
         for (line, block) in document.fenced("toml") {
@@ -65,8 +65,9 @@ fn examples_that_are_complete_files_pass_the_check_and_excerpts_can_be_read() {
             };
             // The check binds this port, and a demo may be running.
             let block = block.replace("tcp://127.0.0.1:5551", "tcp://127.0.0.1:{data}");
-            site.write(name, &block);
-            let ended = Process::start(&program("peernetd"), &["check", name], site.folder(), &[]).ended();
+            deployment.write(name, &block);
+            let ended =
+                Process::start(&program("peernetd"), &["check", name], deployment.folder(), &[]).ended();
             if ended.code() != 0 {
                 wrong.push(format!("{at}:\n{}", ended.log));
             }
@@ -163,17 +164,17 @@ const KINDS: [(&str, &str); 6] = [
 ];
 
 /// Runs a program's check on a file; returns the output.
-type Check = fn(&Site, &str) -> String;
+type Check = fn(&LoopbackDeployment, &str) -> String;
 
-fn configuration(site: &Site, file: &str) -> String {
-    site.write("probe.toml", file);
-    site.peernetd(&["check", "probe.toml"]).ended().log
+fn configuration(deployment: &LoopbackDeployment, file: &str) -> String {
+    deployment.write("probe.toml", file);
+    deployment.peernetd(&["check", "probe.toml"]).ended().log
 }
 
-fn experiment(site: &Site, file: &str) -> String {
-    site.write("probe.toml", file);
+fn experiment(deployment: &LoopbackDeployment, file: &str) -> String {
+    deployment.write("probe.toml", file);
     let arguments = ["run", "--check", "probe.toml"];
-    Process::start(&program("peernet"), &arguments, site.folder(), &[]).ended().log
+    Process::start(&program("peernet"), &arguments, deployment.folder(), &[]).ended().log
 }
 
 /// Returns the names that a check offers instead of `zz`.
@@ -196,19 +197,19 @@ fn lacking(document: &Document, section: &str, words: &[String]) -> Vec<String> 
 
 #[test]
 fn the_reference_describes_every_key_and_kind() {
-    let site = Site::new();
+    let deployment = LoopbackDeployment::new();
     let mut missing = Vec::new();
     let mut look = |document: &str, said: Check, probes: &[(&str, &str)]| {
         let document = Document::read(document);
         for (section, file) in probes {
-            missing.extend(lacking(&document, section, &known(&said(&site, file))));
+            missing.extend(lacking(&document, section, &known(&said(&deployment, file))));
         }
     };
     look(REFERENCE, configuration, &PROBES);
     look("docs/experiments.md", experiment, &EXPERIMENTS);
     let reference = Document::read(REFERENCE);
     for (section, file) in KINDS {
-        let of = |kind: &str| known(&configuration(&site, &file.replace("KIND", kind)));
+        let of = |kind: &str| known(&configuration(&deployment, &file.replace("KIND", kind)));
         let kinds = of("zz");
         missing.extend(lacking(&reference, section, &kinds));
         missing.extend(kinds.iter().flat_map(|kind| lacking(&reference, section, &of(kind))));

@@ -1,6 +1,6 @@
 //! Tests of profiling a ROS system between two of its topics, without changes to its nodes.
 
-use peernet_tests::{Api, Process, Ros1System, Site, until};
+use peernet_tests::{Api, LoopbackDeployment, Process, Ros1System, until};
 use serde_json::Value;
 
 /// Returns a pipeline that observes the nodes between two topics.
@@ -60,8 +60,8 @@ fn answered(api: &Api, pipeline: &str) -> u64 {
 
 #[test]
 fn latencies_of_a_chain_are_reported_within_a_millisecond() {
-    let (site, ros) = (Site::new(), Ros1System::new());
-    let (_aggregator, api) = site.aggregator();
+    let (deployment, ros) = (LoopbackDeployment::new(), Ros1System::new());
+    let (_aggregator, api) = deployment.aggregator();
     let hops = [("5", "/camera", "/a"), ("20", "/a", "/b"), ("50", "/b", "/c")];
     let relay = |(delay, from, to): &(&str, &str, &str)| {
         ros.node(&["relay", &format!("relay{delay}"), from, to, delay, "0"])
@@ -70,7 +70,7 @@ fn latencies_of_a_chain_are_reported_within_a_millisecond() {
     let tables: String =
         hops.iter().map(|(delay, from, to)| observer(&format!("hop{delay}"), from, to, "")).collect();
     let limit = "limit = { iterations = 40 }";
-    let agent = ros.agent(&site, "robot", &(tables + &observer("whole", "/camera", "/c", limit)));
+    let agent = ros.agent(&deployment, "robot", &(tables + &observer("whole", "/camera", "/c", limit)));
     let _camera = ros.node(&["camera", "camera", "/camera", "10"]);
 
     // On a busy machine nodes and agent wait for a processor; this repeats until they did not for two seconds.
@@ -108,12 +108,12 @@ fn latencies_of_a_chain_are_reported_within_a_millisecond() {
 
 #[test]
 fn unanswered_input_messages_are_lost_iterations() {
-    let (site, ros) = (Site::new(), Ros1System::new());
-    let (_aggregator, api) = site.aggregator();
+    let (deployment, ros) = (LoopbackDeployment::new(), Ros1System::new());
+    let (_aggregator, api) = deployment.aggregator();
     let _camera = ros.node(&["camera", "camera", "/camera", "20"]);
     let _relay = ros.node(&["relay", "relay", "/camera", "/out", "2", "4"]);
     let keys = "warm_up = { iterations = 0 }\nlimit = { iterations = 40 }";
-    let _agent = ros.agent(&site, "robot", &observer("lossy", "/camera", "/out", keys));
+    let _agent = ros.agent(&deployment, "robot", &observer("lossy", "/camera", "/out", keys));
     let (_, run) = finished(&api, 1).remove(0);
     let detail = api.json(&format!("/api/v1/runs/{run}"));
     let count = |outcome: &str| detail["counts"][outcome].as_u64().expect("a count");
@@ -125,10 +125,13 @@ fn unanswered_input_messages_are_lost_iterations() {
 
 #[test]
 fn observing_goes_on_after_master_and_nodes_were_restarted() {
-    let (site, mut ros) = (Site::new(), Ros1System::new());
-    let (_aggregator, api) = site.aggregator();
-    let agent =
-        ros.agent(&site, "robot", &observer("chain", "/camera", "/out", "warm_up = { iterations = 0 }"));
+    let (deployment, mut ros) = (LoopbackDeployment::new(), Ros1System::new());
+    let (_aggregator, api) = deployment.aggregator();
+    let agent = ros.agent(
+        &deployment,
+        "robot",
+        &observer("chain", "/camera", "/out", "warm_up = { iterations = 0 }"),
+    );
     let state = |wanted: &str| {
         api.until("/api/v1/pipelines/robot/chain", |pipeline| {
             pipeline.to_string().contains(wanted).then(|| pipeline["run"].clone())
@@ -164,13 +167,13 @@ fn observing_goes_on_after_master_and_nodes_were_restarted() {
 
 #[test]
 fn topic_without_header_is_refused_with_the_next_step() {
-    let (site, ros) = (Site::new(), Ros1System::new());
-    let (_aggregator, api) = site.aggregator();
+    let (deployment, ros) = (LoopbackDeployment::new(), Ros1System::new());
+    let (_aggregator, api) = deployment.aggregator();
     let _nodes = [ros.node(&["talk", "one", "/one"]), ros.node(&["talk", "two", "/two"])];
     let stamped = observer("stamped", "/one", "/two", "");
     let ordered =
         observer("ordered", "/one", "/two", "").replace("ros_version", "pair_by = \"order\", ros_version");
-    let _agent = ros.agent(&site, "robot", &(stamped + &ordered));
+    let _agent = ros.agent(&deployment, "robot", &(stamped + &ordered));
     api.until("/api/v1/pipelines/robot/stamped", |pipeline| {
         let text = pipeline.to_string();
         (text.contains("has the type std_msgs/String") && text.contains("pair_by")).then_some(())
@@ -180,10 +183,10 @@ fn topic_without_header_is_refused_with_the_next_step() {
 
 #[test]
 fn agent_waits_for_a_master() {
-    let (site, mut ros) = (Site::new(), Ros1System::new());
-    let (_aggregator, api) = site.aggregator();
+    let (deployment, mut ros) = (LoopbackDeployment::new(), Ros1System::new());
+    let (_aggregator, api) = deployment.aggregator();
     ros.kill_master();
-    let _agent = ros.agent(&site, "robot", &observer("chain", "/camera", "/out", ""));
+    let _agent = ros.agent(&deployment, "robot", &observer("chain", "/camera", "/out", ""));
     api.until("/api/v1/pipelines/robot/chain", |pipeline| {
         pipeline.to_string().contains("no ROS master answers at http://127.0.0.1").then_some(())
     });
@@ -195,11 +198,12 @@ fn agent_waits_for_a_master() {
 
 #[test]
 fn check_says_what_cannot_be_observed_of_ros_2() {
-    let site = Site::new();
+    let deployment = LoopbackDeployment::new();
     let check = |keys: &str| {
         let pipeline = observer("two", "/in", "/out", "").replace("ros_version = 1", keys);
-        site.write("it.toml", &format!("[agent]\nname = \"a\"\nstate_dir = \"{{folder}}/a\"\n{pipeline}"));
-        let ended = site.peernetd(&["check", "it.toml"]).ended();
+        deployment
+            .write("it.toml", &format!("[agent]\nname = \"a\"\nstate_dir = \"{{folder}}/a\"\n{pipeline}"));
+        let ended = deployment.peernetd(&["check", "it.toml"]).ended();
         (ended.code(), ended.log)
     };
     let (code, log) = check("ros_version = 2, pair_by = \"sequence\"");
@@ -221,11 +225,11 @@ fn check_says_what_cannot_be_observed_of_ros_2() {
 
 #[test]
 fn keys_of_an_active_pipeline_are_refused_beside_observe() {
-    let site = Site::new();
+    let deployment = LoopbackDeployment::new();
     let pipeline = observer("wrong", "/a", "/a", "load = { mode = \"rate\", hz = 1.0 }")
         .replace("timeout_ms", "sensor = { kind = \"synthetic\", size_bytes = 1 }\ntimeout_ms");
-    site.write("it.toml", &format!("[agent]\nname = \"a\"\nstate_dir = \"{{folder}}/a\"\n{pipeline}"));
-    let ended = site.peernetd(&["check", "it.toml"]).ended();
+    deployment.write("it.toml", &format!("[agent]\nname = \"a\"\nstate_dir = \"{{folder}}/a\"\n{pipeline}"));
+    let ended = deployment.peernetd(&["check", "it.toml"]).ended();
     assert_eq!(ended.code(), 78, "{}", ended.log);
     for part in [
         "pipeline[0].sensor: a system that is only observed has its own",

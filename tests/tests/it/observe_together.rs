@@ -3,9 +3,11 @@
 use std::path::Path;
 
 use peernet_clock::Span;
-use peernet_tests::network::{Host, Network, Way};
+use peernet_tests::network::{Host, Network, WireProperties};
 use peernet_tests::truth::{HostClock, Iteration, compare};
-use peernet_tests::{Api, Plant, Process, Ros1System, Site, program, root, say, until};
+use peernet_tests::{
+    Api, LoopbackDeployment, Process, Ros1System, TwoHostTestbed, program, root, say, until,
+};
 use serde_json::Value;
 
 /// Returns a pipeline that observes `/camera` and `/result` together with the agent at `peer`.
@@ -70,15 +72,15 @@ struct RosOverWire {
     answering: Process,
     _camera: Process,
     _master: Process,
-    plant: Plant,
+    testbed: TwoHostTestbed,
 }
 
 impl RosOverWire {
     /// Starts the master, the camera, and the node on the cloud with these arguments.
     fn new(answering: &[&str]) -> Self {
-        let way = |delay_ms| Way { delay_ms, jitter_ms: 0, loss_percent: 0 };
-        let plant = Plant::new(|folder| Network::wire(folder, way(30), way(5)));
-        let (edge, cloud) = (plant.network.edge(), plant.network.cloud());
+        let way = |delay_ms| WireProperties { delay_ms, jitter_ms: 0, loss_percent: 0 };
+        let testbed = TwoHostTestbed::new(|folder| Network::wire(folder, way(30), way(5)));
+        let (edge, cloud) = (testbed.network.edge(), testbed.network.cloud());
         let (on_edge, on_cloud) = (ros(edge, edge), ros(edge, cloud));
         let home = std::env::temp_dir().display().to_string();
         let environment = [&borrowed(&on_edge)[..], &[("ROS_HOME", home.as_str())]].concat();
@@ -89,17 +91,17 @@ impl RosOverWire {
         });
         let camera = node(edge, &on_edge, &["camera", "camera", "/camera", "20"]);
         let answering = node(cloud, &on_cloud, answering);
-        Self { variables: [on_edge, on_cloud], answering, _camera: camera, _master: master, plant }
+        Self { variables: [on_edge, on_cloud], answering, _camera: camera, _master: master, testbed }
     }
 
     /// Starts the agent on the cloud, with these tables.
     fn cloud(&self, tables: &str) -> Process {
-        self.plant.cloud_with(tables, &borrowed(&self.variables[1]))
+        self.testbed.cloud_with(tables, &borrowed(&self.variables[1]))
     }
 
     /// Starts the agent on the edge, with these tables.
     fn edge(&self, tables: &str) -> Process {
-        self.plant.edge(tables, &borrowed(&self.variables[0]))
+        self.testbed.edge(tables, &borrowed(&self.variables[0]))
     }
 
     /// Compares stored delays with the truth and with the delays of the wire, and the node's share with its own
@@ -121,11 +123,11 @@ impl RosOverWire {
         }
         let taken = self.answering.log().lines().rfind(|line| line.starts_with("median")).map(str::to_owned);
         let taken: f64 = taken.and_then(|line| line.split(' ').nth(1)?.parse().ok()).expect("a median");
-        let inference = median(&self.plant.api, run, "inference");
+        let inference = median(&self.testbed.api, run, "inference");
         assert!((inference - taken * 1e-6).abs() < 3e-3, "{inference} s, and the node says {taken} us");
         // The stages cover the whole time.
-        assert!(self.plant.api.mean(run, "unattributed").abs() < 1e-4);
-        assert_eq!(self.plant.api.figures(run, "upload-throughput"), None);
+        assert!(self.testbed.api.mean(run, "unattributed").abs() < 1e-4);
+        assert_eq!(self.testbed.api.figures(run, "upload-throughput"), None);
     }
 }
 
@@ -135,20 +137,20 @@ const KEYS: &str = "warm_up = { iterations = 20 }\nlimit = { iterations = 300 }"
 #[test]
 fn delays_of_observed_messages_contain_the_truth_whatever_the_clocks_show() {
     let scene = RosOverWire::new(&["relay", "model", "/camera", "/result", "20", "0"]);
-    let plant = &scene.plant;
+    let testbed = &scene.testbed;
     let wrong = |offset_ms: f64, drift_ppm: f64| {
         format!("[rehearsal]\noffset_ms = {offset_ms:?}\ndrift_ppm = {drift_ppm:?}\n")
     };
     // In the middle of the run the cloud's clock is stepped as well.
     let stepped = wrong(5_000.0, 20.0) + "steps = [{ at_s = 10.0, by_ms = 2000.0 }]\n";
     let _cloud = scene.cloud(&(stepped + &model("/camera", "/result")));
-    let agent = scene.edge(&(wrong(-3_000.0, -20.0) + &robot(&plant.peer(), KEYS)));
-    let clocks = (plant.clock_of("edge"), plant.clock_of("cloud"));
-    let (run, detail) = finished(&plant.api);
-    scene.hold("observed together", run, &plant.iterations(), [&clocks.0, &clocks.1]);
+    let agent = scene.edge(&(wrong(-3_000.0, -20.0) + &robot(&testbed.peer(), KEYS)));
+    let clocks = (testbed.clock_of("edge"), testbed.clock_of("cloud"));
+    let (run, detail) = finished(&testbed.api);
+    scene.hold("observed together", run, &testbed.iterations(), [&clocks.0, &clocks.1]);
 
     // Exchanges after the run narrow these delays as well.
-    let recomputed = plant.api.json(&format!("/api/v1/runs/{run}/recomputed"));
+    let recomputed = testbed.api.json(&format!("/api/v1/runs/{run}/recomputed"));
     assert!(recomputed["samples"].as_u64() > Some(0), "{recomputed}");
     let stages = recomputed["stages"].as_array().expect("a list");
     let width = |stage: &Value, when: &str| stage[when]["half_width"]["mean"].as_f64().expect("a width");
@@ -157,7 +159,7 @@ fn delays_of_observed_messages_contain_the_truth_whatever_the_clocks_show() {
 
     // The publisher on the other host must not be reported as one without an agent.
     let facts = detail["facts"].to_string();
-    let place = format!("/model at {}, where the peer measures", plant.network.cloud().address);
+    let place = format!("/model at {}, where the peer measures", testbed.network.cloud().address);
     for part in [place.as_str(), "/camera on this host", "cloud with its pipeline model"] {
         assert!(facts.contains(part), "{part} is missing in {facts}");
     }
@@ -170,20 +172,20 @@ fn delays_of_observed_messages_contain_the_truth_whatever_the_clocks_show() {
 #[test]
 fn delays_of_messages_with_one_sequence_number_contain_the_truth() {
     let scene = RosOverWire::new(&["restamp", "model", "/camera", "/result", "20"]);
-    let plant = &scene.plant;
+    let testbed = &scene.testbed;
     let by_sequence =
         |pipeline: String| pipeline.replace("ros_version", "pair_by = \"sequence\", ros_version");
     let ahead = "[rehearsal]\noffset_ms = 5000.0\ndrift_ppm = 20.0\n";
     let _cloud = scene.cloud(&(ahead.to_owned() + &by_sequence(model("/camera", "/result"))));
-    let agent = scene.edge(&by_sequence(robot(&plant.peer(), KEYS)));
-    let cloud = plant.clock_of("cloud");
-    let (run, detail) = finished(&plant.api);
-    scene.hold("observed together by sequence", run, &plant.iterations(), [&HostClock::kernels(), &cloud]);
+    let agent = scene.edge(&by_sequence(robot(&testbed.peer(), KEYS)));
+    let cloud = testbed.clock_of("cloud");
+    let (run, detail) = finished(&testbed.api);
+    scene.hold("observed together by sequence", run, &testbed.iterations(), [&HostClock::kernels(), &cloud]);
     assert_eq!(detail["counts"]["lost"], 0, "{detail}");
     assert!(detail["facts"].to_string().contains("sequence number"), "{detail}");
     // The answer is as old as its way back, and its input message as old as the whole iteration: the two stamps
     // differ.
-    let (age, total) = (median(&plant.api, run, "output-age"), median(&plant.api, run, "total"));
+    let (age, total) = (median(&testbed.api, run, "output-age"), median(&testbed.api, run, "total"));
     assert!(age < 0.025 && total > 0.05, "the answer is {age} s old after {total} s");
     assert_eq!(agent.stop().code(), 0);
 }
@@ -192,16 +194,16 @@ fn delays_of_messages_with_one_sequence_number_contain_the_truth() {
 /// message.
 #[test]
 fn messages_that_the_peer_missed_are_counted() {
-    let (site, ros) = (Site::new(), Ros1System::new());
-    let (_aggregator, api) = site.aggregator();
+    let (deployment, ros) = (LoopbackDeployment::new(), Ros1System::new());
+    let (_aggregator, api) = deployment.aggregator();
     let _nodes = [
         ros.node(&["relay", "copy", "/camera", "/copied", "0", "4"]),
         ros.node(&["relay", "model", "/camera", "/result", "10", "0"]),
     ];
     let serve = "[serve]\nlisten = \"tcp://127.0.0.1:{data}\"\ncalibration = false\n";
-    let _rack = ros.agent(&site, "rack", &format!("{serve}{}", model("/copied", "/result")));
+    let _rack = ros.agent(&deployment, "rack", &format!("{serve}{}", model("/copied", "/result")));
     let keys = "warm_up = { iterations = 0 }\nlimit = { iterations = 60 }";
-    let agent = ros.agent(&site, "robot", &robot("tcp://127.0.0.1:{data}", keys));
+    let agent = ros.agent(&deployment, "robot", &robot("tcp://127.0.0.1:{data}", keys));
     api.until("/api/v1/pipelines/robot/detector", |pipeline| {
         pipeline.to_string().contains("no node publishes /camera").then_some(())
     });
@@ -218,8 +220,8 @@ fn messages_that_the_peer_missed_are_counted() {
 
 #[test]
 fn peer_that_is_away_or_knows_no_such_pipeline_is_named() {
-    let (site, ros) = (Site::new(), Ros1System::new());
-    let (_aggregator, api) = site.aggregator();
+    let (deployment, ros) = (LoopbackDeployment::new(), Ros1System::new());
+    let (_aggregator, api) = deployment.aggregator();
     let _nodes = [
         ros.node(&["camera", "camera", "/camera", "20"]),
         ros.node(&["relay", "model", "/camera", "/result", "5", "0"]),
@@ -230,12 +232,13 @@ fn peer_that_is_away_or_knows_no_such_pipeline_is_named() {
             parts.iter().all(|part| text.contains(part)).then_some(())
         });
     };
-    let agent = ros.agent(&site, "robot", &robot("tcp://127.0.0.1:{data}", "warm_up = { iterations = 0 }"));
-    let address = format!("tcp://127.0.0.1:{}", site.data);
+    let agent =
+        ros.agent(&deployment, "robot", &robot("tcp://127.0.0.1:{data}", "warm_up = { iterations = 0 }"));
+    let address = format!("tcp://127.0.0.1:{}", deployment.data);
     state(&["cannot reach a cloud at", &address]);
 
     let serve = "[serve]\nlisten = \"tcp://127.0.0.1:{data}\"\n";
-    let rack = |pipeline: &str| ros.agent(&site, "rack", &format!("{serve}{pipeline}"));
+    let rack = |pipeline: &str| ros.agent(&deployment, "rack", &format!("{serve}{pipeline}"));
     let blind = rack("");
     state(&["refused the session: host rack observes no topics", "kind = \\\"observe\\\""]);
     assert_eq!(blind.stop().code(), 0);
@@ -275,10 +278,11 @@ fn peer_that_is_away_or_knows_no_such_pipeline_is_named() {
 
 #[test]
 fn check_refuses_a_peer_without_a_key_of_messages() {
-    let site = Site::new();
+    let deployment = LoopbackDeployment::new();
     let check = |pipeline: &str| {
-        site.write("it.toml", &format!("[agent]\nname = \"a\"\nstate_dir = \"{{folder}}/a\"\n{pipeline}"));
-        let ended = site.peernetd(&["check", "it.toml"]).ended();
+        deployment
+            .write("it.toml", &format!("[agent]\nname = \"a\"\nstate_dir = \"{{folder}}/a\"\n{pipeline}"));
+        let ended = deployment.peernetd(&["check", "it.toml"]).ended();
         (ended.code(), ended.log)
     };
     let with_peer = robot("tcp://rack:5551", "");

@@ -3,7 +3,7 @@
 use std::os::unix::fs::PermissionsExt;
 use std::path::Path;
 
-use peernet_tests::{Process, Site, program, root};
+use peernet_tests::{LoopbackDeployment, Process, program, root};
 use serde_json::Value;
 
 use crate::experiments::{Results, json};
@@ -50,9 +50,9 @@ fn fact<'a>(run: &'a Value, name: &str) -> Option<&'a str> {
 
 #[test]
 fn arguments_are_told_by_fingerprints_alone() {
-    let site = Site::new();
-    let (aggregator, api) = site.aggregator();
-    let edge = site.agent("edge", &TABLES.replace("{secret}", SECRET));
+    let deployment = LoopbackDeployment::new();
+    let (aggregator, api) = deployment.aggregator();
+    let edge = deployment.agent("edge", &TABLES.replace("{secret}", SECRET));
     let runs = api.until("/api/v1/runs", |runs| {
         let runs = runs["runs"].as_array()?;
         let ended = runs.len() == 4 && runs.iter().all(|run| !run["reason"].is_null());
@@ -107,7 +107,7 @@ fn arguments_are_told_by_fingerprints_alone() {
     assert!(!ended.log.contains(SECRET), "{}", ended.log);
     aggregator.stop();
     // The database does not contain the secret either.
-    for file in std::fs::read_dir(site.folder()).expect("is there") {
+    for file in std::fs::read_dir(deployment.folder()).expect("is there") {
         let path = file.expect("is readable").path();
         if path.file_name().is_some_and(|name| name.to_string_lossy().starts_with("aggregator.sqlite")) {
             let bytes = std::fs::read(&path).expect("is readable");
@@ -129,11 +129,11 @@ sensor = { kind = "exec", command = ["{root}/docs/examples/external/light.sh", "
 
 #[test]
 fn run_json_keeps_arguments_from_other_users() {
-    let site = Site::new();
-    let file = site.write("arguments.toml", &EXPERIMENT.replace("{secret}", SECRET));
-    let results = Results::of(site.folder().join("results"));
+    let deployment = LoopbackDeployment::new();
+    let file = deployment.write("arguments.toml", &EXPERIMENT.replace("{secret}", SECRET));
+    let results = Results::of(deployment.folder().join("results"));
     let arguments = [Path::new("run"), &file, Path::new("--result-loc"), &results.folder];
-    let state = site.folder().display().to_string();
+    let state = deployment.folder().display().to_string();
     let environment = [("XDG_STATE_HOME", state.as_str())];
     let ended = Process::start(&program("peernet"), &arguments, root(), &environment).ended();
     assert_eq!(ended.code(), 0, "{}", ended.log);

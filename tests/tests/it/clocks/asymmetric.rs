@@ -4,14 +4,14 @@
 use std::path::Path;
 
 use peernet_clock::Span;
-use peernet_tests::Plant;
-use peernet_tests::network::{Network, Way};
+use peernet_tests::TwoHostTestbed;
+use peernet_tests::network::{Network, WireProperties};
 use peernet_tests::truth::{Delay, HostClock, Iteration};
 
 use super::{WARM_UP, hold_to_the_truth, rehearsal, say};
 
 fn wire(folder: &Path) -> Network {
-    let way = |delay_ms| Way { delay_ms, jitter_ms: 5, loss_percent: 2 };
+    let way = |delay_ms| WireProperties { delay_ms, jitter_ms: 5, loss_percent: 2 };
     Network::wire(folder, way(40), way(5))
 }
 
@@ -25,20 +25,20 @@ struct Outcome {
 
 /// Runs 300 iterations with faults injected into both clocks; the claims of their time daemons are trusted.
 fn run(discipline: &str) -> Outcome {
-    let plant = Plant::new(wire);
+    let testbed = TwoHostTestbed::new(wire);
     let more = format!("discipline = \"{discipline}\"");
-    let _cloud = plant.cloud(&rehearsal(700.0, -20.0, &more));
+    let _cloud = testbed.cloud(&rehearsal(700.0, -20.0, &more));
     let load = "load = { mode = \"rate\", hz = 20.0 }\nlimit = { iterations = 300 }\nmax_in_flight = 64";
-    let pipeline = plant.pipeline("far", 1000, load);
-    let _edge = plant.edge(
+    let pipeline = testbed.pipeline("far", 1000, load);
+    let _edge = testbed.edge(
         &format!("[clock]\ntrust_time_daemons = true\n{}{pipeline}", rehearsal(-300.0, 20.0, &more)),
         &[],
     );
-    let (edge, cloud) = (plant.clock_of("edge"), plant.clock_of("cloud"));
-    plant.finished(1);
-    let iterations = plant.iterations();
+    let (edge, cloud) = (testbed.clock_of("edge"), testbed.clock_of("cloud"));
+    testbed.wait_for_runs(1);
+    let iterations = testbed.iterations();
     assert!(iterations.len() >= 300, "{}", iterations.len());
-    let is_jump_suspected = plant.api.json("/api/v1/incidents").to_string().contains("clock-step");
+    let is_jump_suspected = testbed.api.json("/api/v1/incidents").to_string().contains("clock-step");
     Outcome { iterations, edge, cloud, is_jump_suspected }
 }
 

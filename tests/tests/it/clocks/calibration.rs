@@ -6,7 +6,7 @@ use std::path::Path;
 
 use peernet_clock::{Span, WallTime};
 use peernet_tests::truth::HostClock;
-use peernet_tests::{Network, Plant, program};
+use peernet_tests::{Network, TwoHostTestbed, program};
 use serde_json::Value;
 
 use super::{rehearsal, say};
@@ -148,16 +148,16 @@ fn hold(stage: &str, direction: &Value, passages: &[Passage]) {
 
 #[test]
 fn intercepts_are_those_of_the_true_delays_and_lie_within_what_is_claimed() {
-    let plant = Plant::new(|_| Network::direct());
-    let _cloud = plant.cloud(&rehearsal(1_000.0, 50.0, ""));
-    let cloud: HostClock = plant.clock_of("cloud");
-    let peer = plant.peer();
+    let testbed = TwoHostTestbed::new(|_| Network::direct());
+    let _cloud = testbed.cloud(&rehearsal(1_000.0, 50.0, ""));
+    let cloud: HostClock = testbed.clock_of("cloud");
+    let peer = testbed.peer();
     let sweep = ["--sizes", SIZES, "--repeats", REPEATS, "--seconds", "20"];
     let arguments = [&["calibrate", &peer, "--result-loc", "results"], &sweep[..]].concat();
-    let done = plant.network.edge().start(&program("peernet"), &arguments, plant.folder(), &[]).ended();
+    let done = testbed.network.edge().start(&program("peernet"), &arguments, testbed.folder(), &[]).ended();
     assert_eq!(done.code(), 0, "{}", done.log);
 
-    let results = plant.folder().join("results");
+    let results = testbed.folder().join("results");
     let study = std::fs::read(results.join("calibration.json")).expect("it was written");
     let study: Value = serde_json::from_slice(&study).expect("it is JSON");
     say(&format!("verdict {}, {}", study["verdict"], study["counts"]));

@@ -3,9 +3,9 @@
 use std::path::Path;
 
 use peernet_clock::Span;
-use peernet_tests::network::{Network, TimeDaemons, Way};
+use peernet_tests::network::{Network, TimeDaemons, WireProperties};
 use peernet_tests::truth::{Delay, HostClock, Iteration, compare, truth};
-use peernet_tests::{Plant, Process, until};
+use peernet_tests::{Process, TwoHostTestbed, until};
 use serde_json::Value;
 
 use super::{hold_to_the_truth, rehearsal, say};
@@ -21,26 +21,26 @@ struct Scene {
     edge: Process,
     _cloud: Process,
     _daemons: TimeDaemons,
-    plant: Plant,
+    testbed: TwoHostTestbed,
 }
 
 impl Scene {
     /// Starts the hosts. `identity` and `rehearsal` are the edge's; `trusts` is whether it trusts the daemons.
     fn new(network: impl FnOnce(&Path) -> Network, identity: &str, rehearsal: &str, trusts: bool) -> Self {
-        let plant = Plant::new(network);
-        let daemons = TimeDaemons::start(&plant.network, plant.folder());
+        let testbed = TwoHostTestbed::new(network);
+        let daemons = TimeDaemons::start(&testbed.network, testbed.folder());
         let clock = TimeDaemons::table();
-        let cloud = plant.cloud(&clock);
+        let cloud = testbed.cloud(&clock);
         let load = "load = { mode = \"rate\", hz = 50.0 }\nmax_in_flight = 64";
-        let pipeline = plant.pipeline("kept", 1000, load);
+        let pipeline = testbed.pipeline("kept", 1000, load);
         let trust = if trusts { "trust_time_daemons = true\n" } else { "" };
-        let edge = plant.edge(&format!("{identity}{clock}{trust}{rehearsal}{pipeline}"), &[]);
-        Self { edge, _cloud: cloud, _daemons: daemons, plant }
+        let edge = testbed.edge(&format!("{identity}{clock}{trust}{rehearsal}{pipeline}"), &[]);
+        Self { edge, _cloud: cloud, _daemons: daemons, testbed }
     }
 
     /// Waits until the link has a claim of chrony and this verdict; returns the offset.
     fn offset(&self, verdict: &str) -> Value {
-        self.plant.api.until("/api/v1/links/edge~cloud", |link| {
+        self.testbed.api.until("/api/v1/links/edge~cloud", |link| {
             let offset = &link["now"]["offset"];
             let sources = offset["sources"].as_array()?.iter().map(|source| &source["source"]);
             let both = sources.eq(["in-band", "chrony"]);
@@ -51,7 +51,7 @@ impl Scene {
     /// Waits until the aggregator shows a text of a host's time daemon that begins like this. The offset of the link
     /// may be shown earlier.
     fn wait_for_daemon(&self, host: &str, begins: &str) {
-        self.plant.api.until(&format!("/api/v1/hosts/{host}"), |host| {
+        self.testbed.api.until(&format!("/api/v1/hosts/{host}"), |host| {
             host["clock"]["text"].as_str().is_some_and(|text| text.starts_with(begins)).then_some(())
         });
     }
@@ -62,12 +62,12 @@ impl Scene {
             "SELECT count(*) FROM transit AS t LEFT JOIN verdict ON verdict.id = t.verdict \
              LEFT JOIN source ON source.id = t.source WHERE {such}"
         );
-        let count = || self.plant.ask(&sql).trim().parse::<u64>().expect("a number");
+        let count = || self.testbed.ask(&sql).trim().parse::<u64>().expect("a number");
         let before = count();
         until(such, || (count() >= before + ENOUGH).then_some(()));
         assert_eq!(self.edge.stop().code(), 0);
-        self.plant.api.until("/api/v1/runs", |runs| (runs["runs"][0]["reason"] == "stopped").then_some(()));
-        self.plant.iterations()
+        self.testbed.api.until("/api/v1/runs", |runs| (runs["runs"][0]["reason"] == "stopped").then_some(()));
+        self.testbed.iterations()
     }
 }
 
@@ -111,7 +111,7 @@ fn daemons_of_right_clocks_and_the_exchanges_agree() {
 /// The daemons' server is not behind the wire, so that they can measure its asymmetry.
 #[test]
 fn daemons_of_right_clocks_tell_what_exchanges_cannot() {
-    let way = |delay_ms| Way { delay_ms, jitter_ms: 0, loss_percent: 0 };
+    let way = |delay_ms| WireProperties { delay_ms, jitter_ms: 0, loss_percent: 0 };
     let wire = |folder: &Path| Network::wire(folder, way(40), way(5));
     right_clocks("chrony, 40 ms up, 5 ms down", wire, "source.text IN ('chrony', 'intersection')");
 }
@@ -152,8 +152,8 @@ fn a_wrong_claim_does_not_reach_the_delays_unless_it_is_trusted() {
     for host in ["edge", "cloud"] {
         scene.wait_for_daemon(host, "chrony, stratum 11, to 10.");
     }
-    let edge = scene.plant.clock_of("edge");
-    let sources = scene.plant.api.until("/api/v1/links/edge~cloud", |link| {
+    let edge = scene.testbed.clock_of("edge");
+    let sources = scene.testbed.api.until("/api/v1/links/edge~cloud", |link| {
         let offset = &link["now"]["offset"];
         (offset["verdict"] == "ok").then(|| offset["sources"].as_array().cloned())?
     });
@@ -165,7 +165,7 @@ fn a_wrong_claim_does_not_reach_the_delays_unless_it_is_trusted() {
 /// Starts hosts whose daemons claim less than a millisecond while the clocks differ by ten: within the bounds of the
 /// exchanges on 5/40 ms.
 fn wrong_claims_that_exchanges_cannot_refute(trusts: bool) -> Scene {
-    let way = |delay_ms| Way { delay_ms, jitter_ms: 0, loss_percent: 0 };
+    let way = |delay_ms| WireProperties { delay_ms, jitter_ms: 0, loss_percent: 0 };
     let wire = |folder: &Path| Network::wire(folder, way(5), way(40));
     let scene = Scene::new(wire, "", &rehearsal(-10.0, 0.0, "discipline = \"unaware\""), trusts);
     for host in ["edge", "cloud"] {
@@ -176,13 +176,13 @@ fn wrong_claims_that_exchanges_cannot_refute(trusts: bool) -> Scene {
 
 /// Waits until the page of the link contains these words.
 fn wait_for_page(scene: &Scene, words: &str) {
-    until(words, || scene.plant.api.get("/links/edge~cloud").filter(|(_, page)| page.contains(words)));
+    until(words, || scene.testbed.api.get("/links/edge~cloud").filter(|(_, page)| page.contains(words)));
 }
 
 #[test]
 fn wrong_claims_within_the_round_trip_are_only_shown() {
     let scene = wrong_claims_that_exchanges_cannot_refute(false);
-    let edge = scene.plant.clock_of("edge");
+    let edge = scene.testbed.clock_of("edge");
     wait_for_page(&scene, "as claimed by chrony on both hosts, of the wall clocks, not used");
     let iterations = scene.iterations("source.text = 'in-band' AND verdict.text IN ('ok', 'limited')");
     let what = "claims wrong by 10 ms, 5/40 ms, not trusted";
@@ -194,7 +194,7 @@ fn wrong_claims_within_the_round_trip_are_only_shown() {
 #[test]
 fn delays_that_rest_on_trusted_claims_say_so() {
     let scene = wrong_claims_that_exchanges_cannot_refute(true);
-    let edge = scene.plant.clock_of("edge");
+    let edge = scene.testbed.clock_of("edge");
     wait_for_page(&scene, "bounds as claimed by chrony");
     let iterations = scene.iterations("source.text = 'chrony'");
     let kernels = HostClock::kernels();

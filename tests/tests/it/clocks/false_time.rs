@@ -2,7 +2,7 @@
 
 use peernet_clock::Span;
 use peernet_tests::truth::{Delay, HostClock, Iteration};
-use peernet_tests::{FalseTime, Network, Plant, Process};
+use peernet_tests::{FalseTime, Network, Process, TwoHostTestbed};
 
 use super::{WARM_UP, hold_to_the_truth, say};
 
@@ -10,22 +10,24 @@ use super::{WARM_UP, hold_to_the_truth, say};
 const AHEAD: Span = Span::from_millis(137);
 
 /// Starts an edge with a false time, and a cloud with the kernel's.
-fn start(plant: &Plant, time: &FalseTime, load: &str) -> (Process, Process) {
-    let cloud = plant.cloud("[clock]\ndiscipline = []\n");
+fn start(testbed: &TwoHostTestbed, time: &FalseTime, load: &str) -> (Process, Process) {
+    let cloud = testbed.cloud("[clock]\ndiscipline = []\n");
     // The kernel's statements about its clock do not apply to the shown one.
     let clock = "clock_identity = \"shown\"\n[clock]\ntimestamps = \"user\"\ndiscipline = []\n";
-    let edge = plant.edge(&format!("{clock}{}", plant.pipeline("misled", 1000, load)), &time.environment());
+    let edge =
+        testbed.edge(&format!("{clock}{}", testbed.pipeline("misled", 1000, load)), &time.environment());
     (cloud, edge)
 }
 
 #[test]
 fn an_edge_that_is_shown_a_false_time_reports_true_delays() {
-    let plant = Plant::new(|_| Network::direct());
-    let time = FalseTime::new(plant.folder(), AHEAD);
-    let _hosts = start(&plant, &time, "load = { mode = \"rate\", hz = 50.0 }\nlimit = { iterations = 300 }");
-    plant.finished(1);
+    let testbed = TwoHostTestbed::new(|_| Network::direct());
+    let time = FalseTime::new(testbed.folder(), AHEAD);
+    let _hosts =
+        start(&testbed, &time, "load = { mode = \"rate\", hz = 50.0 }\nlimit = { iterations = 300 }");
+    testbed.wait_for_runs(1);
     let (edge, cloud) = (HostClock::ahead_by(&[AHEAD]), HostClock::kernels());
-    let iterations = plant.iterations();
+    let iterations = testbed.iterations();
     let (up, down) = hold_to_the_truth("libfaketime +0.137 s", &iterations, &edge, &cloud);
     assert_eq!((up.compared, down.compared), (305, 305));
     // If the false time did not reach the program, the difference of the stamps would be positive.
@@ -38,17 +40,17 @@ fn an_edge_that_is_shown_a_false_time_reports_true_delays() {
 #[test]
 fn step_that_nobody_announced_reaches_no_delay() {
     const LATER: Span = Span::from_millis(3_137);
-    let plant = Plant::new(|_| Network::direct());
-    let time = FalseTime::new(plant.folder(), AHEAD);
+    let testbed = TwoHostTestbed::new(|_| Network::direct());
+    let time = FalseTime::new(testbed.folder(), AHEAD);
     let _hosts =
-        start(&plant, &time, "load = { mode = \"rate\", hz = 100.0 }\nlimit = { iterations = 1500 }");
-    plant.api.until("/api/v1/pipelines/edge/misled", |pipeline| {
+        start(&testbed, &time, "load = { mode = \"rate\", hz = 100.0 }\nlimit = { iterations = 1500 }");
+    testbed.api.until("/api/v1/pipelines/edge/misled", |pipeline| {
         (pipeline["windows"][2]["counts"]["ok"].as_f64()? >= 400.0).then_some(())
     });
     time.show(LATER);
-    plant.finished(1);
+    testbed.wait_for_runs(1);
 
-    let iterations = plant.iterations();
+    let iterations = testbed.iterations();
     let (edge, cloud) = (HostClock::ahead_by(&[AHEAD, LATER]), HostClock::kernels());
     hold_to_the_truth("libfaketime, set by +3 s", &iterations, &edge, &cloud);
     let ahead = |iteration: &Iteration| iteration.up.sent - cloud.truth(iteration.up.received);

@@ -8,9 +8,9 @@ use std::thread::JoinHandle;
 use std::time::Duration;
 
 use peernet_clock::Span;
-use peernet_tests::network::{Host, Network, Way};
+use peernet_tests::network::{Host, Network, WireProperties};
 use peernet_tests::truth::HostClock;
-use peernet_tests::{ClockShim, Plant, until_grown};
+use peernet_tests::{ClockShim, TwoHostTestbed, until_grown};
 
 use super::hold_to_the_truth;
 
@@ -130,30 +130,31 @@ fn forge(answer: &mut [u8]) {
 
 /// Runs a case with this number of forged answers.
 fn forged(probes: u64) {
-    let way = Way { delay_ms: 20, jitter_ms: 0, loss_percent: 0 };
-    let plant = Plant::new(|folder| Network::wire(folder, way, way));
-    let shim = ClockShim::new(&plant.folder().join("edge-clocks"));
+    let way = WireProperties { delay_ms: 20, jitter_ms: 0, loss_percent: 0 };
+    let testbed = TwoHostTestbed::new(|folder| Network::wire(folder, way, way));
+    let shim = ClockShim::new(&testbed.folder().join("edge-clocks"));
     shim.change(Span::from_seconds(2), 60.0, 0.0);
-    let forger = Forger::start(plant.network.edge(), plant.network.cloud().address);
-    let _cloud = plant.cloud("[clock]\ndiscipline = []\n");
+    let forger = Forger::start(testbed.network.edge(), testbed.network.cloud().address);
+    let _cloud = testbed.cloud("[clock]\ndiscipline = []\n");
     let clock = "clock_identity = \"shown\"\n[clock]\ntimestamps = \"user\"\ndiscipline = []\n";
     let load = "load = { mode = \"rate\", hz = 50.0 }\nmax_in_flight = 64";
-    let edge = plant.edge(&format!("{clock}{}", plant.pipeline("watched", 1000, load)), &shim.environment());
+    let edge =
+        testbed.edge(&format!("{clock}{}", testbed.pipeline("watched", 1000, load)), &shim.environment());
     until_grown("forged answers", probes, || Some(forger.forged() as u64));
-    plant.api.until("/api/v1/links/edge~cloud", |link| {
+    testbed.api.until("/api/v1/links/edge~cloud", |link| {
         link.to_string().contains("not authenticated by the key").then_some(())
     });
     assert_eq!(edge.stop().code(), 0);
-    plant.api.until("/api/v1/runs", |runs| (runs["runs"][0]["reason"] == "stopped").then_some(()));
+    testbed.api.until("/api/v1/runs", |runs| (runs["runs"][0]["reason"] == "stopped").then_some(()));
 
     let clocks = (HostClock::shown(shim.errors()), HostClock::kernels());
     let what = "all answers to probes forged by 13 ms, 20/20 ms";
-    let (up, down) = hold_to_the_truth(what, &plant.iterations(), &clocks.0, &clocks.1);
+    let (up, down) = hold_to_the_truth(what, &testbed.iterations(), &clocks.0, &clocks.1);
     for comparison in [&up, &down] {
         assert!(comparison.without_value.is_empty(), "{:?}", comparison.without_value);
         assert!(comparison.compared > 500, "{}", comparison.in_words());
     }
-    let probes = plant.ask("SELECT sum(probes_sent) > 20, sum(probes_answered) FROM clock_sample");
+    let probes = testbed.ask("SELECT sum(probes_sent) > 20, sum(probes_answered) FROM clock_sample");
     assert_eq!(probes.trim(), "1|0", "no forged answer counts");
 }
 

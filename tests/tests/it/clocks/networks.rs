@@ -7,7 +7,7 @@ use std::process::Command;
 use std::time::Duration;
 
 use peernet_clock::{Clock, ClockIdentity, Span, SystemClock};
-use peernet_tests::network::{Host, Network, Way};
+use peernet_tests::network::{Host, Network, WireProperties};
 
 fn udp(host: &Host, port: u16) -> UdpSocket {
     let address = host.address;
@@ -79,7 +79,7 @@ fn blocked_ports_and_lossy_links_let_the_rest_through() {
 #[test]
 fn a_wire_delays_each_direction_by_itself() {
     let folder = tempfile::tempdir().expect("the temporary folder is writable");
-    let way = |delay_ms| Way { delay_ms, jitter_ms: 0, loss_percent: 0 };
+    let way = |delay_ms| WireProperties { delay_ms, jitter_ms: 0, loss_percent: 0 };
     let network = Network::wire(folder.path(), way(40), way(5));
     let (edge, cloud) = (udp(network.edge(), 7000), udp(network.cloud(), 7000));
     let clock = SystemClock::new(ClockIdentity::new("boot", "system"));

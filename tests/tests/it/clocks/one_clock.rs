@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use peernet_clock::{RawTime, RehearsalDescription, Span, WallTime};
 use peernet_tests::truth::{HostClock, Iteration, iterations};
-use peernet_tests::{Api, FalseTime, Process, Since, Site, program, until_grown};
+use peernet_tests::{Api, FalseTime, LoopbackDeployment, Process, Stopwatch, program, until_grown};
 use rustix::process::Signal;
 use serde_json::Value;
 
@@ -26,7 +26,7 @@ const CLOUD: &str = "[clock]\ndiscipline = []\n[serve]\nlisten = \"tcp://127.0.0
 
 /// An aggregator, a cloud that reads the kernel's clocks, and the folder of an edge.
 struct Hosts {
-    site: Site,
+    deployment: LoopbackDeployment,
     api: Api,
     _aggregator: Process,
     _cloud: Process,
@@ -36,9 +36,9 @@ impl Hosts {
     /// Starts aggregator and cloud, and writes the configuration of the edge. Its pipeline runs `ITERATIONS` or, if
     /// it is endless, until it is stopped.
     fn new(tables: &str, is_endless: bool) -> Self {
-        let site = Site::new();
-        let (aggregator, api) = site.aggregator();
-        let cloud = site.agent("cloud", &format!("{NAME}{CLOUD}"));
+        let deployment = LoopbackDeployment::new();
+        let (aggregator, api) = deployment.aggregator();
+        let cloud = deployment.agent("cloud", &format!("{NAME}{CLOUD}"));
         let limit =
             if is_endless { String::new() } else { format!("limit = {{ iterations = {ITERATIONS} }}\n") };
         let edge = format!(
@@ -47,8 +47,8 @@ impl Hosts {
              placement = {{ kind = \"remote\", peer = \"tcp://127.0.0.1:{{data}}\", model = \"echo\" }}\n\
              load = {{ mode = \"rate\", hz = 50.0 }}\n{limit}"
         );
-        site.write("edge.toml", &edge);
-        Self { site, api, _aggregator: aggregator, _cloud: cloud }
+        deployment.write("edge.toml", &edge);
+        Self { deployment, api, _aggregator: aggregator, _cloud: cloud }
     }
 
     /// Returns the link as soon as probes were answered on it.
@@ -62,7 +62,7 @@ impl Hosts {
     /// Returns all iterations after the end of the run.
     fn iterations(&self) -> Vec<Iteration> {
         self.api.finished_run();
-        iterations(&self.site.folder().join("aggregator.sqlite"))
+        iterations(&self.deployment.folder().join("aggregator.sqlite"))
     }
 }
 
@@ -88,7 +88,7 @@ fn raw_ahead_by(offset: Span) -> HostClock {
 #[test]
 fn processes_on_one_machine_prove_one_clock_from_first_delay_on() {
     let hosts = Hosts::new("", false);
-    let _edge = hosts.site.start("edge.toml");
+    let _edge = hosts.deployment.start("edge.toml");
     let iterations = hosts.iterations();
     let (up, _) = hold_to_the_truth("one clock", &iterations, &HostClock::kernels(), &HostClock::kernels());
     assert_eq!(up.compared, usize::try_from(ITERATIONS + WARM_UP).expect("a few hundred"));
@@ -104,10 +104,10 @@ fn processes_on_one_machine_prove_one_clock_from_first_delay_on() {
 #[test]
 fn process_shown_false_time_is_measured_and_holds_the_truth() {
     let hosts = Hosts::new("[clock]\ntimestamps = \"user\"\ndiscipline = []\n", false);
-    let time = FalseTime::new(&hosts.site.folder().join("time"), AHEAD);
+    let time = FalseTime::new(&hosts.deployment.folder().join("time"), AHEAD);
     let environment: Vec<_> =
         time.environment().into_iter().filter(|(name, _)| *name != "DONT_FAKE_MONOTONIC").collect();
-    let _edge = hosts.site.start_with("edge.toml", &environment);
+    let _edge = hosts.deployment.start_with("edge.toml", &environment);
     assert_eq!(hosts.link()["same_clock"], false);
     let iterations = hosts.iterations();
     let mut widest = Span::ZERO;
@@ -128,15 +128,15 @@ fn process_shown_false_time_is_measured_and_holds_the_truth() {
 #[test]
 fn process_that_is_shown_false_time_later_is_measured_from_then_on() {
     let hosts = Hosts::new("[clock]\ntimestamps = \"user\"\ndiscipline = []\n", true);
-    let time = FalseTime::new(&hosts.site.folder().join("time"), Span::ZERO);
-    let _edge = hosts.site.start_with("edge.toml", &time.environment());
+    let time = FalseTime::new(&hosts.deployment.folder().join("time"), Span::ZERO);
+    let _edge = hosts.deployment.start_with("edge.toml", &time.environment());
     let shows = |wanted: bool| {
         hosts
             .api
             .until("/api/v1/links", |links| (links["links"][0]["now"]["same_clock"] == wanted).then_some(()));
     };
     shows(true);
-    let since = Since::now();
+    let since = Stopwatch::now();
     time.show(AHEAD);
     shows(false);
     say(&format!("libfaketime begins to show +20 ms: noticed within {:?}", since.elapsed()));
@@ -161,7 +161,7 @@ fn process_that_is_shown_false_time_later_is_measured_from_then_on() {
 #[test]
 fn process_that_was_paused_itself_keeps_proof_without_incident() {
     let hosts = Hosts::new("[clock]\ndiscipline = []\n", true);
-    let edge = hosts.site.start("edge.toml");
+    let edge = hosts.deployment.start("edge.toml");
     let uploaded = || hosts.api.until("/api/v1/runs", |runs| runs["runs"][0]["counts"]["ok"].as_u64());
     for _ in 0..3 {
         let before = uploaded();
@@ -188,7 +188,7 @@ fn process_in_another_time_namespace_is_measured_and_holds_the_truth() {
     let peernetd = program("peernetd").display().to_string();
     let arguments =
         ["--time", "--monotonic", "10", "--boottime", "10", &peernetd, "run", "edge.toml"].map(str::to_owned);
-    let _edge = Process::start(Path::new("unshare"), &arguments, hosts.site.folder(), &[]);
+    let _edge = Process::start(Path::new("unshare"), &arguments, hosts.deployment.folder(), &[]);
     assert_eq!(hosts.link()["same_clock"], false);
     hold_measured("another time namespace", &hosts.iterations(), &raw_ahead_by(Span::from_seconds(10)));
 }
@@ -196,7 +196,7 @@ fn process_in_another_time_namespace_is_measured_and_holds_the_truth() {
 #[test]
 fn rehearsed_process_is_measured_and_holds_the_truth() {
     let hosts = Hosts::new(&super::rehearsal(20.0, 0.0, ""), false);
-    let _edge = hosts.site.start("edge.toml");
+    let _edge = hosts.deployment.start("edge.toml");
     assert_eq!(hosts.link()["same_clock"], false);
     hold_measured("rehearsed by 20 ms", &hosts.iterations(), &raw_ahead_by(AHEAD));
 }

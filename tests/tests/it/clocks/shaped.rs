@@ -1,7 +1,7 @@
 //! Test of large payloads over a slow link: reported delays are compared with a capture in the middle.
 
 use peernet_clock::{Span, WallTime};
-use peernet_tests::Plant;
+use peernet_tests::TwoHostTestbed;
 use peernet_tests::network::{Host, Network, Packet};
 use peernet_tests::truth::{Delay, HostClock};
 
@@ -22,23 +22,23 @@ fn seen(packets: &[Packet], from: &Host, sent: WallTime, received: WallTime) -> 
 
 #[test]
 fn megabytes_take_as_long_as_a_capture_in_the_middle_says() {
-    let plant = Plant::new(|_| Network::routed());
-    let router = plant.network.router();
+    let testbed = TwoHostTestbed::new(|_| Network::routed());
+    let router = testbed.network.router();
     router.limit("cloud", 20);
     router.limit("edge", 100);
-    let capture = router.capture("tcp port 5551", plant.folder());
-    let _cloud = plant.cloud(&rehearsal(1_000.0, 30.0, ""));
+    let capture = router.capture("tcp port 5551", testbed.folder());
+    let _cloud = testbed.cloud(&rehearsal(1_000.0, 30.0, ""));
     let limit = format!("limit = {{ iterations = {ITERATIONS} }}\nwarm_up = {{ iterations = 2 }}");
-    let pipeline = plant.pipeline("images", 1_200_000, &limit);
-    let _edge = plant.edge(&format!("{}{pipeline}", rehearsal(-1_000.0, -15.0, "")), &[]);
-    let (edge, cloud) = (plant.clock_of("edge"), plant.clock_of("cloud"));
-    plant.finished(1);
+    let pipeline = testbed.pipeline("images", 1_200_000, &limit);
+    let _edge = testbed.edge(&format!("{}{pipeline}", rehearsal(-1_000.0, -15.0, "")), &[]);
+    let (edge, cloud) = (testbed.clock_of("edge"), testbed.clock_of("cloud"));
+    testbed.wait_for_runs(1);
     let packets = capture.finish();
-    let iterations = &plant.iterations()[2..];
+    let iterations = &testbed.iterations()[2..];
     assert_eq!(iterations.len(), ITERATIONS);
     hold_to_the_truth("1.2 MB, 20 Mbit/s up, 100 Mbit/s down", iterations, &edge, &cloud);
 
-    let network = &plant.network;
+    let network = &testbed.network;
     against(
         "upload",
         iterations.iter().map(|iteration| &iteration.up),

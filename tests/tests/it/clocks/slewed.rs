@@ -4,7 +4,7 @@ use std::fmt::Write;
 
 use peernet_clock::{RehearsalDescription, RehearsedStep, Span, WallTime};
 use peernet_tests::truth::{Delay, HostClock, Iteration};
-use peernet_tests::{Network, Plant};
+use peernet_tests::{Network, TwoHostTestbed};
 
 use super::{WARM_UP, hold_to_the_truth, rehearsal};
 
@@ -51,8 +51,8 @@ fn table(description: &RehearsalDescription) -> String {
 }
 
 /// Returns the clock of a running host. The API lists only the first steps.
-fn clock_of(plant: &Plant, host: &str, description: RehearsalDescription) -> HostClock {
-    let told = plant.clock_of(host);
+fn clock_of(testbed: &TwoHostTestbed, host: &str, description: RehearsalDescription) -> HostClock {
+    let told = testbed.clock_of(host);
     let (since, raw_since) = told.since().zip(told.raw_since()).expect("rehearsed");
     HostClock::new(RehearsalDescription { since, ..description }, raw_since)
 }
@@ -64,15 +64,15 @@ fn wall_clock_that_is_slewed_reaches_no_delay() {
         [Slew { at_s: 4.0, for_s: 4.0, ppm: 500.0 }, Slew { at_s: 10.0, for_s: 1.0, ppm: 40_000.0 }];
     let cloud_slews = [Slew { at_s: 6.0, for_s: 6.0, ppm: 500.0 }];
     let (edge, cloud) = (slewed(-250, &edge_slews), slewed(250, &cloud_slews));
-    let plant = Plant::new(|_| Network::direct());
-    let _cloud = plant.cloud(&table(&cloud));
+    let testbed = TwoHostTestbed::new(|_| Network::direct());
+    let _cloud = testbed.cloud(&table(&cloud));
     let load = "load = { mode = \"rate\", hz = 100.0 }\nlimit = { duration_s = 16.0 }";
-    let pipeline = plant.pipeline("slewed", 1000, load);
-    let _edge = plant.edge(&format!("{}{pipeline}", table(&edge)), &[]);
-    let (edge, cloud) = (clock_of(&plant, "edge", edge), clock_of(&plant, "cloud", cloud));
-    plant.finished(1);
+    let pipeline = testbed.pipeline("slewed", 1000, load);
+    let _edge = testbed.edge(&format!("{}{pipeline}", table(&edge)), &[]);
+    let (edge, cloud) = (clock_of(&testbed, "edge", edge), clock_of(&testbed, "cloud", cloud));
+    testbed.wait_for_runs(1);
 
-    let iterations = plant.iterations();
+    let iterations = testbed.iterations();
     let (up, down) = hold_to_the_truth("500 and 40,000 ppm", &iterations, &edge, &cloud);
     for comparison in [&up, &down] {
         assert!(comparison.without_value.is_empty(), "{:?}", comparison.without_value);

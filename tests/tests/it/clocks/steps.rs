@@ -2,7 +2,7 @@
 
 use peernet_clock::{Span, WallTime};
 use peernet_tests::truth::{Delay, Iteration};
-use peernet_tests::{Network, Plant};
+use peernet_tests::{Network, TwoHostTestbed};
 
 use super::{WARM_UP, hold_to_the_truth, rehearsal};
 
@@ -17,17 +17,17 @@ enum Stepped {
 
 fn step(stepped: Stepped, by_ms: i32) {
     let what = format!("{by_ms:+} ms on the {stepped:?}");
-    let plant = Plant::new(|_| Network::direct());
+    let testbed = TwoHostTestbed::new(|_| Network::direct());
     let steps = format!("steps = [{{ at_s = {}, by_ms = {by_ms} }}]", AT.seconds());
     let table = |host, offset_ms| rehearsal(offset_ms, 10.0, if host == stepped { &steps } else { "" });
-    let _cloud = plant.cloud(&table(Stepped::Cloud, 250.0));
+    let _cloud = testbed.cloud(&table(Stepped::Cloud, 250.0));
     let load = "load = { mode = \"rate\", hz = 100.0 }\nlimit = { duration_s = 18.0 }";
-    let pipeline = plant.pipeline("stepped", 1000, load);
-    let _edge = plant.edge(&format!("{}{pipeline}", table(Stepped::Edge, -250.0)), &[]);
-    let (edge, cloud) = (plant.clock_of("edge"), plant.clock_of("cloud"));
-    plant.finished(1);
+    let pipeline = testbed.pipeline("stepped", 1000, load);
+    let _edge = testbed.edge(&format!("{}{pipeline}", table(Stepped::Edge, -250.0)), &[]);
+    let (edge, cloud) = (testbed.clock_of("edge"), testbed.clock_of("cloud"));
+    testbed.wait_for_runs(1);
 
-    let iterations = plant.iterations();
+    let iterations = testbed.iterations();
     hold_to_the_truth(&what, &iterations, &edge, &cloud);
     let clock = if stepped == Stepped::Edge { &edge } else { &cloud };
     let at = clock.since().expect("rehearsed") + AT;

@@ -5,7 +5,7 @@ use std::path::Path;
 
 use peernet_tests::fleet::{echo, edge, rate};
 use peernet_tests::truth::ask;
-use peernet_tests::{Ended, Fleet, Ledger, measured, thousands, until};
+use peernet_tests::{Fleet, ProcessEnd, StoredEvents, measured, thousands, until};
 
 /// Returns reproducible noise, such as a disk, a wild pointer or `dd` may leave.
 fn noise(seed: u64) -> Vec<u8> {
@@ -30,12 +30,12 @@ fn overwrite(database: &Path, table: &str, beyond: u64) {
     file.write_all_at(&noise(page), (page - 1) * 4096 + beyond).expect("it can be written");
 }
 
-fn doctor(fleet: &Fleet, arguments: &[&str]) -> Ended {
+fn doctor(fleet: &Fleet, arguments: &[&str]) -> ProcessEnd {
     let database = fleet.database().display().to_string();
     let mut all = vec!["doctor"];
     all.extend(arguments);
     all.extend(["--database", &database]);
-    fleet.site.peernetd(&all).ended()
+    fleet.deployment.peernetd(&all).ended()
 }
 
 fn is_ready(fleet: &Fleet) -> bool {
@@ -53,9 +53,9 @@ fn why_not_ready(fleet: &Fleet) -> String {
 fn with_events_in_the_file(events: u64) -> Fleet {
     let mut fleet = Fleet::new(&["edge"], &edge("", &echo("loop", &rate(400.0))));
     fleet.start(0);
-    fleet.account(0, "something is stored", |account| account.events > events);
+    fleet.counts(0, "something is stored", |counts| counts.events > events);
     fleet.aggregator.stop();
-    fleet.aggregator_returns();
+    fleet.restart_aggregator();
     fleet
 }
 
@@ -69,8 +69,8 @@ fn damaged_page_stops_storing_until_repaired() {
     assert!(why.contains("damaged") && why.contains("peernetd doctor --repair"), "{why}");
     // The agent reports the last acknowledgement a moment later.
     let then =
-        fleet.account(0, "events wait", |account| account.waiting > 100 && account.stored == account.events);
-    let later = fleet.account(0, "more events wait", |account| account.waiting > then.waiting + 400);
+        fleet.counts(0, "events wait", |counts| counts.waiting > 100 && counts.stored == counts.events);
+    let later = fleet.counts(0, "more events wait", |counts| counts.waiting > then.waiting + 400);
     assert_eq!((later.events, later.stored), (then.events, then.stored), "nothing more is acknowledged");
     let (status, page) = fleet.api.get("/").expect("the dashboard answers");
     assert!(status == 200 && page.contains("damaged"), "the page says so: {page}");
@@ -79,13 +79,13 @@ fn damaged_page_stops_storing_until_repaired() {
 
     let log = fleet.aggregator.stop().log;
     assert_eq!(log.matches("ERROR aggregator: the database").count(), 1, "said once: {log}");
-    fleet.aggregator_returns();
+    fleet.restart_aggregator();
     let why = why_not_ready(&fleet);
     assert!(why.contains("damaged") && why.contains("peernetd doctor --repair"), "{why}");
     // Events that were committed while the damage was found were not acknowledged; they are counted since the
     // restart.
-    let then = fleet.account(0, "more wait than before", |account| account.waiting > later.waiting);
-    let again = fleet.account(0, "even more wait", |account| account.waiting > then.waiting + 400);
+    let then = fleet.counts(0, "more wait than before", |counts| counts.waiting > later.waiting);
+    let again = fleet.counts(0, "even more wait", |counts| counts.waiting > then.waiting + 400);
     assert_eq!(again.events, then.events, "nothing more is stored");
     fleet.aggregator.stop();
 
@@ -118,26 +118,28 @@ fn goes_on_after_repair(mut fleet: Fleet, what: &str) {
     let nothing = doctor(&fleet, &["--repair"]);
     assert!(nothing.code() == 0 && nothing.log.contains("not damaged"), "{}", nothing.log);
 
-    fleet.aggregator_returns();
+    fleet.restart_aggregator();
     until("ready", || is_ready(&fleet).then_some(()));
     fleet.agents[0].stop();
-    fleet.idle(0);
-    let account = fleet.account(0, "everything is delivered", |account| {
-        account.waiting == 0 && account.events + account.missing == account.produced
+    fleet.start_without_pipelines(0);
+    let counts = fleet.counts(0, "everything is delivered", |counts| {
+        counts.waiting == 0 && counts.events + counts.missing == counts.produced
     });
-    assert_eq!((account.dropped, account.stored), (0, account.produced), "{account:?}");
-    assert!(account.missing > 0, "{account:?}");
+    assert_eq!((counts.dropped, counts.stored), (0, counts.produced), "{counts:?}");
+    assert!(counts.missing > 0, "{counts:?}");
     fleet.agents[0].stop();
     fleet.aggregator.stop();
 
-    let ledger = Ledger::of(fleet.database());
-    let [run] = ledger.runs.values().collect::<Vec<_>>()[..] else { panic!("one run: {ledger:?}") };
+    let stored_events = StoredEvents::of(fleet.database());
+    let [run] = stored_events.runs.values().collect::<Vec<_>>()[..] else {
+        panic!("one run: {stored_events:?}")
+    };
     assert_eq!(run.counted, run.iterations(), "{run:?}");
     assert_eq!((run.with_nodes, run.torn), (run.iterations(), 0), "{run:?}");
-    assert_eq!(run.holes(), run.missing, "produced = stored + gaps: {run:?}");
-    let host = &ledger.hosts["edge"];
+    assert_eq!(run.missing_iterations(), run.missing, "produced = stored + gaps: {run:?}");
+    let host = &stored_events.hosts["edge"];
     assert_eq!(host.gap_rows, (host.gaps, host.missing), "{host:?}");
-    assert_eq!(host.nodes, ledger.nodes(), "{host:?}");
+    assert_eq!(host.nodes, stored_events.nodes(), "{host:?}");
     measured(
         what,
         &[

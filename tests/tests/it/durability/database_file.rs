@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use peernet_tests::fleet::{echo, edge, rate};
 use peernet_tests::truth::ask;
-use peernet_tests::{Fleet, ImageDisk, Ledger, until};
+use peernet_tests::{Fleet, ImageDisk, StoredEvents, until};
 
 /// Returns the files of a database.
 fn files(database: &Path) -> [PathBuf; 3] {
@@ -20,7 +20,7 @@ fn fleet_in(database: &Path) -> Fleet {
     let configuration = edge("", &echo("loop", &rate(200.0)));
     let mut fleet = Fleet::storing_in(&database.display().to_string(), &["edge"], &configuration);
     fleet.start(0);
-    fleet.account(0, "something is stored", |account| account.events > 100);
+    fleet.counts(0, "something is stored", |counts| counts.events > 100);
     fleet
 }
 
@@ -34,22 +34,22 @@ fn not_ready(fleet: &Fleet, words: &str) {
 /// Waits until the aggregator is ready and has stored the events that waited on its agent.
 fn stores_again(fleet: &Fleet) {
     until("ready", || fleet.api.get("/readyz").filter(|(status, _)| *status == 200));
-    fleet.account(0, "what waited is stored", |account| account.waiting < 100 && account.events > 0);
+    fleet.counts(0, "what waited is stored", |counts| counts.waiting < 100 && counts.events > 0);
 }
 
 /// Stops everything; checks that each produced event is stored or counted as dropped.
-fn account_for_all(fleet: &mut Fleet) -> Ledger {
+fn account_for_all(fleet: &mut Fleet) -> StoredEvents {
     fleet.agents[0].stop();
-    fleet.deliver(0).balances();
+    fleet.deliver(0).assert_balanced();
     fleet.stop()
 }
 
 /// Stops everything; checks that no event is missing.
 fn nothing_is_missing(fleet: &mut Fleet) {
-    let ledger = account_for_all(fleet);
-    assert_eq!(ledger.lacks(fleet.agents[0].spooled()), 0, "{ledger:?}");
-    assert_eq!(ledger.hosts["edge"].gaps, 0, "{ledger:?}");
-    assert!(ledger.runs.values().all(|run| run.is_whole()), "{ledger:?}");
+    let stored_events = account_for_all(fleet);
+    assert_eq!(stored_events.count_missing(fleet.agents[0].spooled()), 0, "{stored_events:?}");
+    assert_eq!(stored_events.hosts["edge"].gaps, 0, "{stored_events:?}");
+    assert!(stored_events.runs.values().all(|run| run.is_contiguous()), "{stored_events:?}");
 }
 
 /// Returns whether the aggregator has one of the database's files open.
@@ -119,17 +119,17 @@ fn moved_database_is_let_go_and_taken_up_again() {
 fn database_replaced_by_backup_is_compared_with_spools() {
     let mut fleet = Fleet::new(&["edge"], &edge("", &echo("loop", &rate(200.0))));
     fleet.start(0);
-    fleet.account(0, "something is stored", |account| account.events > 200);
+    fleet.counts(0, "something is stored", |counts| counts.events > 200);
     let database = fleet.database().to_owned();
-    let backup = fleet.site.folder().join("backup.sqlite");
+    let backup = fleet.deployment.folder().join("backup.sqlite");
     let copied = fleet
-        .site
+        .deployment
         .peernetd(&["backup", "--database", &database.display().to_string(), &backup.display().to_string()])
         .ended();
     assert_eq!(copied.code(), 0, "{}", copied.log);
-    let older = Ledger::of(&backup);
-    let before = fleet.account(0, "it reports", |_| true);
-    fleet.account(0, "more is stored", |account| account.stored > before.stored + 200);
+    let older = StoredEvents::of(&backup);
+    let before = fleet.counts(0, "it reports", |_| true);
+    fleet.counts(0, "more is stored", |counts| counts.stored > before.stored + 200);
 
     let [main, log, shared] = files(&database);
     for file in [&main, &log, &shared] {
@@ -140,10 +140,10 @@ fn database_replaced_by_backup_is_compared_with_spools() {
     not_ready(&fleet, "cannot store events");
     std::fs::rename(&backup, &main).expect("restores");
     stores_again(&fleet);
-    fleet.account(0, "newer events are stored", |account| account.events > older.iterations() + 200);
-    let ledger = account_for_all(&mut fleet);
-    let (host, run) = (&ledger.hosts["edge"], ledger.runs.values().next().expect("one run"));
-    assert_eq!((host.gaps, host.quarantined, ledger.runs.len()), (1, 0, 1), "{ledger:?}");
+    fleet.counts(0, "newer events are stored", |counts| counts.events > older.iterations() + 200);
+    let stored_events = account_for_all(&mut fleet);
+    let (host, run) = (&stored_events.hosts["edge"], stored_events.runs.values().next().expect("one run"));
+    assert_eq!((host.gaps, host.quarantined, stored_events.runs.len()), (1, 0, 1), "{stored_events:?}");
     assert_eq!((run.ranges.len(), run.reason.as_str()), (2, "stopped"), "one hole, told as a gap: {run:?}");
     assert_eq!(run.ranges[0], 1..=older.iterations());
     let why = ask(fleet.database(), "SELECT reason FROM gap");
@@ -159,8 +159,8 @@ fn refused(fleet: &Fleet, database: &Path) {
         database.display(),
         peernet_tests::free_port()
     );
-    fleet.site.write("second.toml", &tables);
-    let ended = fleet.site.start("second.toml").ended();
+    fleet.deployment.write("second.toml", &tables);
+    let ended = fleet.deployment.start("second.toml").ended();
     assert_eq!(ended.code(), 69, "{}", ended.log);
     let holder = format!("pid {}", fleet.aggregator.process().pid());
     let named = ended.log.contains(&holder) && ended.log.contains(&database.display().to_string());

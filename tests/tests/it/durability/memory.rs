@@ -3,7 +3,7 @@
 use std::time::Duration;
 
 use peernet_tests::fleet::{echo, edge, rate};
-use peernet_tests::{Fleet, Since, measured};
+use peernet_tests::{Fleet, Stopwatch, measured};
 
 use super::setting;
 
@@ -26,7 +26,7 @@ fn memory_stays_below_its_bound() {
     let pipelines: String = (0..8).map(|n| echo(&format!("loop-{n}"), &rate(200.0))).collect();
     let mut fleet = Fleet::new(&["edge"], &edge("", &pipelines));
     fleet.start(0);
-    let (pid, begin) = (fleet.aggregator.process().pid(), Since::now());
+    let (pid, begin) = (fleet.aggregator.process().pid(), Stopwatch::now());
     let mut samples = Vec::new();
     while begin.elapsed() < Duration::from_secs(seconds) {
         // Pages are part of the load.

@@ -24,7 +24,7 @@ fn a_run_that_crashes_is_marked_and_the_others_go_on() {
     assert!(ended.log.contains("1 run failed"), "{}", ended.log);
     assert_eq!(lab.results.stages(), ["finished", "failed", "finished"]);
     // The table of an experiment is the same, whichever command writes it.
-    let (own, other) = (lab.results.folder.join("compare.txt"), lab.site.folder().join("compare.txt"));
+    let (own, other) = (lab.results.folder.join("compare.txt"), lab.deployment.folder().join("compare.txt"));
     let arguments = [Path::new("compare"), &lab.results.folder, Path::new("--out"), &other];
     let compared = Process::start(&program("peernet"), &arguments, root(), &[]).ended();
     assert_eq!(compared.code(), 0, "{}", compared.log);

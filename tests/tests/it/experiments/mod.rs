@@ -13,7 +13,7 @@ pub(crate) mod users;
 use std::ffi::OsStr;
 use std::path::Path;
 
-use peernet_tests::{Ended, Network, Process, Site, program, root};
+use peernet_tests::{LoopbackDeployment, Network, Process, ProcessEnd, program, root};
 use rustix::process::{Pid, Signal, kill_process};
 
 pub(crate) use results::{Results, column, json};
@@ -70,23 +70,28 @@ set = { "pipeline.sensor.size_bytes" = 300 }
 struct Lab {
     results: Results,
     cloud: Option<Process>,
-    site: Site,
+    deployment: LoopbackDeployment,
     network: Network,
 }
 
 impl Lab {
     fn new() -> Self {
-        let (site, network) = (Site::new(), Network::direct());
-        let mut lab =
-            Self { results: Results::of(site.folder().join("results")), cloud: None, site, network };
-        lab.site.write("cloud.toml", CLOUD);
+        let (deployment, network) = (LoopbackDeployment::new(), Network::direct());
+        let mut lab = Self {
+            results: Results::of(deployment.folder().join("results")),
+            cloud: None,
+            deployment,
+            network,
+        };
+        lab.deployment.write("cloud.toml", CLOUD);
         lab.start_cloud();
         lab
     }
 
     fn start_cloud(&mut self) {
         let arguments = ["run", "cloud.toml"];
-        let cloud = self.network.cloud().start(&program("peernetd"), &arguments, self.site.folder(), &[]);
+        let cloud =
+            self.network.cloud().start(&program("peernetd"), &arguments, self.deployment.folder(), &[]);
         cloud.wait_for("ready");
         self.cloud = Some(cloud);
     }
@@ -103,7 +108,7 @@ impl Lab {
     /// Starts `peernet run` with a text, in which `{cloud}` stands for the address of the cloud.
     fn run(&self, text: &str, options: &[&str]) -> Process {
         let peer = format!("tcp://{}:5551", self.network.cloud().address);
-        let file = self.site.write("experiment.toml", &text.replace("{cloud}", &peer));
+        let file = self.deployment.write("experiment.toml", &text.replace("{cloud}", &peer));
         let mut arguments = vec![Path::new("run"), &file, Path::new("--result-loc"), &self.results.folder];
         arguments.extend(options.iter().map(Path::new));
         self.network.edge().start(&program("peernet"), &arguments, root(), &[])
@@ -111,13 +116,13 @@ impl Lab {
 }
 
 /// Runs a command on results and returns its output.
-fn told(command: &str, results: &Path) -> Ended {
+fn told(command: &str, results: &Path) -> ProcessEnd {
     let arguments = [OsStr::new(command), results.as_os_str()];
     Process::start(&program("peernet"), &arguments, root(), &[]).ended()
 }
 
 /// Waits for the end of an experiment, which may take long if its single runs do not.
-pub(crate) fn done(experiment: Process, runs: usize) -> Ended {
+pub(crate) fn done(experiment: Process, runs: usize) -> ProcessEnd {
     for run in 1..=runs {
         experiment.wait_for(&format!("run {run} of {runs} ("));
     }

@@ -3,7 +3,7 @@
 use std::fs;
 use std::path::Path;
 
-use peernet_tests::{Ended, program, root};
+use peernet_tests::{ProcessEnd, program, root};
 use serde_json::{Map, Value};
 
 use super::{Lab, Results, column, json};
@@ -30,10 +30,13 @@ const OF_EXPERIMENT: [&str; 6] = ["name", "limit", "warm_up", "episode_steps", "
 
 impl Lab {
     /// Runs `peernet run` in the lab's folder, with a folder there for the results.
-    fn run_here(&self, file: &str, results: &str) -> Ended {
+    fn run_here(&self, file: &str, results: &str) -> ProcessEnd {
         let arguments = ["run", file, "--result-loc", results];
         let environment = [("OMP_NUM_THREADS", "3"), ("PEERNET_SECRET", "not to be told")];
-        self.network.edge().start(&program("peernet"), &arguments, self.site.folder(), &environment).ended()
+        self.network
+            .edge()
+            .start(&program("peernet"), &arguments, self.deployment.folder(), &environment)
+            .ended()
     }
 }
 
@@ -66,12 +69,12 @@ fn configuration(record: &Value) -> Value {
 #[test]
 fn a_run_is_done_again_from_its_record_alone() {
     let lab = Lab::new();
-    let folder = lab.site.folder();
+    let folder = lab.deployment.folder();
     let write = |name: &str, text: &str| fs::write(folder.join(name), text).expect("writable");
     let devices = format!("devices:\n  cluster: {}\nserver: cluster\n", lab.network.cloud().address);
     write("net_config.yaml", &devices);
     write("first.toml", &SHUFFLED.replace("{root}", &root().display().to_string()));
-    let done = |ended: Ended| {
+    let done = |ended: ProcessEnd| {
         assert_eq!(ended.code(), 0, "{}", ended.log);
         ended.log
     };

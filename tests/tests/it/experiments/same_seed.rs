@@ -1,6 +1,6 @@
 //! Test that the seed determines the order and the payloads, regardless of other traffic.
 
-use peernet_tests::{Api, Desk};
+use peernet_tests::{Api, DocumentedCommands};
 
 use super::{Results, column, done};
 
@@ -19,9 +19,9 @@ fn seen(results: &Results) -> (Vec<String>, Vec<Vec<String>>) {
 }
 
 /// Returns the number of an experiment's runs that the aggregator on the cloud stores as finished.
-fn stored(desk: &Desk, experiment: &str) -> usize {
+fn stored(machines: &DocumentedCommands, experiment: &str) -> usize {
     let experiment = experiment.to_owned();
-    desk.cloud().inside(move || {
+    machines.cloud().inside(move || {
         Api::at(8040).until("/api/v1/runs?limit=100", |found| {
             let runs = found["runs"].as_array()?;
             let of_it = runs.iter().filter(|run| run["experiment"]["id"] == *experiment);
@@ -32,11 +32,11 @@ fn stored(desk: &Desk, experiment: &str) -> usize {
 
 #[test]
 fn the_demo_twice_with_one_seed_has_one_order_and_the_same_payloads() {
-    let desk = Desk::new(&COMMANDS);
-    desk.copy("configs/aggregator.toml", &[("127.0.0.1:5550", "0.0.0.0:5550")]);
-    desk.copy("configs/cloud.toml", &[("tcp://127.0.0.1:5551", "tcp://0.0.0.0:5551")]);
+    let machines = DocumentedCommands::new(&COMMANDS);
+    machines.copy("configs/aggregator.toml", &[("127.0.0.1:5550", "0.0.0.0:5550")]);
+    machines.copy("configs/cloud.toml", &[("tcp://127.0.0.1:5551", "tcp://0.0.0.0:5551")]);
     // Fewer and shorter episodes, streamed to the dashboard.
-    desk.copy(
+    machines.copy(
         "configs/experiments/demo.toml",
         &[
             ("episodes = 4", "episodes = 2"),
@@ -44,14 +44,14 @@ fn the_demo_twice_with_one_seed_has_one_order_and_the_same_payloads() {
             ("[experiment]", "[experiment]\naggregator = \"tcp://10.0.0.2:5550\""),
         ],
     );
-    let aggregator = desk.run_on(desk.cloud(), "peernetd run configs/aggregator.toml");
-    let cloud = desk.on_cloud("peernetd run configs/cloud.toml", &[]);
+    let aggregator = machines.run_on(machines.cloud(), "peernetd run configs/aggregator.toml");
+    let cloud = machines.on_cloud("peernetd run configs/cloud.toml", &[]);
     cloud.wait_for("ready");
-    let results = Results::of(desk.folder().join("results/demo"));
+    let results = Results::of(machines.folder().join("results/demo"));
     let measure = |options: &str| {
         let options = format!("demo.toml {options}");
         let command = "peernet run configs/experiments/demo.toml";
-        let ended = done(desk.on_edge(command, &[("demo.toml", &options)]), 10);
+        let ended = done(machines.on_edge(command, &[("demo.toml", &options)]), 10);
         assert_eq!(ended.code(), 0, "{}", ended.log);
         (seen(&results), ended.log)
     };
@@ -71,7 +71,7 @@ fn the_demo_twice_with_one_seed_has_one_order_and_the_same_payloads() {
     // Two repeats of one episode, each without its first step.
     assert!(counted.iter().all(|count| count == "10"), "{counted:?}");
     let id = results.record()["id"].as_str().expect("it has one").to_owned();
-    assert_eq!(stored(&desk, &id), 10);
+    assert_eq!(stored(&machines, &id), 10);
 
     let again = measure("--restart").0;
     assert_eq!(again, (order.clone(), sizes.clone()));
@@ -82,5 +82,5 @@ fn the_demo_twice_with_one_seed_has_one_order_and_the_same_payloads() {
         let ended = process.stop();
         assert_eq!(ended.code(), 0, "{}", ended.log);
     }
-    desk.finish();
+    machines.finish();
 }

@@ -72,7 +72,7 @@ fn draw_again(lab: &Lab) {
     let words = command.split(' ').skip(1).map(Path::new);
     let arguments: Vec<&Path> = words.chain([lab.results.folder.as_path()]).collect();
     let edge = lab.network.edge();
-    let drawn = edge.start(&program("peernet"), &arguments, lab.site.folder(), &[]).ended();
+    let drawn = edge.start(&program("peernet"), &arguments, lab.deployment.folder(), &[]).ended();
     assert_eq!(drawn.code(), 0, "{}", drawn.log);
     assert!(figure.is_file(), "{}", drawn.log);
 }

@@ -1,6 +1,6 @@
 //! Test of a sensor without a model.
 
-use peernet_tests::Site;
+use peernet_tests::LoopbackDeployment;
 
 const EDGE: &str = r#"
 [[pipeline]]
@@ -12,9 +12,9 @@ limit = { total = 50 }
 
 #[test]
 fn its_run_shows_well_everywhere_without_a_model() {
-    let site = Site::new();
-    let (_aggregator, api) = site.aggregator();
-    let edge = site.agent("edge", EDGE);
+    let deployment = LoopbackDeployment::new();
+    let (_aggregator, api) = deployment.aggregator();
+    let edge = deployment.agent("edge", EDGE);
     let run = api.finished_run();
 
     let detail = api.json(&format!("/api/v1/runs/{run}"));

@@ -1,6 +1,6 @@
 //! Test of programs that fail: only their iterations fail.
 
-use peernet_tests::Site;
+use peernet_tests::LoopbackDeployment;
 
 /// Model that prints outside of its reply, dies and hangs, each once, and then works.
 const MODEL: &str = r#"#!/bin/sh
@@ -39,10 +39,10 @@ limit = { total = 20 }
 
 #[test]
 fn each_failure_is_one_iteration_with_its_reason() {
-    let site = Site::new();
-    let (_aggregator, api) = site.aggregator();
-    site.write("moody.sh", MODEL);
-    let edge = site.agent("edge", EDGE);
+    let deployment = LoopbackDeployment::new();
+    let (_aggregator, api) = deployment.aggregator();
+    deployment.write("moody.sh", MODEL);
+    let edge = deployment.agent("edge", EDGE);
     let run = api.finished_run();
 
     let detail = api.json(&format!("/api/v1/runs/{run}"));

@@ -1,6 +1,6 @@
 //! Test with sensor and actuator on the edge and model on the cloud.
 
-use peernet_tests::{Network, Plant};
+use peernet_tests::{Network, TwoHostTestbed};
 
 use super::build;
 
@@ -24,11 +24,11 @@ limit = { total = 42 }
 
 #[test]
 fn a_picture_from_shell_is_judged_by_c_and_recorded_by_shell() {
-    let plant = Plant::new(|_| Network::direct());
-    build(plant.folder());
-    let cloud = plant.cloud(MODEL);
-    let edge = plant.edge(&LIGHT.replace("PEER", &plant.peer()), &[]);
-    let api = &plant.api;
+    let testbed = TwoHostTestbed::new(|_| Network::direct());
+    build(testbed.folder());
+    let cloud = testbed.cloud(MODEL);
+    let edge = testbed.edge(&LIGHT.replace("PEER", &testbed.peer()), &[]);
+    let api = &testbed.api;
     let run = api.finished_run();
 
     let detail = api.json(&format!("/api/v1/runs/{run}"));
@@ -54,7 +54,7 @@ fn a_picture_from_shell_is_judged_by_c_and_recorded_by_shell() {
     api.stages_are_the_total(run, &[&here[..], &there].concat());
     assert_eq!(api.mean(run, "dropped-samples"), 0.0);
 
-    let answers = std::fs::read_to_string(plant.folder().join("answers.txt")).expect("was written");
+    let answers = std::fs::read_to_string(testbed.folder().join("answers.txt")).expect("was written");
     let lines: Vec<&str> = answers.lines().collect();
     assert_eq!(lines.len(), 42, "{answers}");
     for (index, line) in lines.iter().enumerate() {
@@ -64,5 +64,5 @@ fn a_picture_from_shell_is_judged_by_c_and_recorded_by_shell() {
     }
     assert_eq!(edge.stop().code(), 0);
     assert_eq!(cloud.stop().code(), 0);
-    plant.stop();
+    testbed.stop();
 }

@@ -1,7 +1,7 @@
 //! Test of forged probes from an unknown host.
 
 use peernet_tests::network::Host;
-use peernet_tests::{Network, Plant, until};
+use peernet_tests::{Network, TwoHostTestbed, until};
 
 /// Port of the reflector.
 const PORT: &str = "8620";
@@ -22,32 +22,32 @@ fn sent(host: &Host) -> u64 {
 }
 
 /// Returns the number of the edge's probes that were sent and that were lost.
-fn probes(plant: &Plant) -> (u64, u64) {
+fn probes(testbed: &TwoHostTestbed) -> (u64, u64) {
     let counts =
-        plant.ask("SELECT coalesce(sum(probes_sent), 0), coalesce(sum(probes_lost), 0) FROM clock_sample");
+        testbed.ask("SELECT coalesce(sum(probes_sent), 0), coalesce(sum(probes_lost), 0) FROM clock_sample");
     let mut counts = counts.split('|').map(|count| count.trim().parse::<u64>().expect("a number"));
     (counts.next().expect("two columns"), counts.next().expect("two columns"))
 }
 
 #[test]
 fn peers_probes_are_answered_during_forged_flood() {
-    let plant = Plant::new(|_| Network::direct().with_third_host());
-    let (cloud, third) = (plant.network.cloud(), plant.network.third());
+    let testbed = TwoHostTestbed::new(|_| Network::direct().with_third_host());
+    let (cloud, third) = (testbed.network.cloud(), testbed.network.third());
     // Packets with forged source addresses are accepted, and their answers are sent.
     for interface in ["all", "third"] {
         cloud.run("sysctl", &["-qw", &format!("net.ipv4.conf.{interface}.rp_filter=0")]);
     }
     cloud.run("ip", &["route", "add", "11.0.0.0/8", "via", &third.address.to_string()]);
-    let _cloud = plant.cloud("");
-    let pipeline = plant.pipeline("steady", 100, "load = { mode = \"rate\", hz = 20.0 }");
-    let _edge = plant.edge(&format!("[probes]\nrate_hz = 50.0\nidle_rate_hz = 50.0\n{pipeline}"), &[]);
-    until("probes", || (probes(&plant).0 > 50).then_some(()));
+    let _cloud = testbed.cloud("");
+    let pipeline = testbed.pipeline("steady", 100, "load = { mode = \"rate\", hz = 20.0 }");
+    let _edge = testbed.edge(&format!("[probes]\nrate_hz = 50.0\nidle_rate_hz = 50.0\n{pipeline}"), &[]);
+    until("probes", || (probes(&testbed).0 > 50).then_some(()));
 
-    let (before, out_before) = (probes(&plant), sent(cloud));
+    let (before, out_before) = (probes(&testbed), sent(cloud));
     let script = peernet_tests::root().join("tests/tests/it/limits/forged_probes.py");
     let arguments = [
         &script.display().to_string(),
-        &plant.network.third_faces().to_string(),
+        &testbed.network.third_faces().to_string(),
         PORT,
         &PER_SECOND.to_string(),
         &SECONDS.to_string(),
@@ -57,8 +57,8 @@ fn peers_probes_are_answered_during_forged_flood() {
     let out = sent(cloud) - out_before;
     // A probe counts as lost after two seconds.
     let during = before.0 + 50 * SECONDS;
-    until("what became of the probes", || (probes(&plant).0 > during + 150).then_some(()));
-    let lost = probes(&plant).1 - before.1;
+    until("what became of the probes", || (probes(&testbed).0 > during + 150).then_some(()));
+    let lost = probes(&testbed).1 - before.1;
 
     assert!(forged > ANSWERED_HZ * (SECONDS + 2) * 2, "too few to tell: {forged}");
     // The answers to the edge's probes are included.

@@ -4,7 +4,7 @@ use std::io::{Read, Write};
 use std::net::{SocketAddr, TcpStream};
 use std::path::Path;
 
-use peernet_tests::{AGGREGATOR, Api, PATIENCE, Process, Site, program, until};
+use peernet_tests::{AGGREGATOR, Api, LoopbackDeployment, PATIENCE, Process, program, until};
 use socket2::{Domain, Socket, Type};
 
 /// Descriptors of the daemon; an eighth of them are for connections to the dashboard.
@@ -15,13 +15,13 @@ const SLOW_HOSTS: u8 = 6;
 const OF_EACH: usize = 25;
 
 /// Returns a connection of 127.0.0.`host` that has requested `path` and reads almost nothing.
-fn asked(site: &Site, host: u8, path: &str) -> TcpStream {
+fn asked(deployment: &LoopbackDeployment, host: u8, path: &str) -> TcpStream {
     let socket = Socket::new(Domain::IPV4, Type::STREAM, None).expect("a socket");
     socket.set_recv_buffer_size(2_048).expect("a socket takes a buffer size");
     socket
         .bind(&SocketAddr::from(([127, 0, 0, host], 0)).into())
         .expect("all of 127.0.0.0/8 is this machine");
-    socket.connect(&SocketAddr::from(([127, 0, 0, 1], site.http)).into()).expect("the port is open");
+    socket.connect(&SocketAddr::from(([127, 0, 0, 1], deployment.http)).into()).expect("the port is open");
     let mut stream = TcpStream::from(socket);
     stream.set_read_timeout(Some(PATIENCE)).expect("a socket takes a timeout");
     let request = format!("GET {path} HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n");
@@ -32,23 +32,23 @@ fn asked(site: &Site, host: u8, path: &str) -> TcpStream {
 
 #[test]
 fn slow_readers_of_many_addresses_leave_the_dashboard_to_others() {
-    let site = Site::new();
-    site.write("aggregator.toml", AGGREGATOR);
+    let deployment = LoopbackDeployment::new();
+    deployment.write("aggregator.toml", AGGREGATOR);
     let peernetd = program("peernetd").display().to_string();
     let arguments = [DESCRIPTORS, &peernetd, "run", "aggregator.toml"];
-    let aggregator = Process::start(Path::new("prlimit"), &arguments, site.folder(), &[]);
-    let api = Api::at(site.http);
+    let aggregator = Process::start(Path::new("prlimit"), &arguments, deployment.folder(), &[]);
+    let api = Api::at(deployment.http);
     until("the dashboard", || api.get("/healthz").filter(|(status, _)| *status == 200));
 
     for path in ["/api/v1/live?topics=picture", "/api/openapi.json"] {
         let hosts = 2..2 + SLOW_HOSTS;
         let slow: Vec<TcpStream> = hosts
             .flat_map(|host| (0..OF_EACH).map(move |_| host))
-            .map(|host| asked(&site, host, path))
+            .map(|host| asked(&deployment, host, path))
             .collect();
         let (status, page) = api.get("/").expect("the overview is served");
         assert_eq!(status, 200, "{page}");
-        let mut live = asked(&site, 1, "/api/v1/live?topics=picture");
+        let mut live = asked(&deployment, 1, "/api/v1/live?topics=picture");
         let mut heard = [0; 4_096];
         let length = live.read(&mut heard).expect("the stream begins");
         let heard = String::from_utf8_lossy(&heard[..length]);

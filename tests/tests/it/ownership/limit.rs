@@ -2,7 +2,7 @@
 
 use peernet_stream::ToAggregator;
 use peernet_tests::truth::ask;
-use peernet_tests::{Chance, Introduced, Stranger, measured, thousands, until};
+use peernet_tests::{InventedHost, MisbehavingPeer, TestRng, measured, thousands, until};
 
 use super::measuring;
 
@@ -11,23 +11,24 @@ const MAX_HOSTS: usize = 50;
 
 #[test]
 fn invented_hosts_leave_pages_and_metrics_bounded() {
-    let mut chance = Chance::new("invented hosts");
+    let mut rng = TestRng::new("invented hosts");
     let mut fleet = measuring(&format!("max_hosts = {MAX_HOSTS}"));
     let bytes = |path: &str| fleet.api.get(path).expect("answers").1.len();
     let before = (bytes("/metrics"), bytes("/api/v1/hosts"));
     // Some hosts only say hello, on many connections, and some prove their id.
-    let crowd: Vec<Stranger> = (0..320).map(|_| Stranger::at(fleet.site.events)).collect();
-    for stranger in &crowd {
+    let crowd: Vec<MisbehavingPeer> =
+        (0..320).map(|_| MisbehavingPeer::at(fleet.deployment.events)).collect();
+    for misbehaving_peer in &crowd {
         for _ in 0..62 {
-            let name = format!("invented-{}", chance.below(1 << 30));
-            stranger.say(&ToAggregator::Hello(Introduced::new(&name, &mut chance).hello));
+            let name = format!("invented-{}", rng.below(1 << 30));
+            misbehaving_peer.say(&ToAggregator::Hello(InventedHost::new(&name, &mut rng).hello));
         }
     }
     let (mut proven, mut newest) = (0, String::new());
-    for (n, stranger) in (0..).zip(&crowd[..10]) {
+    for (n, misbehaving_peer) in (0..).zip(&crowd[..10]) {
         for m in 0..20 {
             newest = format!("proven-{n}-{m}");
-            Introduced::new(&newest, &mut chance).enter(stranger);
+            InventedHost::new(&newest, &mut rng).open_session(misbehaving_peer);
             proven += 1;
         }
     }
@@ -47,8 +48,8 @@ fn invented_hosts_leave_pages_and_metrics_bounded() {
         let hosts = fleet.api.json("/api/v1/hosts");
         (hosts["hosts"].as_array()?.len() == 1).then_some(())
     });
-    let seen = fleet.account(0, "it is there", |_| true);
-    fleet.account(0, "the robot goes on", |account| account.events > seen.events + 20);
+    let seen = fleet.counts(0, "it is there", |_| true);
+    fleet.counts(0, "the robot goes on", |counts| counts.events > seen.events + 20);
     fleet.stop();
     measured(
         "invented hosts",
@@ -63,19 +64,19 @@ fn invented_hosts_leave_pages_and_metrics_bounded() {
 
 #[test]
 fn new_host_beyond_the_limit_is_refused_and_known_ones_are_not() {
-    let mut chance = Chance::new("too many hosts");
+    let mut rng = TestRng::new("too many hosts");
     let mut fleet = measuring("max_hosts = 2");
-    let stranger = Stranger::at(fleet.site.events);
-    let mut second = Introduced::new("second", &mut chance);
-    second.enter(&stranger);
-    stranger.send(&second.batch(1));
-    stranger.hear_ack(1);
-    let third = Introduced::new("third", &mut chance);
-    let words = third.is_refused(&stranger);
+    let misbehaving_peer = MisbehavingPeer::at(fleet.deployment.events);
+    let mut second = InventedHost::new("second", &mut rng);
+    second.open_session(&misbehaving_peer);
+    misbehaving_peer.send(&second.batch(1));
+    misbehaving_peer.wait_for_ack(1);
+    let third = InventedHost::new("third", &mut rng);
+    let words = third.expect_refusal(&misbehaving_peer);
     assert!(words.contains("max_hosts"), "{words}");
     fleet.agents[0].stop();
     fleet.start(0);
     fleet.agents[0].process().wait_for("connected to the aggregator");
-    second.enter(&stranger);
+    second.open_session(&misbehaving_peer);
     fleet.stop();
 }

@@ -11,6 +11,6 @@ use peernet_tests::fleet::{echo, edge, rate};
 fn measuring(keys: &str) -> Fleet {
     let mut fleet = Fleet::aggregating(keys, &["edge"], &edge("", &echo("loop", &rate(100.0))));
     fleet.start(0);
-    fleet.account(0, "something is stored", |account| account.events > 20);
+    fleet.counts(0, "something is stored", |counts| counts.events > 20);
     fleet
 }

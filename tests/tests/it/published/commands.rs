@@ -1,6 +1,6 @@
 //! Tests of the paper's two commands between two machines.
 
-use peernet_tests::Site;
+use peernet_tests::LoopbackDeployment;
 use serde_json::{Value, json};
 
 use super::{Lab, PUBLISHED, picture};
@@ -165,8 +165,8 @@ fn a_client_may_come_first_and_send_whatever_it_likes() {
 #[test]
 fn a_run_is_on_a_dashboard_as_well_and_its_host_is_known_again() {
     let lab = Lab::here();
-    let site = Site::new();
-    let (_aggregator, api) = site.aggregator();
+    let deployment = LoopbackDeployment::new();
+    let (_aggregator, api) = deployment.aggregator();
     for results in ["first", "second"] {
         let server = lab.server(
             "PEERNet --server --name cluster --network-config net_config.yaml --model-name echo --iterations 20",
@@ -174,7 +174,7 @@ fn a_run_is_on_a_dashboard_as_well_and_its_host_is_known_again() {
         let client = lab.client(&format!(
             "PEERNet --client --name jetson-orin --network-config net_config.yaml --sensor-type synthetic \
              --iterations 20 --result-loc {results} --aggregator tcp://127.0.0.1:{}",
-            site.events
+            deployment.events
         ));
         let (client, server) = (client.ended(), server.ended());
         assert_eq!((client.code(), server.code()), (0, 0), "{}\n{}", client.log, server.log);

@@ -1,7 +1,7 @@
 //! Tests of the published commands over datagrams, of which some are lost.
 
 use peernet_tests::Network;
-use peernet_tests::network::Way;
+use peernet_tests::network::WireProperties;
 
 use super::{Data, Lab};
 
@@ -70,7 +70,7 @@ fn payloads_of_all_sizes_cross_datagrams_whole() {
 fn iterations_over_bad_path_are_answered_or_lost() {
     const ITERATIONS: usize = 150;
     let sockets = tempfile::tempdir().expect("the temporary folder is writable");
-    let way = |delay_ms| Way { delay_ms, jitter_ms: 3, loss_percent: 2 };
+    let way = |delay_ms| WireProperties { delay_ms, jitter_ms: 3, loss_percent: 2 };
     let lab = Lab::between(Network::reordering_wire(sockets.path(), way(30), way(5)));
     std::fs::write(lab.folder().join("edge.toml"), "[agent]\n[rehearsal]\noffset_ms = 5000\n")
         .expect("writable");

@@ -1,6 +1,6 @@
 //! Tests of users' objects that were written for the published program.
 
-use peernet_tests::Ended;
+use peernet_tests::ProcessEnd;
 
 use super::{Lab, PUBLISHED};
 
@@ -119,7 +119,7 @@ fn a_sensor_and_a_model_of_ones_own_are_run_where_the_command_line_names_them() 
 }
 
 /// Runs client and server for this number of iterations with this camera and an echo; returns both results.
-fn seen_by(camera: &str, iterations: u32, lab: &Lab) -> (Ended, Ended) {
+fn seen_by(camera: &str, iterations: u32, lab: &Lab) -> (ProcessEnd, ProcessEnd) {
     std::fs::write(lab.folder().join("my_camera.py"), camera).expect("writable");
     let server = lab.server(&format!(
         "PEERNet --server --name cluster --network-config net_config.yaml --model-name echo --iterations {iterations}"

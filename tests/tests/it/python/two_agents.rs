@@ -1,19 +1,19 @@
 //! Test of a Python sensor and a Python model over a network, up to the store.
 
-use peernet_tests::{Network, Plant};
+use peernet_tests::{Network, TwoHostTestbed};
 
 use super::{drive, model, write_modules};
 
 #[test]
 fn arrays_go_up_and_each_step_of_the_users_is_a_stage() {
-    let plant = Plant::new(|_| Network::direct());
-    write_modules(plant.folder());
-    let cloud = plant.cloud(&model());
-    let there = format!("{{ kind = \"remote\", peer = \"{}\", model = \"follower\" }}", plant.peer());
+    let testbed = TwoHostTestbed::new(|_| Network::direct());
+    write_modules(testbed.folder());
+    let cloud = testbed.cloud(&model());
+    let there = format!("{{ kind = \"remote\", peer = \"{}\", model = \"follower\" }}", testbed.peer());
     let more = "limit = { iterations = 30 }\nactuator = { kind = \"log\" }\n";
-    let edge = plant.edge(&(drive(&there) + more), &[]);
+    let edge = testbed.edge(&(drive(&there) + more), &[]);
     edge.wait_for("the rig is up");
-    let api = &plant.api;
+    let api = &testbed.api;
     let run = api.finished_run();
 
     // Every tenth sample failed with the user's own message; the others succeeded.
@@ -37,5 +37,5 @@ fn arrays_go_up_and_each_step_of_the_users_is_a_stage() {
     cloud.wait_for("following on cuda:0");
     assert_eq!(edge.stop().code(), 0);
     assert_eq!(cloud.stop().code(), 0);
-    plant.stop();
+    testbed.stop();
 }

@@ -2,7 +2,7 @@
 
 use peernet_stream::{ToAgent, ToAggregator, codec};
 use peernet_tests::fleet::{echo, edge, rate};
-use peernet_tests::{Chance, Fleet, Introduced, Stranger, measured, thousands, until};
+use peernet_tests::{Fleet, InventedHost, MisbehavingPeer, TestRng, measured, thousands, until};
 
 use super::{nothing_lost, turn};
 
@@ -10,19 +10,19 @@ use super::{nothing_lost, turn};
 fn beside_an_agent() -> Fleet {
     let mut fleet = Fleet::new(&["edge"], &edge("", &echo("loop", &rate(200.0))));
     fleet.start(0);
-    fleet.account(0, "something is stored", |account| account.events > 0);
+    fleet.counts(0, "something is stored", |counts| counts.events > 0);
     fleet
 }
 
 /// Checks that the normal agent lost nothing and that the aggregator exits with 0.
 fn nobody_was_harmed(mut fleet: Fleet) -> u64 {
-    let seen = fleet.account(0, "it is there", |_| true);
-    fleet.account(0, "more is stored", |account| account.events > seen.events + 100);
+    let seen = fleet.counts(0, "it is there", |_| true);
+    fleet.counts(0, "more is stored", |counts| counts.events > seen.events + 100);
     fleet.agents[0].stop();
-    fleet.deliver(0).balances();
-    let mut ledger = fleet.stop();
-    ledger.hosts.retain(|name, _| name == "edge");
-    nothing_lost(&fleet, &ledger)
+    fleet.deliver(0).assert_balanced();
+    let mut stored_events = fleet.stop();
+    stored_events.hosts.retain(|name, _| name == "edge");
+    nothing_lost(&fleet, &stored_events)
 }
 
 /// Returns the sum of a counter over all its labels, by the beginning of its name.
@@ -37,48 +37,48 @@ fn counter(fleet: &Fleet, name: &str) -> u64 {
 #[test]
 fn frames_that_are_cut_or_flipped_are_refused_and_counted() {
     let _turn = turn();
-    let mut chance = Chance::new("damaged frames");
+    let mut rng = TestRng::new("damaged frames");
     let fleet = beside_an_agent();
-    let stranger = Stranger::at(fleet.site.events);
-    let mut host = Introduced::new("stranger", &mut chance);
-    host.enter(&stranger);
-    stranger.send(&host.batch(10));
-    stranger.hear_ack(1);
+    let misbehaving_peer = MisbehavingPeer::at(fleet.deployment.events);
+    let mut host = InventedHost::new("stranger", &mut rng);
+    host.open_session(&misbehaving_peer);
+    misbehaving_peer.send(&host.batch(10));
+    misbehaving_peer.wait_for_ack(1);
 
     // Neither parts of messages nor noise are valid messages.
     let hello = codec::encode(&ToAggregator::Hello(host.hello.clone()));
     let next = host.batch(10);
     let mut sent = 0;
     for _ in 0..300 {
-        let whole = if chance.once_in(2) { &hello } else { &next };
-        let mut frame = whole[..chance.below(whole.len())].to_vec();
-        if chance.once_in(3) {
-            frame.iter_mut().for_each(|byte| *byte = chance.bits() as u8);
+        let whole = if rng.once_in(2) { &hello } else { &next };
+        let mut frame = whole[..rng.below(whole.len())].to_vec();
+        if rng.once_in(3) {
+            frame.iter_mut().for_each(|byte| *byte = rng.bits() as u8);
         }
-        stranger.send(&frame);
+        misbehaving_peer.send(&frame);
         sent += 1;
     }
     // Afterwards the batch itself is accepted, perhaps after another hello.
-    host.enter(&stranger);
-    stranger.send(&next);
-    stranger.hear_ack(2);
+    host.open_session(&misbehaving_peer);
+    misbehaving_peer.send(&next);
+    misbehaving_peer.wait_for_ack(2);
 
     // Each flipped bit of a batch is noticed, in any part of it.
     for _ in 0..300 {
         let mut frame = next.clone();
-        let at = chance.below(frame.len());
-        frame[at] ^= 1 << chance.below(8);
-        stranger.send(&frame);
+        let at = rng.below(frame.len());
+        frame[at] ^= 1 << rng.below(8);
+        misbehaving_peer.send(&frame);
         sent += 1;
     }
-    stranger.greet(&host, |said| matches!(said, ToAgent::Welcome { stored: 2, .. }));
+    misbehaving_peer.send_hello_until(&host, |said| matches!(said, ToAgent::Welcome { stored: 2, .. }));
     until("it is counted", || {
         (counter(&fleet, "peernet_aggregator_damaged_batches_total") > 0).then_some(())
     });
     let damaged = counter(&fleet, "peernet_aggregator_damaged_batches_total");
     let told = fleet.aggregator.process().wait_for("messages were not taken");
     assert!(told.contains("unreadable="), "{told}");
-    stranger.say(&ToAggregator::Goodbye(host.hello.host.id));
+    misbehaving_peer.say(&ToAggregator::Goodbye(host.hello.host.id));
     let spooled = nobody_was_harmed(fleet);
     measured(
         "damaged frames",
@@ -93,38 +93,38 @@ fn frames_that_are_cut_or_flipped_are_refused_and_counted() {
 #[test]
 fn a_batch_that_is_wrong_in_itself_is_put_aside_and_the_stream_goes_on() {
     let _turn = turn();
-    let mut chance = Chance::new("wrong batches");
+    let mut rng = TestRng::new("wrong batches");
     let fleet = beside_an_agent();
-    let stranger = Stranger::at(fleet.site.events);
-    let mut host = Introduced::new("stranger", &mut chance);
-    host.enter(&stranger);
+    let misbehaving_peer = MisbehavingPeer::at(fleet.deployment.events);
+    let mut host = InventedHost::new("stranger", &mut rng);
+    host.open_session(&misbehaving_peer);
 
     // Correctly hashed, but noise, too few events, too many events, or longer than permitted.
-    let noise: Vec<u8> = (0..10_000).map(|_| chance.bits() as u8).collect();
+    let noise: Vec<u8> = (0..10_000).map(|_| rng.bits() as u8).collect();
     let event = host.clone().batch(1).split_off(0);
     let wrong = [(7, noise.clone(), false), (u32::MAX, noise, true), (3, event, false), (0, vec![], false)];
     for (number, (events, body, compress)) in (1..).zip(wrong) {
         let batch = host.batch_of(events, &body, compress);
-        stranger.send(&batch);
-        stranger.hear_ack(number);
+        misbehaving_peer.send(&batch);
+        misbehaving_peer.wait_for_ack(number);
     }
-    stranger.send(&host.batch(10));
-    stranger.hear_ack(5);
+    misbehaving_peer.send(&host.batch(10));
+    misbehaving_peer.wait_for_ack(5);
     // The bytes never match their hash, however often they are sent.
     let mut damaged = host.batch(10);
     let last = damaged.len() - 1;
     damaged[last] ^= 1;
     for _ in 0..8 {
-        stranger.send(&damaged);
+        misbehaving_peer.send(&damaged);
     }
-    stranger.hear_ack(6);
+    misbehaving_peer.wait_for_ack(6);
     // Zeros whose unpacked size is four thousand times the packed one.
-    stranger.send(&host.batch_of(9, &vec![0; 64 << 20], true));
-    stranger.send(&host.batch(10));
+    misbehaving_peer.send(&host.batch_of(9, &vec![0; 64 << 20], true));
+    misbehaving_peer.send(&host.batch(10));
     let stored = until("what is stored", || {
-        let stranger = fleet.api.json("/api/v1/hosts/stranger");
-        let quarantined = stranger["stored"]["quarantined"].as_u64()?;
-        (quarantined >= 4).then(|| stranger["stored"].clone())
+        let misbehaving_peer = fleet.api.json("/api/v1/hosts/stranger");
+        let quarantined = misbehaving_peer["stored"]["quarantined"].as_u64()?;
+        (quarantined >= 4).then(|| misbehaving_peer["stored"].clone())
     });
     assert!(stored["gaps"].as_u64() >= Some(4), "{stored}");
     // An impossible number of events in a batch is not believed.
@@ -135,37 +135,38 @@ fn a_batch_that_is_wrong_in_itself_is_put_aside_and_the_stream_goes_on() {
 #[test]
 fn batches_of_another_host_are_not_taken_and_repeated_ones_not_twice() {
     let _turn = turn();
-    let mut chance = Chance::new("replayed batches");
+    let mut rng = TestRng::new("replayed batches");
     let fleet = beside_an_agent();
-    let (own, other) = (Stranger::at(fleet.site.events), Stranger::at(fleet.site.events));
-    let mut host = Introduced::new("victim", &mut chance);
-    host.enter(&own);
+    let (own, other) =
+        (MisbehavingPeer::at(fleet.deployment.events), MisbehavingPeer::at(fleet.deployment.events));
+    let mut host = InventedHost::new("victim", &mut rng);
+    host.open_session(&own);
     let batches: Vec<Vec<u8>> = (0..5).map(|_| host.batch(20)).collect();
     batches[..4].iter().for_each(|batch| own.send(batch));
-    own.hear_ack(4);
+    own.wait_for_ack(4);
 
     // Batches of another host, recorded and sent again: old ones and the next one.
     for batch in &batches {
         other.send(batch);
-        other.hear_until(|said| (*said == ToAgent::Unknown).then_some(()));
+        other.receive_until(|said| (*said == ToAgent::Unknown).then_some(()));
     }
     // A hello with its own name, with the victim's name, and with the victim's stream.
-    let mut thief = Introduced::new("thief", &mut chance);
+    let mut thief = InventedHost::new("thief", &mut rng);
     thief.hello.stream = host.hello.stream;
-    let words = thief.is_refused(&other);
+    let words = thief.expect_refusal(&other);
     assert!(words.contains(&host.hello.host.id.to_string()), "{words}");
-    let mut impostor = Introduced::new("victim", &mut chance);
-    let words = impostor.is_refused(&other);
+    let mut impostor = InventedHost::new("victim", &mut rng);
+    let words = impostor.expect_refusal(&other);
     assert!(words.contains("name"), "{words}");
     impostor.hello.host.name = "impostor".parse().expect("a name");
-    impostor.enter(&other);
+    impostor.open_session(&other);
     batches.iter().for_each(|batch| other.send(batch));
 
     // The host itself may repeat batches.
     for batch in batches.iter().chain(&batches) {
         own.send(batch);
     }
-    own.hear_ack(5);
+    own.wait_for_ack(5);
     let stored = until("all is stored and duplicates are counted", || {
         let victim = fleet.api.json("/api/v1/hosts/victim");
         let stored = &victim["stored"];
@@ -180,23 +181,23 @@ fn batches_of_another_host_are_not_taken_and_repeated_ones_not_twice() {
 #[test]
 fn a_storm_of_hellos_keeps_no_agent_out() {
     let _turn = turn();
-    let mut chance = Chance::new("hello storm");
+    let mut rng = TestRng::new("hello storm");
     let fleet = beside_an_agent();
-    let stranger = Stranger::at(fleet.site.events);
+    let misbehaving_peer = MisbehavingPeer::at(fleet.deployment.events);
     // More hosts than one connection may represent.
     for n in 0..200 {
-        let one = Introduced::new(&format!("crowd-{n}"), &mut chance);
+        let one = InventedHost::new(&format!("crowd-{n}"), &mut rng);
         let welcome_or_not =
             |said: &ToAgent| matches!(said, ToAgent::Welcome { .. } | ToAgent::Refused { .. });
-        stranger.greet(&one, welcome_or_not);
+        misbehaving_peer.send_hello_until(&one, welcome_or_not);
     }
-    let words = Introduced::new("one-more", &mut chance).is_refused(&stranger);
+    let words = InventedHost::new("one-more", &mut rng).expect_refusal(&misbehaving_peer);
     assert!(words.contains("connection"), "{words}");
     // Many connections, many with the normal agent's name, wrong versions, and long texts.
-    let crowd: Vec<Stranger> = (0..60).map(|_| Stranger::at(fleet.site.events)).collect();
+    let crowd: Vec<MisbehavingPeer> = (0..60).map(|_| MisbehavingPeer::at(fleet.deployment.events)).collect();
     for (n, one) in crowd.iter().enumerate() {
         let name = if n % 2 == 0 { "edge" } else { "somebody" };
-        let mut hello = Introduced::new(name, &mut chance).hello;
+        let mut hello = InventedHost::new(name, &mut rng).hello;
         match n % 3 {
             0 => hello.protocol = u16::MAX,
             1 => hello.host.hardware.cpu = "x".repeat(3 << 20),
@@ -206,7 +207,7 @@ fn a_storm_of_hellos_keeps_no_agent_out() {
             one.say(&ToAggregator::Hello(hello.clone()));
         }
     }
-    let words = crowd[0].hear_refusal();
+    let words = crowd[0].wait_for_refusal();
     assert!(words.contains("version"), "{words}");
     until("refusals are shown", || {
         let hosts = fleet.api.json("/api/v1/hosts");

@@ -16,7 +16,7 @@ mod versions;
 
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
-use peernet_tests::{Fleet, Ledger};
+use peernet_tests::{Fleet, StoredEvents};
 
 /// Waits for the turn of a test. These tests keep all cores busy: in sequence, none is slowed down beyond its
 /// timeouts by the others.
@@ -40,22 +40,27 @@ const SMALL_SPOOL: &str = "[spool]\nlimit_bytes = 8388608\n";
 
 /// Checks that every batch that the agents reported as spooled is stored, and that all missing iterations of a run
 /// are in gaps. Returns the number of spooled iterations.
-fn nothing_lost(fleet: &Fleet, ledger: &Ledger) -> u64 {
+fn nothing_lost(fleet: &Fleet, stored_events: &StoredEvents) -> u64 {
     let mut spooled = 0;
     for agent in &fleet.agents {
-        assert_eq!(ledger.lacks(agent.spooled()), 0, "lost of {}: {ledger:?}", agent.name);
+        assert_eq!(
+            stored_events.count_missing(agent.spooled()),
+            0,
+            "lost of {}: {stored_events:?}",
+            agent.name
+        );
         spooled += agent.spooled().iter().map(|line| line.count).sum::<u64>();
     }
-    let gaps = ledger.hosts.values().any(|host| host.gaps > 0);
-    for (id, run) in &ledger.runs {
+    let gaps = stored_events.hosts.values().any(|host| host.gaps > 0);
+    for (id, run) in &stored_events.runs {
         if !gaps {
-            assert!(run.is_whole(), "holes in run {id}: {run:?}");
+            assert!(run.is_contiguous(), "holes in run {id}: {run:?}");
         } else if ["stopped", "finished"].contains(&run.reason.as_str()) {
             // An agent that was killed had no time to report its last losses.
-            assert!(run.holes() <= run.missing, "holes in run {id} are not gaps: {run:?}");
+            assert!(run.missing_iterations() <= run.missing, "holes in run {id} are not gaps: {run:?}");
         }
     }
-    for (name, host) in &ledger.hosts {
+    for (name, host) in &stored_events.hosts {
         assert_eq!(host.quarantined, 0, "{name}: {host:?}");
     }
     spooled

@@ -4,7 +4,7 @@ use std::time::Duration;
 
 use peernet_tests::fleet::{echo, edge, rate};
 use peernet_tests::truth::ask;
-use peernet_tests::{Account, Fleet, Since, measured, thousands, until, until_grown};
+use peernet_tests::{EventCounts, Fleet, Stopwatch, measured, thousands, until, until_grown};
 
 use super::{nothing_lost, setting, turn};
 
@@ -29,7 +29,7 @@ fn an_aggregator_that_was_away_for_a_day_gets_everything_in_order_while_the_pict
     let mut fleet = Fleet::new(&["edge"], &edge("queue_events = 16000", &pipelines));
     // The host is known before the aggregator stops.
     fleet.start(0);
-    fleet.account(0, "it is there", |_| true);
+    fleet.counts(0, "it is there", |_| true);
     fleet.aggregator.kill();
     let agent = &fleet.agents[0];
     // The other pipeline never reaches that number.
@@ -37,14 +37,14 @@ fn an_aggregator_that_was_away_for_a_day_gets_everything_in_order_while_the_pict
         agent.spooled_now().iter().map(|line| line.last).max()
     });
 
-    fleet.aggregator_returns();
-    let (begin, before) = (Since::now(), stored(&fleet));
+    fleet.restart_aggregator();
+    let (begin, before) = (Stopwatch::now(), stored(&fleet));
     let mut lags = Vec::new();
     let mut seen = before.unwrap_or_default();
     loop {
         let (number, done) = until("more of the day is stored", || {
-            let account = Account::of(&fleet.api, "edge").filter(|account| account.connected)?;
-            lags.push(account.live_lag_s);
+            let counts = EventCounts::of(&fleet.api, "edge").filter(|counts| counts.connected)?;
+            lags.push(counts.live_lag_s);
             std::thread::sleep(LOOK);
             Some(stored(&fleet)?).filter(|(number, done)| *number > seen.0 || *done)
         });
@@ -55,11 +55,11 @@ fn an_aggregator_that_was_away_for_a_day_gets_everything_in_order_while_the_pict
     }
     let seconds = begin.elapsed().as_secs_f64();
     fleet.agents[0].stop();
-    let account = fleet.deliver(0);
-    let ledger = fleet.stop();
-    nothing_lost(&fleet, &ledger);
-    account.balances();
-    let day = ledger.runs.values().find(|run| run.pipeline == "day").expect("it was measured");
+    let counts = fleet.deliver(0);
+    let stored_events = fleet.stop();
+    nothing_lost(&fleet, &stored_events);
+    counts.assert_balanced();
+    let day = stored_events.runs.values().find(|run| run.pipeline == "day").expect("it was measured");
     assert_eq!((day.iterations(), day.reason.as_str()), (iterations, "finished"));
 
     lags.sort_by(f64::total_cmp);

@@ -2,12 +2,17 @@
 
 use peernet_clock::Span;
 use peernet_tests::ClockShim;
-use peernet_tests::network::Way;
+use peernet_tests::network::WireProperties;
 
 use super::{Scene, way, wire};
 
 /// Runs a case for this time after the window is full, and checks every interval.
-fn hold(what: &'static str, [up, down]: [Way; 2], for_s: i64, prepare: impl FnOnce([&ClockShim; 2])) {
+fn hold(
+    what: &'static str,
+    [up, down]: [WireProperties; 2],
+    for_s: i64,
+    prepare: impl FnOnce([&ClockShim; 2]),
+) {
     let scene = Scene::new(what, wire(up, down), "", prepare);
     let settled = scene.settle();
     scene.reach(settled + Span::from_seconds(for_s));

@@ -13,22 +13,22 @@ use std::path::Path;
 
 use outcome::Outcome;
 use peernet_clock::{RawTime, Span};
-use peernet_tests::network::{Network, Way};
+use peernet_tests::network::{Network, WireProperties};
 use peernet_tests::truth::HostClock;
-use peernet_tests::{ClockShim, Plant, Process, until, until_grown};
+use peernet_tests::{ClockShim, Process, TwoHostTestbed, until, until_grown};
 
 /// Length of the window by default. After a violation an interval may be wrong for this time.
 const WINDOW: Span = Span::from_seconds(10);
 
-const fn way(delay_ms: u32, jitter_ms: u32, loss_percent: u32) -> Way {
-    Way { delay_ms, jitter_ms, loss_percent }
+const fn way(delay_ms: u32, jitter_ms: u32, loss_percent: u32) -> WireProperties {
+    WireProperties { delay_ms, jitter_ms, loss_percent }
 }
 
 fn cable(_: &Path) -> Network {
     Network::direct()
 }
 
-fn wire(up: Way, down: Way) -> impl FnOnce(&Path) -> Network {
+fn wire(up: WireProperties, down: WireProperties) -> impl FnOnce(&Path) -> Network {
     move |folder| Network::wire(folder, up, down)
 }
 
@@ -45,7 +45,7 @@ struct Scene {
     cloud: Option<Process>,
     /// The edge's clocks and the cloud's.
     shims: [ClockShim; 2],
-    plant: Plant,
+    testbed: TwoHostTestbed,
 }
 
 impl Scene {
@@ -57,17 +57,17 @@ impl Scene {
         keys: &str,
         prepare: impl FnOnce([&ClockShim; 2]),
     ) -> Self {
-        let plant = Plant::new(network);
+        let testbed = TwoHostTestbed::new(network);
         let shims =
-            ["edge", "cloud"].map(|host| ClockShim::new(&plant.folder().join(format!("{host}-clocks"))));
+            ["edge", "cloud"].map(|host| ClockShim::new(&testbed.folder().join(format!("{host}-clocks"))));
         let [edge, cloud] = &shims;
         prepare([edge, cloud]);
-        let cloud = start_cloud(&plant, cloud);
+        let cloud = start_cloud(&testbed, cloud);
         // Both hosts are on one machine: without an identity of its own the edge's clock would count as the cloud's.
-        let pipeline = plant.pipeline("misled", 1000, LOAD);
+        let pipeline = testbed.pipeline("misled", 1000, LOAD);
         let tables = format!("clock_identity = \"shown\"\n{CLOCK}{keys}\n{pipeline}");
-        let edge = plant.edge(&tables, &edge.environment());
-        Self { what, edge, cloud: Some(cloud), shims, plant }
+        let edge = testbed.edge(&tables, &edge.environment());
+        Self { what, edge, cloud: Some(cloud), shims, testbed }
     }
 
     /// Returns the edge's clocks.
@@ -86,7 +86,7 @@ impl Scene {
         self.cloud.take().expect("it runs").kill();
         let begin = shim.change(step, ppm, 0.0);
         until("the cloud's clocks after its reboot", || (shim.now() > begin).then_some(()));
-        self.cloud = Some(start_cloud(&self.plant, shim));
+        self.cloud = Some(start_cloud(&self.testbed, shim));
     }
 
     /// Returns the arrival of the newest stored upload by the kernel's clock; `None` before there is one.
@@ -94,7 +94,7 @@ impl Scene {
         let sql = "SELECT t.received_raw_ns FROM transit AS t JOIN node USING (run, iteration, node) \
                    JOIN name ON name.id = node.name WHERE name.text = 'upload' AND t.received_raw_ns IS NOT NULL \
                    ORDER BY t.run DESC, t.iteration DESC LIMIT 1";
-        let shown = RawTime::from_nanos(self.plant.ask(sql).trim().parse().ok()?);
+        let shown = RawTime::from_nanos(self.testbed.ask(sql).trim().parse().ok()?);
         self.shims[1].errors().truths(shown).last().copied()
     }
 
@@ -115,18 +115,18 @@ impl Scene {
     /// Stops the edge and returns the stored delays.
     fn end(self) -> Outcome {
         assert_eq!(self.edge.stop().code(), 0);
-        self.plant.api.until("/api/v1/runs", |runs| {
+        self.testbed.api.until("/api/v1/runs", |runs| {
             let mut runs = runs["runs"].as_array()?.iter();
             runs.all(|run| run["reason"] == "stopped").then_some(())
         });
-        let incidents = self.plant.api.json("/api/v1/incidents").to_string();
+        let incidents = self.testbed.api.json("/api/v1/incidents").to_string();
         let [edge, cloud] = self.shims.map(|shim| HostClock::shown(shim.errors()));
-        Outcome::new(self.what, &self.plant.iterations(), [&edge, &cloud], incidents)
+        Outcome::new(self.what, &self.testbed.iterations(), [&edge, &cloud], incidents)
     }
 }
 
-fn start_cloud(plant: &Plant, shim: &ClockShim) -> Process {
-    let cloud = plant.cloud_with(CLOCK, &shim.environment());
+fn start_cloud(testbed: &TwoHostTestbed, shim: &ClockShim) -> Process {
+    let cloud = testbed.cloud_with(CLOCK, &shim.environment());
     cloud.wait_for("ready");
     cloud
 }

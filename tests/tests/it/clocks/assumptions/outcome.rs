@@ -12,7 +12,7 @@ const END: Span = Span::from_seconds(3);
 
 /// Delay with its judgement.
 #[derive(Debug)]
-struct Judged {
+struct JudgedDelay {
     sent: RawTime,
     received: RawTime,
     #[expect(dead_code, reason = "for messages of failed assertions")]
@@ -23,7 +23,7 @@ struct Judged {
     missed: Span,
 }
 
-impl Judged {
+impl JudgedDelay {
     fn new(delay: &Delay, sender: &HostClock, receiver: &HostClock) -> Self {
         let (sent, received) = true_times(delay, sender, receiver);
         let truth = received - sent;
@@ -47,7 +47,7 @@ impl Judged {
 pub(super) struct Outcome {
     what: &'static str,
     /// Delays in the order of time, by the kernel's clock.
-    delays: Vec<Judged>,
+    delays: Vec<JudgedDelay>,
     incidents: String,
 }
 
@@ -58,10 +58,10 @@ impl Outcome {
         [edge, cloud]: [&HostClock; 2],
         incidents: String,
     ) -> Self {
-        let delays = iterations
-            .iter()
-            .flat_map(|both| [Judged::new(&both.up, edge, cloud), Judged::new(&both.down, cloud, edge)]);
-        let mut delays: Vec<Judged> = delays.collect();
+        let delays = iterations.iter().flat_map(|both| {
+            [JudgedDelay::new(&both.up, edge, cloud), JudgedDelay::new(&both.down, cloud, edge)]
+        });
+        let mut delays: Vec<JudgedDelay> = delays.collect();
         delays.sort_by_key(|delay| delay.sent);
         Self { what, delays, incidents }
     }
@@ -69,8 +69,8 @@ impl Outcome {
     /// Prints how often and for how long intervals were wrong. None of a message that arrived before `violated`, or
     /// was sent later than `allowed` after it, may be wrong.
     pub(super) fn wrong_for_at_most(&self, allowed: Span, violated: RawTime) {
-        let wrong: Vec<&Judged> = self.delays.iter().filter(|delay| delay.missed > INEXACT).collect();
-        let since = |delay: &Judged| delay.sent - violated;
+        let wrong: Vec<&JudgedDelay> = self.delays.iter().filter(|delay| delay.missed > INEXACT).collect();
+        let since = |delay: &JudgedDelay| delay.sent - violated;
         let longest = wrong.last().map_or(Span::ZERO, |last| since(last));
         let most = wrong.iter().map(|delay| delay.missed).max().unwrap_or_default();
         let good = self.delays.iter().filter(|delay| delay.is_good).count();
@@ -92,14 +92,14 @@ impl Outcome {
         self.wrong_for_at_most(Span::ZERO, self.delays[0].sent - Span::from_seconds(1));
     }
 
-    fn last(&self) -> impl Iterator<Item = &Judged> {
+    fn last(&self) -> impl Iterator<Item = &JudgedDelay> {
         let last = self.delays[self.delays.len() - 1].sent;
         self.delays.iter().filter(move |delay| last - delay.sent < END)
     }
 
     /// Checks that all delays at the end are good.
     pub(super) fn is_good_at_the_end(&self) {
-        let bad: Vec<&Judged> = self.last().filter(|delay| !delay.is_good).collect();
+        let bad: Vec<&JudgedDelay> = self.last().filter(|delay| !delay.is_good).collect();
         assert!(
             bad.is_empty(),
             "{}: {} of the last, the first of them {:?}; incidents: {}",
@@ -112,7 +112,7 @@ impl Outcome {
 
     /// Checks that no delay at the end is good.
     pub(super) fn is_withdrawn_at_the_end(&self) {
-        let believed: Vec<&Judged> = self.last().filter(|delay| delay.is_good).collect();
+        let believed: Vec<&JudgedDelay> = self.last().filter(|delay| delay.is_good).collect();
         assert!(believed.is_empty(), "{}: {believed:?}", self.what);
     }
 

@@ -3,14 +3,14 @@
 use std::path::Path;
 
 use peernet_clock::Span;
-use peernet_tests::network::{Network, Way};
+use peernet_tests::network::{Network, WireProperties};
 
 use super::{Outcome, Scene, WINDOW, cable, way, wire};
 
 /// Runs a case whose clocks drift apart faster than the limit from the start on, on a path whose round trip hides it.
 fn drift_on_a_long_path(
     what: &'static str,
-    [up, down]: [Way; 2],
+    [up, down]: [WireProperties; 2],
     limit: f64,
     drift: f64,
     for_s: i64,
@@ -90,7 +90,7 @@ fn exchange_that_nothing_replaces_bounds_no_delay_after_the_window() {
     let what = "1/1 ms becomes 40/40 ms while a drift of 1,000 ppm of 200 begins";
     let scene = Scene::new(what, wire(way(1, 0, 0), way(1, 0, 0)), "", |_| ());
     scene.settle();
-    scene.plant.network.delay(way(40, 0, 0), way(40, 0, 0));
+    scene.testbed.network.delay(way(40, 0, 0), way(40, 0, 0));
     let violated = scene.shim().change(Span::ZERO, 1_000.0, 0.0);
     scene.reach(violated + WINDOW + Span::from_seconds(8));
     let outcome = scene.end();

@@ -8,7 +8,7 @@ use crate::{Api, Process, free_port, program};
 
 /// Folder and ports of one test's hosts.
 #[derive(Debug)]
-pub struct Site {
+pub struct LoopbackDeployment {
     folder: TempDir,
     /// Port of the aggregator's event stream.
     pub events: u16,
@@ -18,13 +18,13 @@ pub struct Site {
     pub data: u16,
 }
 
-impl Default for Site {
+impl Default for LoopbackDeployment {
     fn default() -> Self {
         Self::new()
     }
 }
 
-impl Site {
+impl LoopbackDeployment {
     /// Creates an empty deployment.
     pub fn new() -> Self {
         let folder = tempfile::tempdir().expect("the temporary folder is writable");
@@ -97,7 +97,7 @@ impl Site {
 }
 
 /// Returns the table `[agent]` of an agent that reaches its aggregator at an address, as a template for
-/// [`Site::write`].
+/// [`LoopbackDeployment::write`].
 pub(crate) fn agent(name: &str, aggregator: &str) -> String {
     format!(
         "[agent]\nname = \"{name}\"\nstate_dir = \"{{folder}}/{name}\"\n\
@@ -105,7 +105,7 @@ pub(crate) fn agent(name: &str, aggregator: &str) -> String {
     )
 }
 
-/// Configuration of an aggregator with its dashboard, as a template for [`Site::write`].
+/// Configuration of an aggregator with its dashboard, as a template for [`LoopbackDeployment::write`].
 pub const AGGREGATOR: &str = r#"
 [aggregator]
 name = "aggregator"

@@ -12,9 +12,9 @@ const SEED: &str = "PEERNET_SEED";
 
 /// Generator of pseudo-random numbers that depend on a seed only.
 #[derive(Clone, Debug)]
-pub struct Chance(SplitMix64);
+pub struct TestRng(SplitMix64);
 
-impl Chance {
+impl TestRng {
     /// Seeds the generator with `PEERNET_SEED`, or with the time; prints the seed, so that the test can be repeated.
     ///
     /// # Panics
@@ -44,7 +44,7 @@ impl Chance {
     }
 
     /// Waits for a random time up to `longest`, so that the next step happens at any moment of a concurrent activity.
-    pub fn linger(&mut self, longest: Duration) {
+    pub fn sleep_up_to(&mut self, longest: Duration) {
         std::thread::sleep(longest.mul_f64(self.below(1_000) as f64 / 1_000.0));
     }
 }

@@ -30,14 +30,14 @@ const LINKED: [&str; 6] = [
 /// Edge and cloud at the two ends of a cable, and a folder that both see as the root of the checkout. The programs
 /// are on the path; models and examples are present; a test copies the configurations that it needs.
 #[derive(Debug)]
-pub struct Desk {
+pub struct DocumentedCommands {
     commands: &'static [&'static str],
-    typed: RefCell<BTreeSet<String>>,
+    executed: RefCell<BTreeSet<String>>,
     folder: TempDir,
     network: Network,
 }
 
-impl Desk {
+impl DocumentedCommands {
     /// Address of the cloud, as in the documents.
     pub const CLOUD: &str = "10.0.0.2";
     const EDGE: &str = "10.0.0.1";
@@ -60,8 +60,8 @@ impl Desk {
     }
 
     fn on(network: Network, commands: &'static [&'static str]) -> Self {
-        network.edge().also(DATA, Self::EDGE);
-        network.cloud().also(DATA, Self::CLOUD);
+        network.edge().add_address(DATA, Self::EDGE);
+        network.cloud().add_address(DATA, Self::CLOUD);
         let folder = tempfile::tempdir().expect("the temporary folder is writable");
         let link = |name: &str, to: &Path| {
             let name = folder.path().join(name);
@@ -76,7 +76,7 @@ impl Desk {
             link(&format!("target/release/{name}"), &program(name));
         }
         link("bin/PEERNet", &program("peernet"));
-        Self { commands, typed: RefCell::default(), folder, network }
+        Self { commands, executed: RefCell::default(), folder, network }
     }
 
     /// Returns the folder that both machines share.
@@ -147,7 +147,7 @@ impl Desk {
     /// # Panics
     /// If it is not one of this test's commands, or if a change does not apply.
     pub fn on_edge(&self, command: &str, changes: &[(&str, &str)]) -> Process {
-        self.type_on(self.edge(), command, changes)
+        self.execute_on(self.edge(), command, changes)
     }
 
     /// Executes a command on the cloud, after these changes.
@@ -155,16 +155,16 @@ impl Desk {
     /// # Panics
     /// As [`on_edge`](Self::on_edge).
     pub fn on_cloud(&self, command: &str, changes: &[(&str, &str)]) -> Process {
-        self.type_on(self.cloud(), command, changes)
+        self.execute_on(self.cloud(), command, changes)
     }
 
     /// Executes a command on a host, after these changes.
     ///
     /// # Panics
     /// As [`on_edge`](Self::on_edge).
-    pub fn type_on(&self, host: &Host, command: &str, changes: &[(&str, &str)]) -> Process {
+    pub fn execute_on(&self, host: &Host, command: &str, changes: &[(&str, &str)]) -> Process {
         assert!(self.commands.contains(&command), "{command} is none of this test's commands");
-        self.typed.borrow_mut().insert(command.to_owned());
+        self.executed.borrow_mut().insert(command.to_owned());
         self.run_on(host, &self.installed(host, &changed(command, changes)))
     }
 
@@ -184,8 +184,8 @@ impl Desk {
     /// # Panics
     /// If a command of the test was not executed.
     pub fn finish(self) {
-        let typed = self.typed.borrow();
-        let missing: Vec<_> = self.commands.iter().filter(|command| !typed.contains(**command)).collect();
+        let executed = self.executed.borrow();
+        let missing: Vec<_> = self.commands.iter().filter(|command| !executed.contains(**command)).collect();
         assert!(missing.is_empty(), "never typed: {missing:#?}");
     }
 }

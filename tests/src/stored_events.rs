@@ -4,12 +4,12 @@ use std::collections::BTreeMap;
 use std::ops::RangeInclusive;
 use std::path::Path;
 
-use crate::Spooled;
+use crate::SpooledIterations;
 use crate::truth::ask;
 
 /// Contents of a database, counted in several ways.
 #[derive(Clone, Debug)]
-pub struct Ledger {
+pub struct StoredEvents {
     /// Runs by id.
     pub runs: BTreeMap<String, StoredRun>,
     /// Hosts by name.
@@ -88,7 +88,7 @@ SELECT coalesce(h.name, h.uuid), h.events, h.nodes, h.gaps, h.missing, h.quarant
        (SELECT count(*) FROM stream WHERE host = h.id)
 FROM host AS h";
 
-impl Ledger {
+impl StoredEvents {
     /// Reads a database.
     ///
     /// # Panics
@@ -148,7 +148,7 @@ impl Ledger {
     ///
     /// # Panics
     /// If the counts differ.
-    pub fn agrees(&self) {
+    pub fn assert_consistent(&self) {
         for (id, run) in &self.runs {
             let iterations = run.iterations();
             assert_eq!(run.counted, iterations, "counted against stored: run {id}: {run:?}");
@@ -167,7 +167,7 @@ impl Ledger {
     ///
     /// # Panics
     /// If a run is unknown or contains too many iterations.
-    pub fn lacks(&self, spooled: &[Spooled]) -> u64 {
+    pub fn count_missing(&self, spooled: &[SpooledIterations]) -> u64 {
         let mut lost = 0;
         for line in spooled {
             let run = self.runs.get(&line.run).unwrap_or_else(|| panic!("the run of {line:?} is not stored"));
@@ -195,12 +195,12 @@ impl StoredRun {
     }
 
     /// Returns the number of missing iterations between 1 and the last stored one.
-    pub fn holes(&self) -> u64 {
+    pub fn missing_iterations(&self) -> u64 {
         self.ranges.last().map_or(0, |range| *range.end()) - self.iterations()
     }
 
     /// Returns whether all iterations from the first to the last are stored.
-    pub fn is_whole(&self) -> bool {
+    pub fn is_contiguous(&self) -> bool {
         matches!(self.ranges.as_slice(), [range] if *range.start() == 1)
     }
 }
@@ -217,24 +217,25 @@ fn number(text: &str) -> u64 {
 mod tests {
     use super::*;
 
-    fn spooled(first: u64, last: u64) -> Spooled {
-        Spooled { run: "a".to_owned(), batch: 1, first, last, count: last - first + 1 }
+    fn spooled(first: u64, last: u64) -> SpooledIterations {
+        SpooledIterations { run: "a".to_owned(), batch: 1, first, last, count: last - first + 1 }
     }
 
     #[test]
     fn what_is_not_there_is_missed() {
-        let mut ledger = Ledger { runs: BTreeMap::new(), hosts: BTreeMap::new() };
+        let mut stored_events = StoredEvents { runs: BTreeMap::new(), hosts: BTreeMap::new() };
         let run = StoredRun { ranges: vec![1..=10, 13..=20], ..StoredRun::default() };
-        assert_eq!((run.iterations(), run.holes(), run.is_whole()), (18, 2, false));
-        ledger.runs.insert("a".to_owned(), run);
-        assert_eq!(ledger.lacks(&[spooled(1, 10), spooled(14, 20)]), 0);
-        assert_eq!(ledger.lacks(&[spooled(9, 11), spooled(12, 13), spooled(30, 31)]), 4);
+        assert_eq!((run.iterations(), run.missing_iterations(), run.is_contiguous()), (18, 2, false));
+        stored_events.runs.insert("a".to_owned(), run);
+        assert_eq!(stored_events.count_missing(&[spooled(1, 10), spooled(14, 20)]), 0);
+        assert_eq!(stored_events.count_missing(&[spooled(9, 11), spooled(12, 13), spooled(30, 31)]), 4);
     }
 
     #[test]
     #[should_panic(expected = "counted against stored")]
     fn counters_that_tell_of_more_than_there_is_are_noticed() {
         let run = StoredRun { ranges: vec![1..=10], counted: 11, ..StoredRun::default() };
-        Ledger { runs: BTreeMap::from([("a".to_owned(), run)]), hosts: BTreeMap::new() }.agrees();
+        StoredEvents { runs: BTreeMap::from([("a".to_owned(), run)]), hosts: BTreeMap::new() }
+            .assert_consistent();
     }
 }

@@ -4,10 +4,10 @@ use std::path::{Path, PathBuf};
 
 use peernet_clock::{Clock, ClockIdentity, RawTime, Span, Stamp, SystemClock, WallTime};
 
+use crate::loopback_deployment::agent;
 use crate::network::Host;
-use crate::site::agent;
 use crate::truth::{HostClock, Iteration, ask, iterations};
-use crate::{Api, Network, Process, Site, program};
+use crate::{Api, LoopbackDeployment, Network, Process, program};
 
 /// Returns the times of the kernel's clocks.
 fn stamp() -> Stamp {
@@ -16,11 +16,11 @@ fn stamp() -> Stamp {
 
 /// Two hosts and an aggregator. The network is dropped last.
 #[derive(Debug)]
-pub struct Plant {
+pub struct TwoHostTestbed {
     /// Client of the REST API.
     pub api: Api,
     aggregator: Process,
-    site: Site,
+    deployment: LoopbackDeployment,
     /// Scheme of the address at which the cloud serves.
     scheme: &'static str,
     /// Network between the hosts.
@@ -32,7 +32,7 @@ pub struct Plant {
 /// Port at which the cloud serves; a namespace has all ports for itself.
 const SERVE: u16 = 5551;
 
-impl Plant {
+impl TwoHostTestbed {
     /// Starts the aggregator and waits until it answers. The network is created in the deployment's folder.
     pub fn new(network: impl FnOnce(&Path) -> Network) -> Self {
         Self::over("tcp", network)
@@ -40,15 +40,15 @@ impl Plant {
 
     /// Does the same for samples that are sent over the network of a scheme.
     pub fn over(scheme: &'static str, network: impl FnOnce(&Path) -> Network) -> Self {
-        let site = Site::new();
-        let network = network(site.folder());
-        let (aggregator, api) = site.aggregator_for("0.0.0.0");
-        Self { api, aggregator, site, scheme, network, start: stamp() }
+        let deployment = LoopbackDeployment::new();
+        let network = network(deployment.folder());
+        let (aggregator, api) = deployment.aggregator_for("0.0.0.0");
+        Self { api, aggregator, deployment, scheme, network, start: stamp() }
     }
 
     /// Returns the folder for files of this test.
     pub fn folder(&self) -> &Path {
-        self.site.folder()
+        self.deployment.folder()
     }
 
     /// Starts a cloud with an echo model; `tables` are added to its configuration.
@@ -97,16 +97,16 @@ impl Plant {
 
     fn configure(&self, name: &str, host: &Host, tables: &str) -> PathBuf {
         let agent = agent(name, &host.home.to_string());
-        self.site.write(&format!("{name}.toml"), &(agent + tables))
+        self.deployment.write(&format!("{name}.toml"), &(agent + tables))
     }
 
     fn peernetd(&self, name: &str, host: &Host, environment: &[(&str, &str)]) -> Process {
         let file = format!("{name}.toml");
-        host.start(&program("peernetd"), &["run", &file], self.site.folder(), environment)
+        host.start(&program("peernetd"), &["run", &file], self.deployment.folder(), environment)
     }
 
     /// Waits until all runs, and at least `n`, have ended by themselves.
-    pub fn finished(&self, n: usize) {
+    pub fn wait_for_runs(&self, n: usize) {
         self.api.until("/api/v1/runs", |runs| {
             let runs = runs["runs"].as_array()?;
             (runs.len() >= n && runs.iter().all(|run| run["reason"] == "finished")).then_some(())
@@ -142,15 +142,15 @@ impl Plant {
     /// # Panics
     /// If its exit code is not 0.
     pub fn stop(self) {
-        self.stop_leaving(|| ());
+        self.stop_and_inspect(|| ());
     }
 
     /// Stops the aggregator and runs a closure before the files are removed.
     ///
     /// # Panics
     /// As [`stop`](Self::stop).
-    pub fn stop_leaving<T>(self, look: impl FnOnce() -> T) -> T {
-        let Self { aggregator, site: _site, network: _network, .. } = self;
+    pub fn stop_and_inspect<T>(self, look: impl FnOnce() -> T) -> T {
+        let Self { aggregator, deployment: _deployment, network: _network, .. } = self;
         let ended = aggregator.stop();
         assert_eq!(ended.code(), 0, "{}", ended.log);
         look()

@@ -14,13 +14,13 @@ use peernet_stream::{
 use tokio::runtime::{Builder, Runtime};
 use zeromq::{Message, Options, Socket, SocketType};
 
-use crate::{Chance, PATIENCE, Since, wall};
+use crate::{PATIENCE, Stopwatch, TestRng, wall};
 
 /// Time after which an agent repeats its hello.
 const AGAIN: Duration = Duration::from_secs(1);
 
 /// Connection to an aggregator.
-pub struct Stranger {
+pub struct MisbehavingPeer {
     socket: Socket,
 }
 
@@ -32,13 +32,13 @@ fn runtime() -> &'static Runtime {
     })
 }
 
-impl Debug for Stranger {
+impl Debug for MisbehavingPeer {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.write_str("Stranger")
+        f.write_str("MisbehavingPeer")
     }
 }
 
-impl Stranger {
+impl MisbehavingPeer {
     /// Connects to a port of this machine.
     ///
     /// # Panics
@@ -70,11 +70,11 @@ impl Stranger {
     ///
     /// # Panics
     /// If none arrives within [`PATIENCE`].
-    pub fn hear(&self) -> ToAgent {
-        self.hear_within(PATIENCE).expect("an answer in time")
+    pub fn receive(&self) -> ToAgent {
+        self.receive_within(PATIENCE).expect("an answer in time")
     }
 
-    fn hear_within(&self, patience: Duration) -> Option<ToAgent> {
+    fn receive_within(&self, patience: Duration) -> Option<ToAgent> {
         let received = runtime().block_on(async { tokio::time::timeout(patience, self.socket.recv()).await });
         let message = received.ok()?.expect("receives");
         Some(codec::decode(message.part_slice(0).expect("a frame")).expect("a message of the aggregator"))
@@ -97,12 +97,12 @@ impl Stranger {
     ///
     /// # Panics
     /// If no answer does.
-    pub fn greet(&self, host: &Introduced, holds: impl Fn(&ToAgent) -> bool) {
+    pub fn send_hello_until(&self, host: &InventedHost, holds: impl Fn(&ToAgent) -> bool) {
         let hello = &host.hello;
-        let began = Since::now();
+        let began = Stopwatch::now();
         while began.elapsed() < PATIENCE {
             self.say(&ToAggregator::Hello(hello.clone()));
-            while let Some(said) = self.hear_within(AGAIN) {
+            while let Some(said) = self.receive_within(AGAIN) {
                 if holds(&said) {
                     return;
                 }
@@ -113,24 +113,24 @@ impl Stranger {
     }
 
     /// Receives messages until `holds` returns a value.
-    pub fn hear_until<T>(&self, mut holds: impl FnMut(&ToAgent) -> Option<T>) -> T {
+    pub fn receive_until<T>(&self, mut holds: impl FnMut(&ToAgent) -> Option<T>) -> T {
         loop {
-            if let Some(found) = holds(&self.hear()) {
+            if let Some(found) = holds(&self.receive()) {
                 return found;
             }
         }
     }
 
     /// Waits until all batches up to a number are acknowledged.
-    pub fn hear_ack(&self, number: u64) {
-        self.hear_until(|said| {
+    pub fn wait_for_ack(&self, number: u64) {
+        self.receive_until(|said| {
             matches!(said, ToAgent::Ack { through, .. } if *through >= number).then_some(())
         });
     }
 
     /// Waits for a refusal and returns its reason.
-    pub fn hear_refusal(&self) -> String {
-        self.hear_until(|said| match said {
+    pub fn wait_for_refusal(&self) -> String {
+        self.receive_until(|said| match said {
             ToAgent::Refused { reason } => Some(reason.clone()),
             _ => None,
         })
@@ -139,7 +139,7 @@ impl Stranger {
 
 /// Invented host with a stream of batches.
 #[derive(Clone, Debug)]
-pub struct Introduced {
+pub struct InventedHost {
     /// The hello with which it opens the session.
     pub hello: Hello,
     /// The secret with which it proves its id.
@@ -148,9 +148,9 @@ pub struct Introduced {
     events: u64,
 }
 
-impl Introduced {
+impl InventedHost {
     /// Creates a host with a new stream.
-    pub fn new(name: &str, chance: &mut Chance) -> Self {
+    pub fn new(name: &str, rng: &mut TestRng) -> Self {
         let host = HostDescription {
             id: HostId::random(),
             name: name.parse().expect("a name"),
@@ -171,15 +171,15 @@ impl Introduced {
             events_before_oldest: 0,
             events_before_first: Some(0),
             batch_bytes: 128 << 10,
-            process: chance.bits(),
+            process: rng.bits(),
             extension: None,
         };
         Self { hello, secret: HostSecret::random(), newest: (0, Chain::START), events: 0 }
     }
 
     /// Sends the hello and waits until the host is welcomed.
-    pub fn enter(&self, stranger: &Stranger) {
-        stranger.greet(self, |said| matches!(said, ToAgent::Welcome { .. }));
+    pub fn open_session(&self, misbehaving_peer: &MisbehavingPeer) {
+        misbehaving_peer.send_hello_until(self, |said| matches!(said, ToAgent::Welcome { .. }));
     }
 
     /// Returns the next batch of the stream, with this number of events.
@@ -202,9 +202,9 @@ impl Introduced {
     }
 
     /// Sends the hello until it is refused; returns the reason.
-    pub fn is_refused(&self, stranger: &Stranger) -> String {
+    pub fn expect_refusal(&self, misbehaving_peer: &MisbehavingPeer) -> String {
         let words = std::cell::RefCell::new(String::new());
-        stranger.greet(self, |said| match said {
+        misbehaving_peer.send_hello_until(self, |said| match said {
             ToAgent::Refused { reason } => {
                 words.borrow_mut().clone_from(reason);
                 true

@@ -4,13 +4,13 @@ use chrono::{DateTime, Utc};
 use peernet_clock::WallTime;
 use serde_json::Value;
 
-use crate::process::patiently;
+use crate::process::poll;
 use crate::time::wall;
 use crate::{Api, PATIENCE};
 
 /// Event counts of one host: those that the agent reports, and those that the aggregator has stored.
 #[derive(Clone, Debug)]
-pub struct Account {
+pub struct EventCounts {
     /// `true` if the host reports now.
     pub connected: bool,
     /// Time of its last report.
@@ -39,7 +39,7 @@ pub struct Account {
     pub live_lag_s: f64,
 }
 
-impl Account {
+impl EventCounts {
     /// Reads the counts of a host; returns `None` if the aggregator does not answer or the host does not report.
     pub fn of(api: &Api, host: &str) -> Option<Self> {
         let (status, text) = api.get(&format!("/api/v1/hosts/{host}"))?;
@@ -79,11 +79,11 @@ impl Account {
     /// If that takes longer than [`crate::PATIENCE`].
     pub fn until(api: &Api, host: &str, what: &str, mut holds: impl FnMut(&Self) -> bool) -> Self {
         let mut last = None;
-        let account = patiently(|| {
+        let counts = poll(|| {
             last = Self::of(api, host);
-            last.clone().filter(|account| account.connected && holds(account))
+            last.clone().filter(|counts| counts.connected && holds(counts))
         });
-        account.unwrap_or_else(|| panic!("waited {PATIENCE:?} in vain for {host}: {what}; now {last:?}"))
+        counts.unwrap_or_else(|| panic!("waited {PATIENCE:?} in vain for {host}: {what}; now {last:?}"))
     }
 
     /// Waits until both ends agree that no event of a host waits. The host must measure nothing. Waits as long as
@@ -94,17 +94,17 @@ impl Account {
     pub fn at_rest(api: &Api, host: &str, since: WallTime) -> Self {
         let mut before = None;
         loop {
-            let now = Self::until(api, host, "more is stored", |account| {
-                account.seen > since && (account.rests() || Some((account.stored, account.events)) != before)
+            let now = Self::until(api, host, "more is stored", |counts| {
+                counts.seen > since && (counts.is_at_rest() || Some((counts.stored, counts.events)) != before)
             });
-            if now.rests() {
+            if now.is_at_rest() {
                 return now;
             }
             before = Some((now.stored, now.events));
         }
     }
 
-    fn rests(&self) -> bool {
+    fn is_at_rest(&self) -> bool {
         // Events that the agent delivered to another database, or to this one before it was restored, are missing
         // here.
         let elsewhere = self.missing.saturating_sub(self.dropped);
@@ -115,7 +115,7 @@ impl Account {
     ///
     /// # Panics
     /// If the counts do not add up.
-    pub fn balances(&self) {
+    pub fn assert_balanced(&self) {
         assert_eq!(self.produced, self.stored + self.waiting + self.dropped, "{self:?}");
     }
 }

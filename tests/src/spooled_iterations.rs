@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 
 /// One log line: the iterations of one run in one batch.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub struct Spooled {
+pub struct SpooledIterations {
     /// Id of the run.
     pub run: String,
     /// Number of the batch in its stream.
@@ -19,9 +19,9 @@ pub struct Spooled {
 }
 
 /// Value of `[log] level` for an agent that logs its spooled batches.
-pub(crate) const TELLS_SPOOLED: &str = "info,peernet_agent::outbox::spool=debug";
+pub(crate) const SPOOL_LOG_LEVEL: &str = "info,peernet_agent::outbox::spool=debug";
 
-impl Spooled {
+impl SpooledIterations {
     /// Parses `… spooled batch=7 run=UUID first=1 last=90 count=90`; returns `None` for any other line and for a
     /// truncated one.
     pub fn parse(line: &str) -> Option<Self> {
@@ -63,17 +63,17 @@ mod tests {
 
     #[test]
     fn a_line_is_read_and_others_are_not() {
-        let read = Spooled { run: RUN.to_owned(), batch: 7, first: 1, last: 90, count: 90 };
-        assert_eq!(Spooled::parse(&line("90")), Some(read));
+        let read = SpooledIterations { run: RUN.to_owned(), batch: 7, first: 1, last: 90, count: 90 };
+        assert_eq!(SpooledIterations::parse(&line("90")), Some(read));
         for other in ["ready", "spooled batch=7 run=x first=1 last=2 count=2", &line(""), &line("91")] {
-            assert_eq!(Spooled::parse(other), None, "{other}");
+            assert_eq!(SpooledIterations::parse(other), None, "{other}");
         }
     }
 
     #[test]
     fn what_may_be_torn_does_not_count() {
         let log = format!("{}\n{}\n{}", line("90"), line("90"), line("9"));
-        assert_eq!(Spooled::all(&log).len(), 2);
-        assert_eq!(Spooled::all(&line("90")), []);
+        assert_eq!(SpooledIterations::all(&log).len(), 2);
+        assert_eq!(SpooledIterations::all(&line("90")), []);
     }
 }
