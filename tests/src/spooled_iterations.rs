@@ -62,7 +62,7 @@ mod tests {
     }
 
     #[test]
-    fn a_line_is_read_and_others_are_not() {
+    fn spool_line_is_parsed_others_are_ignored() {
         let read = SpooledIterations { run: RUN.to_owned(), batch: 7, first: 1, last: 90, count: 90 };
         assert_eq!(SpooledIterations::parse(&line("90")), Some(read));
         for other in ["ready", "spooled batch=7 run=x first=1 last=2 count=2", &line(""), &line("91")] {
@@ -71,7 +71,7 @@ mod tests {
     }
 
     #[test]
-    fn what_may_be_torn_does_not_count() {
+    fn truncated_last_line_is_ignored() {
         let log = format!("{}\n{}\n{}", line("90"), line("90"), line("9"));
         assert_eq!(SpooledIterations::all(&log).len(), 2);
         assert_eq!(SpooledIterations::all(&line("90")), []);

@@ -222,7 +222,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_not_there_is_missed() {
+    fn missing_spooled_iterations_are_counted() {
         let mut stored_events = StoredEvents { runs: BTreeMap::new(), hosts: BTreeMap::new() };
         let run = StoredRun { ranges: vec![1..=10, 13..=20], ..StoredRun::default() };
         assert_eq!((run.iterations(), run.missing_iterations(), run.is_contiguous()), (18, 2, false));
@@ -233,7 +233,7 @@ mod tests {
 
     #[test]
     #[should_panic(expected = "counted against stored")]
-    fn counters_that_tell_of_more_than_there_is_are_noticed() {
+    fn counters_above_stored_rows_are_detected() {
         let run = StoredRun { ranges: vec![1..=10], counted: 11, ..StoredRun::default() };
         StoredEvents { runs: BTreeMap::from([("a".to_owned(), run)]), hosts: BTreeMap::new() }
             .assert_consistent();

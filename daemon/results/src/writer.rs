@@ -209,7 +209,7 @@ mod tests {
     }
 
     #[test]
-    fn rows_of_a_time_when_the_disk_was_full_are_written_when_there_is_room() {
+    fn rows_are_written_after_full_disk_has_space() {
         let folder = tempfile::tempdir().expect("a folder");
         let mut writer = RowWriter::begin(folder.path().join("data.csv")).expect("writable");
         writer.write(&row(1));
@@ -231,7 +231,7 @@ mod tests {
     }
 
     #[test]
-    fn the_rows_that_there_was_room_for_are_whole() {
+    fn rows_written_before_full_disk_are_complete() {
         let rows = b"1,ok\n2,\"a \"\"b\"\"\nc\"\n3,ok\n";
         let kept = [4, 5, 14, rows.len() - 6, rows.len() - 1, rows.len()].map(|room| {
             let mut room = vec![0; room];
@@ -243,7 +243,7 @@ mod tests {
     }
 
     #[test]
-    fn a_disk_that_stays_full_is_told_at_the_end() {
+    fn permanently_full_disk_is_reported_at_end() {
         let folder = tempfile::tempdir().expect("a folder");
         let mut writer = RowWriter::begin(folder.path().join("data.csv")).expect("writable");
         writer.file = OpenOptions::new().write(true).open("/dev/full").expect("there is one");

@@ -172,7 +172,7 @@ mod tests {
     }
 
     #[test]
-    fn nothing_has_no_variance_and_merging_it_changes_nothing() {
+    fn merging_empty_moments_changes_nothing() {
         let mut moments = of(&[2.0]);
         moments.merge(&Moments::default());
         assert_eq!((moments, moments.variance()), (of(&[2.0]), None));

@@ -85,7 +85,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_beyond_all_reason_is_left_out_of_both_halves() {
+    fn out_of_range_numbers_are_excluded_everywhere() {
         let mut summary = Summary::default();
         let beyond = [f64::NAN, f64::INFINITY, f64::MAX, -f64::MAX, 1.001 * LARGEST];
         beyond.iter().for_each(|value| summary.record(*value));
@@ -94,7 +94,7 @@ mod tests {
     }
 
     #[test]
-    fn the_largest_numbers_have_moments_that_are_read_again() {
+    fn moments_of_largest_numbers_survive_serialization() {
         let mut summary = Summary::default();
         [LARGEST, -LARGEST, 1.0].iter().for_each(|value| summary.record(*value));
         (0..20).for_each(|_| summary.merge(&summary.clone()));

@@ -146,7 +146,7 @@ mod tests {
     }
 
     #[test]
-    fn the_ring_starts_anew_when_the_wall_clock_is_set_back() {
+    fn wall_clock_set_back_clears_the_ring() {
         let mut windows = Windows::new(60);
         windows.replace(10_000, Count(1));
         windows.replace(6_400, Count(2));
@@ -165,7 +165,7 @@ mod tests {
     }
 
     #[test]
-    fn a_second_and_what_came_after_it_can_be_forgotten() {
+    fn discarding_a_second_discards_later_ones() {
         let mut windows = Windows::<Count>::new(10);
         for second in 95..=104 {
             windows.record(second, |cell| cell.0 += 1);

@@ -196,7 +196,7 @@ mod tests {
     }
 
     #[test]
-    fn times_that_are_shown_lead_back_to_the_truth() {
+    fn inverse_of_shim_errors_returns_true_time() {
         let at = |seconds: i64| RawTime::from_nanos(seconds * 1_000_000_000);
         let segment = |begin, ahead, rate, change| Segment { begin, ahead, rate, change };
         let segments = [

@@ -80,27 +80,27 @@ mod tests {
     }
 
     #[test]
-    fn a_block_with_prompts_shows_commands_and_what_they_say() {
+    fn block_with_prompts_has_commands_and_output() {
         let text = "```console\n$ peernet run a.toml    # in another\npeernet is done\n$ ls\n```\n";
         assert_eq!(commands(text), ["peernet run a.toml", "ls"]);
         assert_eq!(commands("```text\npeernet run a\n```\n"), [""; 0]);
     }
 
     #[test]
-    fn a_block_without_shows_commands_alone() {
+    fn block_without_prompts_has_commands_only() {
         let text =
             "```sh\nsudo apt-get install it\n\n# of the package\nsudo bin/peernetd check \\\n    FILE\n```\n";
         assert_eq!(commands(text), ["apt-get install it", "bin/peernetd check FILE"]);
     }
 
     #[test]
-    fn a_block_without_a_language_may_be_a_configuration() {
+    fn block_without_language_may_be_configuration() {
         let text = "Like this:\n\n    curl -N there\n    [agent]\n    name = \"it\"    # its name\n    A=/b:/c\n    A=b run\n";
         assert_eq!(commands(text), ["curl -N there", "A=b run"]);
     }
 
     #[test]
-    fn prose_names_commands_and_shows_some() {
+    fn commands_in_prose_are_found() {
         let text = "`peernet run` and `peernet --client …` are names. With `peernet plot\n--kind stacked` bars are drawn.";
         assert_eq!(commands(text), ["peernet plot --kind stacked"]);
         assert_eq!(commands("### `peernet models list`\n"), [""; 0]);

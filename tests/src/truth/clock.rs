@@ -148,7 +148,7 @@ fn truths(rehearsal: &RehearsalDescription, shown: WallTime) -> impl Iterator<It
 mod tests {
     use super::*;
     #[test]
-    fn what_a_rehearsed_clock_shows_leads_back_to_the_truth() {
+    fn inverse_of_clock_fault_returns_true_time() {
         let since = WallTime::from_unix_nanos(1_700_000_000_000_000_000);
         let step = RehearsedStep::of_wall(Span::from_seconds(20), Span::from_seconds(3));
         let rehearsal = RehearsalDescription {

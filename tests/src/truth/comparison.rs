@@ -145,7 +145,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn an_interval_without_the_truth_is_found() {
+    fn interval_without_truth_is_detected() {
         let at = WallTime::from_unix_nanos;
         let delay = |raw: i64, lo, hi| Delay {
             sent: at(1_000),

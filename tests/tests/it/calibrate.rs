@@ -97,7 +97,7 @@ fn number(value: &Value) -> f64 {
 }
 
 #[test]
-fn a_link_is_calibrated_whatever_the_clocks_show() {
+fn calibration_is_right_despite_clock_errors() {
     let hosts = CalibratedHosts::new();
     let _cloud = hosts.start("cloud.toml", CLOUD);
     let sweep = ["--sizes", "100,1kB,10kB,100kB,1MB", "--repeats", "60", "--seconds", "50"];
@@ -171,7 +171,7 @@ fn every_delay_lies_within_its_bounds(samples: &str) {
 }
 
 #[test]
-fn what_was_measured_until_ctrl_c_is_written() {
+fn ctrl_c_writes_partial_calibration() {
     let hosts = CalibratedHosts::new();
     let _cloud = hosts.start("cloud.toml", CLOUD);
     let arguments =
@@ -188,7 +188,7 @@ fn what_was_measured_until_ctrl_c_is_written() {
 }
 
 #[test]
-fn who_cannot_be_calibrated_is_told_why() {
+fn unsuitable_peer_is_refused_with_reason() {
     let hosts = CalibratedHosts::new();
     let nobody = hosts.calibrate(&[]);
     assert_eq!(nobody.code(), 69, "{}", nobody.log);
@@ -213,7 +213,7 @@ fn who_cannot_be_calibrated_is_told_why() {
 }
 
 #[test]
-fn the_port_of_something_else_is_told_from_a_slow_peer() {
+fn foreign_port_is_distinguished_from_slow_peer() {
     let hosts = CalibratedHosts::new();
     let (_aggregator, _) = hosts.deployment.aggregator();
     let peer = format!("tcp://127.0.0.1:{}", hosts.deployment.events);
@@ -225,7 +225,7 @@ fn the_port_of_something_else_is_told_from_a_slow_peer() {
 }
 
 #[test]
-fn a_size_beyond_the_peers_limit_is_refused_at_the_start() {
+fn calibration_size_beyond_peer_limit_is_refused() {
     let hosts = CalibratedHosts::new();
     let _cloud = hosts.start("cloud.toml", CLOUD);
     let large = hosts.calibrate(&["--sizes", "1,2kB,100MB"]);
@@ -249,7 +249,7 @@ fn on_one_clock_bounds_are_exact() {
 }
 
 #[test]
-fn a_peer_that_comes_back_with_another_clock_ends_the_study() {
+fn peer_with_new_clock_ends_the_calibration() {
     let hosts = CalibratedHosts::new();
     let cloud = hosts.start("cloud.toml", CLOUD);
     let running = hosts.endless();
@@ -278,7 +278,7 @@ fn a_peer_that_comes_back_with_another_clock_ends_the_study() {
 }
 
 #[test]
-fn a_peer_that_was_away_and_comes_back_is_told() {
+fn calibration_reports_interruption_of_peer() {
     let hosts = CalibratedHosts::new();
     // Another name for the system's clock, which is related by exchanges and is the same after a restart.
     let same = CLOUD
@@ -306,7 +306,7 @@ fn a_peer_that_was_away_and_comes_back_is_told() {
 }
 
 #[test]
-fn a_reader_that_has_gone_is_no_reason_to_panic() {
+fn closed_output_causes_no_panic() {
     let deployment = LoopbackDeployment::new();
     let start = |name: &str, arguments: &[&str]| {
         let mut program = Command::new(program(name));
@@ -332,7 +332,7 @@ fn a_reader_that_has_gone_is_no_reason_to_panic() {
 }
 
 #[test]
-fn a_stored_run_is_computed_again_and_left_as_it_was() {
+fn recompute_leaves_stored_run_unchanged() {
     let hosts = CalibratedHosts::new();
     let (_aggregator, api) = hosts.deployment.aggregator();
     let _cloud = hosts.start("cloud.toml", CLOUD);

@@ -44,7 +44,7 @@ fn number(value: &Value, key: &str) -> f64 {
 }
 
 #[test]
-fn an_offloaded_picture_is_measured_stage_by_stage_and_stored() {
+fn offloaded_picture_is_stored_with_all_stages() {
     let deployment = LoopbackDeployment::new();
     let (_aggregator, api) = deployment.aggregator();
     let cloud = deployment.agent("cloud", CLOUD);
@@ -94,7 +94,7 @@ fn an_offloaded_picture_is_measured_stage_by_stage_and_stored() {
 }
 
 #[test]
-fn all_roles_in_one_process_lose_nothing_at_the_end() {
+fn stop_of_combined_process_loses_nothing() {
     let deployment = LoopbackDeployment::new();
     let all = std::fs::read_to_string(root().join("configs/all-in-one.toml"))
         .expect("the configuration is shipped");
@@ -135,7 +135,7 @@ fn all_roles_in_one_process_lose_nothing_at_the_end() {
 }
 
 #[test]
-fn the_command_line_shows_what_runs_and_says_when_nobody_answers() {
+fn status_command_shows_runs_and_missing_aggregator() {
     let deployment = LoopbackDeployment::new();
     let url = format!("http://127.0.0.1:{}", deployment.http);
     let peernet = || {

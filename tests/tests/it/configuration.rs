@@ -15,7 +15,7 @@ fn check(deployment: &LoopbackDeployment, text: &str) -> (i32, String) {
 }
 
 #[test]
-fn an_unknown_key_is_named_with_file_line_and_what_exists() {
+fn unknown_key_error_names_line_and_known_keys() {
     let (code, said) =
         check(&LoopbackDeployment::new(), "[agent]\nname = \"edge\"\nagregator = \"tcp://127.0.0.1:1\"\n");
     assert_eq!(code, CONFIGURATION, "{said}");
@@ -25,7 +25,7 @@ fn an_unknown_key_is_named_with_file_line_and_what_exists() {
 }
 
 #[test]
-fn every_problem_is_reported_at_once_with_its_line() {
+fn all_problems_are_reported_with_their_lines() {
     let deployment = LoopbackDeployment::new();
     std::fs::create_dir(deployment.folder().join("empty")).expect("the temporary folder is writable");
     let (code, said) = check(
@@ -57,7 +57,7 @@ placement = { kind = "remote", peer = "tcp://127.0.0.1:{data}", network = "zmq-t
 }
 
 #[test]
-fn a_value_that_cannot_be_read_is_named_with_its_key() {
+fn invalid_value_is_named_with_its_key() {
     let (code, said) =
         check(&LoopbackDeployment::new(), "[agent]\nname = \"edge\"\naggregator = \"somewhere\"\n");
     assert_eq!(code, CONFIGURATION, "{said}");
@@ -65,7 +65,7 @@ fn a_value_that_cannot_be_read_is_named_with_its_key() {
 }
 
 #[test]
-fn a_file_without_roles_or_without_existence_is_refused() {
+fn missing_or_empty_configuration_is_refused() {
     let deployment = LoopbackDeployment::new();
     let (code, said) = check(&deployment, "[log]\nlevel = \"info\"\n");
     assert_eq!(code, CONFIGURATION, "{said}");
@@ -79,7 +79,7 @@ fn a_file_without_roles_or_without_existence_is_refused() {
 }
 
 #[test]
-fn a_port_in_use_is_named_at_the_start() {
+fn used_port_is_named_at_start() {
     let deployment = LoopbackDeployment::new();
     let taken = TcpListener::bind(("127.0.0.1", deployment.events)).expect("the port was free a moment ago");
     deployment.write(
@@ -116,7 +116,7 @@ fn listening_beyond_loopback_must_be_asked_for() {
 }
 
 #[test]
-fn a_key_of_the_second_table_is_not_laid_at_the_first() {
+fn error_names_the_second_table_of_an_array() {
     let (code, said) = check(
         &LoopbackDeployment::new(),
         "[agent]\nname = \"edge\"\nstate_dir = \"{folder}/edge\"\n\n[[model]]\nname = \"a\"\nkind = \"echo\"\n\n[[model]]\nname = \"b\"\nkind = \"echo\"\nworkres = 2\n",
@@ -126,7 +126,7 @@ fn a_key_of_the_second_table_is_not_laid_at_the_first() {
 }
 
 #[test]
-fn an_agent_may_not_take_longer_to_stop_than_the_process() {
+fn agent_stop_timeout_must_fit_process_timeout() {
     let (code, said) = check(
         &LoopbackDeployment::new(),
         "[lifecycle]\nshutdown_deadline_s = 3\n\n[agent]\nname = \"edge\"\nstate_dir = \"{folder}/edge\"\nstop_timeout_ms = 4000\n",
@@ -139,7 +139,7 @@ fn an_agent_may_not_take_longer_to_stop_than_the_process() {
 }
 
 #[test]
-fn what_is_wrong_with_clocks_and_probes_is_named_with_its_line() {
+fn clock_and_probe_errors_name_their_line() {
     let (code, said) = check(
         &LoopbackDeployment::new(),
         r#"
@@ -176,7 +176,7 @@ steps = [{ at_s = 20, by_ms = 3000 },
 }
 
 #[test]
-fn a_log_level_that_is_none_and_an_endless_file_are_refused() {
+fn invalid_log_level_and_endless_file_are_refused() {
     let deployment = LoopbackDeployment::new();
     let (code, said) = check(
         &deployment,

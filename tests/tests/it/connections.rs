@@ -22,7 +22,7 @@ load = { mode = "rate", hz = 50.0 }
 "#;
 
 #[test]
-fn connection_is_on_page_and_in_api_and_metrics() {
+fn page_api_and_metrics_show_connection() {
     let deployment = LoopbackDeployment::new();
     let (aggregator, api) = deployment.aggregator();
     let cloud = deployment.agent("cloud", CLOUD);
@@ -111,7 +111,7 @@ fn lossy_link_shows_retransmissions() {
 }
 
 #[test]
-fn lost_and_reordered_datagrams_are_on_page_and_in_api_and_metrics() {
+fn page_api_metrics_show_lost_and_reordered_datagrams() {
     let way = |delay_ms| WireProperties { delay_ms, jitter_ms: 3, loss_percent: 2 };
     let testbed = TwoHostTestbed::over("udp", |folder| Network::reordering_wire(folder, way(30), way(5)));
     let _cloud = testbed.cloud("");

@@ -72,7 +72,7 @@ fn session_survives_small_mtu_and_moved_hosts() {
 }
 
 #[test]
-fn pipeline_recovers_from_cut_link_restart_and_blocked_port() {
+fn pipeline_recovers_from_link_and_restart_faults() {
     let testbed = TwoHostTestbed::over("udp", |_| Network::direct());
     let cloud = testbed.cloud("");
     let edge = testbed.edge(&testbed.pipeline("line", 20_000, LOAD), &[]);
@@ -104,7 +104,7 @@ fn pipeline_recovers_from_cut_link_restart_and_blocked_port() {
 }
 
 #[test]
-fn shrunken_path_is_named_and_session_goes_on_with_short_datagrams() {
+fn reduced_path_mtu_is_reported_and_session_continues() {
     let way = WireProperties { delay_ms: 0, jitter_ms: 0, loss_percent: 0 };
     let testbed = TwoHostTestbed::over("udp", |folder| Network::wire(folder, way, way));
     let _cloud = testbed.cloud("[serve.session]\ndatagram_bytes = 1400\n");

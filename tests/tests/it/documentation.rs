@@ -46,7 +46,7 @@ fn experiments_in_the_documents_pass_the_check() {
 }
 
 #[test]
-fn examples_that_are_complete_files_pass_the_check_and_excerpts_can_be_read() {
+fn complete_examples_pass_check_and_excerpts_parse() {
     let deployment = LoopbackDeployment::new();
     let _needed = onnxruntime();
     for name in ["configs", "docs", "models", "onnxruntime"] {

@@ -156,7 +156,7 @@ fn all_sources() -> Vec<PathBuf> {
 }
 
 #[test]
-fn kind_is_named_in_its_own_file_and_where_it_is_registered() {
+fn kind_is_named_in_its_file_and_registration() {
     let kinds: Vec<Kind> = REGISTRATIONS.iter().flat_map(|(registry, file)| kinds(registry, file)).collect();
     for (registry, file) in REGISTRATIONS {
         assert!(kinds.iter().any(|kind| kind.registry == registry), "{file} registers no {registry}");
@@ -242,7 +242,7 @@ fn text_of_configurations_names_no_kind() {
 }
 
 #[test]
-fn contributing_names_the_registration_file_of_each_extension_point() {
+fn contributing_names_all_registration_files() {
     let text = fs::read_to_string(peernet_tests::root().join("CONTRIBUTING.md")).expect("is there");
     for (_, file) in REGISTRATIONS {
         assert!(text.contains(&format!("]({file})")), "CONTRIBUTING.md does not name {file}");

@@ -38,7 +38,7 @@ fn the_published_figures_stand_beside_published_results() {
 }
 
 #[test]
-fn several_runs_have_figures_of_their_own_and_one_together() {
+fn several_runs_get_own_and_joint_figures() {
     let deployment = deployment();
     let done = plot(&deployment, &["all", "--out", "figures"]);
     assert_eq!(done.code(), 0, "{}", done.log);
@@ -53,7 +53,7 @@ fn several_runs_have_figures_of_their_own_and_one_together() {
 }
 
 #[test]
-fn a_run_without_an_answer_is_named_when_all_is_drawn() {
+fn plot_names_runs_without_answers() {
     let deployment = deployment();
     let folder = deployment.folder().join("all/silent");
     std::fs::create_dir(&folder).expect("made");
@@ -67,7 +67,7 @@ fn a_run_without_an_answer_is_named_when_all_is_drawn() {
 }
 
 #[test]
-fn what_cannot_be_drawn_is_said() {
+fn plot_errors_are_named() {
     let deployment = deployment();
     let cases: [(&[&str], i32, &str); 5] = [
         (&["all", "--kind", "payload"], 65, "it needs messages over one network"),

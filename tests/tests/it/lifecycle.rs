@@ -47,7 +47,7 @@ impl Manager {
 }
 
 #[test]
-fn the_service_manager_hears_ready_watchdog_and_stopping() {
+fn service_manager_receives_ready_watchdog_and_stopping() {
     let deployment = LoopbackDeployment::new();
     let manager = Manager::new(&deployment);
     deployment.write("edge.toml", AGENT);

@@ -49,7 +49,7 @@ fn two_addresses_are_served_at_the_same_time() {
 }
 
 #[test]
-fn a_network_that_disagrees_with_the_address_is_refused() {
+fn network_and_address_must_agree() {
     let deployment = LoopbackDeployment::new();
     for tables in [
         "[serve]\nlisten = \"tcp://127.0.0.1:{data}\"\nnetwork = \"zmq-udp\"\n".to_owned(),

@@ -71,7 +71,7 @@ fn damage(file: &Path, table: &str) {
 }
 
 #[test]
-fn a_backup_of_a_busy_aggregator_is_the_database_of_one_moment() {
+fn backup_of_busy_aggregator_is_consistent() {
     let (deployment, aggregator, edge, api) = measuring();
     let before = stored(&api);
     let ended = run(&deployment, &["backup", "--config", "aggregator.toml", "copy.sqlite"]);
@@ -106,7 +106,7 @@ fn a_backup_of_a_busy_aggregator_is_the_database_of_one_moment() {
 }
 
 #[test]
-fn an_aggregator_goes_on_from_a_backup_and_says_what_is_missing() {
+fn aggregator_continues_from_backup_and_reports_gap() {
     let (deployment, aggregator, edge, api) = measuring();
     let ended = run(&deployment, &["backup", "--config", "aggregator.toml", "copy.sqlite"]);
     assert_eq!(ended.code(), 0, "{}", ended.log);
@@ -135,7 +135,7 @@ fn an_aggregator_goes_on_from_a_backup_and_says_what_is_missing() {
 }
 
 #[test]
-fn the_doctor_tells_health_from_damage_by_its_exit_code() {
+fn doctor_exit_code_reports_damage() {
     let (deployment, aggregator, edge, _api) = measuring();
     // Both processes are running.
     let ended = run(&deployment, &["doctor", "--json", "--config", "aggregator.toml"]);
@@ -183,7 +183,7 @@ fn the_doctor_tells_health_from_damage_by_its_exit_code() {
 }
 
 #[test]
-fn one_process_at_a_time_writes_a_database() {
+fn database_has_one_writing_process() {
     let (deployment, aggregator, edge, _api) = measuring();
     let refused = run(&deployment, &["rebuild-rollups", "--config", "aggregator.toml"]);
     assert_eq!(refused.code(), 69, "{}", refused.log);

@@ -59,7 +59,7 @@ fn answered(api: &Api, pipeline: &str) -> u64 {
 }
 
 #[test]
-fn latencies_of_a_chain_are_reported_within_a_millisecond() {
+fn chain_latencies_are_right_within_a_millisecond() {
     let (deployment, ros) = (LoopbackDeployment::new(), Ros1System::new());
     let (_aggregator, api) = deployment.aggregator();
     let hops = [("5", "/camera", "/a"), ("20", "/a", "/b"), ("50", "/b", "/c")];
@@ -124,7 +124,7 @@ fn unanswered_input_messages_are_lost_iterations() {
 }
 
 #[test]
-fn observing_goes_on_after_master_and_nodes_were_restarted() {
+fn observation_continues_after_ros_restart() {
     let (deployment, mut ros) = (LoopbackDeployment::new(), Ros1System::new());
     let (_aggregator, api) = deployment.aggregator();
     let agent = ros.agent(
@@ -166,7 +166,7 @@ fn observing_goes_on_after_master_and_nodes_were_restarted() {
 }
 
 #[test]
-fn topic_without_header_is_refused_with_the_next_step() {
+fn topic_without_header_is_refused_with_advice() {
     let (deployment, ros) = (LoopbackDeployment::new(), Ros1System::new());
     let (_aggregator, api) = deployment.aggregator();
     let _nodes = [ros.node(&["talk", "one", "/one"]), ros.node(&["talk", "two", "/two"])];
@@ -197,7 +197,7 @@ fn agent_waits_for_a_master() {
 }
 
 #[test]
-fn check_says_what_cannot_be_observed_of_ros_2() {
+fn check_refuses_observation_of_ros_2() {
     let deployment = LoopbackDeployment::new();
     let check = |keys: &str| {
         let pipeline = observer("two", "/in", "/out", "").replace("ros_version = 1", keys);
@@ -224,7 +224,7 @@ fn check_says_what_cannot_be_observed_of_ros_2() {
 }
 
 #[test]
-fn keys_of_an_active_pipeline_are_refused_beside_observe() {
+fn observed_pipeline_refuses_keys_of_active_one() {
     let deployment = LoopbackDeployment::new();
     let pipeline = observer("wrong", "/a", "/a", "load = { mode = \"rate\", hz = 1.0 }")
         .replace("timeout_ms", "sensor = { kind = \"synthetic\", size_bytes = 1 }\ntimeout_ms");

@@ -135,7 +135,7 @@ impl RosOverWire {
 const KEYS: &str = "warm_up = { iterations = 20 }\nlimit = { iterations = 300 }";
 
 #[test]
-fn delays_of_observed_messages_contain_the_truth_whatever_the_clocks_show() {
+fn observed_delays_contain_truth_despite_clock_errors() {
     let scene = RosOverWire::new(&["relay", "model", "/camera", "/result", "20", "0"]);
     let testbed = &scene.testbed;
     let wrong = |offset_ms: f64, drift_ppm: f64| {
@@ -170,7 +170,7 @@ fn delays_of_observed_messages_contain_the_truth_whatever_the_clocks_show() {
 
 /// The node stamps its answers anew, so that no answer has the stamp of its input message.
 #[test]
-fn delays_of_messages_with_one_sequence_number_contain_the_truth() {
+fn equal_sequence_numbers_keep_delays_true() {
     let scene = RosOverWire::new(&["restamp", "model", "/camera", "/result", "20"]);
     let testbed = &scene.testbed;
     let by_sequence =
@@ -219,7 +219,7 @@ fn messages_that_the_peer_missed_are_counted() {
 }
 
 #[test]
-fn peer_that_is_away_or_knows_no_such_pipeline_is_named() {
+fn missing_peer_or_pipeline_is_named() {
     let (deployment, ros) = (LoopbackDeployment::new(), Ros1System::new());
     let (_aggregator, api) = deployment.aggregator();
     let _nodes = [
@@ -277,7 +277,7 @@ fn peer_that_is_away_or_knows_no_such_pipeline_is_named() {
 }
 
 #[test]
-fn check_refuses_a_peer_without_a_key_of_messages() {
+fn check_refuses_peer_without_message_key() {
     let deployment = LoopbackDeployment::new();
     let check = |pipeline: &str| {
         deployment

@@ -75,7 +75,7 @@ fn every_promise_names_tests_that_exist() {
 }
 
 #[test]
-fn every_path_leads_to_a_file_or_a_folder() {
+fn every_path_in_architecture_exists() {
     let code = code();
     let plain = |c: char| c.is_ascii_alphanumeric() || "_-./".contains(c);
     let architecture = Document::read(DOCUMENT);
@@ -93,7 +93,7 @@ fn every_path_leads_to_a_file_or_a_folder() {
 }
 
 #[test]
-fn every_library_stands_there_with_its_reason() {
+fn architecture_lists_every_library() {
     let manifest = fs::read_to_string(root().join("Cargo.toml")).expect("it is there");
     let manifest: toml::Table = manifest.parse().expect("it is TOML");
     let libraries = manifest["workspace"]["dependencies"].as_table().expect("it is a table");

@@ -68,7 +68,7 @@ fn results_of_the_published_program_are_compared() {
 }
 
 #[test]
-fn what_cannot_be_compared_is_said() {
+fn comparison_errors_are_named() {
     let deployment = folders();
     let nothing = compare(&deployment, &["nowhere"]);
     assert_eq!(nothing.code(), 66, "{}", nothing.log);
@@ -111,7 +111,7 @@ fn numbers(path: &Path) -> Vec<u64> {
 }
 
 #[test]
-fn a_disk_that_is_too_small_has_the_rows_that_fit() {
+fn full_disk_keeps_rows_that_fit() {
     const SIZE: u64 = 200 << 10;
     let disk = SmallDisk::new(SIZE);
     let folder =

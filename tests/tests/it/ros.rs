@@ -141,7 +141,7 @@ limit = { total = 2 }
 "#;
 
 #[test]
-fn messages_for_a_busy_pipeline_are_counted_as_dropped() {
+fn busy_pipeline_counts_dropped_messages() {
     let deployment = LoopbackDeployment::new();
     let (_aggregator, api) = deployment.aggregator();
     let robot = Robot::start(&deployment);
@@ -170,7 +170,7 @@ warm_up = { iterations = 0 }
 "#;
 
 #[test]
-fn pipeline_goes_on_when_the_master_comes_late() {
+fn pipeline_waits_for_late_master() {
     let deployment = LoopbackDeployment::new();
     let (_aggregator, api) = deployment.aggregator();
     let edge = agent(&deployment, ALONE);
@@ -202,7 +202,7 @@ fn check(deployment: &LoopbackDeployment, sensor: &str, actuator: &str) -> (i32,
 }
 
 #[test]
-fn check_names_what_is_wrong_with_a_topic() {
+fn check_names_topic_errors() {
     let deployment = LoopbackDeployment::new();
     let [sensor, actuator] = ["topic = \"/words\", ros_version = 1", "topic = \"/answers\", ros_version = 1"];
     let (code, said) = check(&deployment, "topic = \"/words\"", actuator);

@@ -46,7 +46,7 @@ fn count(api: &Api, host: &str, outcome: &str) -> u64 {
 }
 
 #[test]
-fn a_cloud_that_comes_late_and_dies_and_returns() {
+fn pipeline_survives_late_and_restarted_cloud() {
     let deployment = LoopbackDeployment::new();
     let (_aggregator, api) = deployment.aggregator();
     let edge = edge(&deployment, "edge", "slow");
@@ -75,7 +75,7 @@ fn a_cloud_that_comes_late_and_dies_and_returns() {
 }
 
 #[test]
-fn an_unknown_model_is_refused_with_what_exists() {
+fn unknown_model_error_lists_models() {
     let deployment = LoopbackDeployment::new();
     let cloud = cloud(&deployment);
     cloud.wait_for("ready");
@@ -87,7 +87,7 @@ fn an_unknown_model_is_refused_with_what_exists() {
 }
 
 #[test]
-fn agents_work_without_an_aggregator_and_deliver_when_it_comes() {
+fn agents_deliver_to_late_aggregator() {
     let deployment = LoopbackDeployment::new();
     let cloud = cloud(&deployment);
     let edge = edge(&deployment, "edge", "echo");
@@ -116,7 +116,7 @@ fn agents_work_without_an_aggregator_and_deliver_when_it_comes() {
 }
 
 #[test]
-fn two_hosts_of_one_name_and_a_host_that_crashed() {
+fn duplicate_host_name_and_crashed_host_are_reported() {
     let deployment = LoopbackDeployment::new();
     let (_aggregator, api) = deployment.aggregator();
     let cloud = cloud(&deployment);

@@ -211,7 +211,7 @@ mod tests {
     }
 
     #[test]
-    fn a_command_is_a_line_for_the_shell_or_a_list_of_words() {
+    fn command_is_shell_line_or_list_of_words() {
         let words = read("command = ['cat', '-u']").expect("reads");
         assert_eq!(words.words(), ("cat".to_owned(), vec!["-u".to_owned()]));
         assert_eq!((words.check(), words.timeout()), (Ok(()), Span::from_seconds(10)));
@@ -221,7 +221,7 @@ mod tests {
     }
 
     #[test]
-    fn a_line_that_is_one_program_takes_the_place_of_its_shell() {
+    fn single_program_replaces_its_shell() {
         for (line, alone) in [
             ("cat -u", true),
             ("  cat \"$HOME\" 2> /dev/null", true),
@@ -266,7 +266,7 @@ mod tests {
     }
 
     #[test]
-    fn what_an_actuator_writes_is_not_taken_for_its_code() {
+    fn output_files_of_actuator_are_not_hashed() {
         let folder = tempfile::tempdir().expect("a folder");
         for file in ["act.sh", "answers.txt"] {
             std::fs::write(folder.path().join(file), "abc").expect("writable");
@@ -295,7 +295,7 @@ mod tests {
     }
 
     #[test]
-    fn what_cannot_be_run_is_said_before_it_is() {
+    fn unrunnable_command_is_found_by_check() {
         for (text, part) in [
             ("command = ''", "empty"),
             ("command = []", "empty"),

@@ -77,7 +77,7 @@ mod tests {
     }
 
     #[test]
-    fn all_parts_but_the_last_say_that_another_follows() {
+    fn all_parts_except_last_announce_another() {
         let pixels = Description::pixels(PixelFormat::Rgb8, 2, 1);
         let mut sample = Sample::of(pixels, Bytes::from_static(b"rgbrgb"));
         sample.parts.push(Part { description: Description::bytes(), bytes: Bytes::from_static(b"d") });

@@ -101,7 +101,7 @@ mod tests {
     }
 
     #[test]
-    fn script_is_the_first_file_unless_code_is_given() {
+    fn first_file_is_script_unless_code_given() {
         for (line, expected) in [
             ("python3.11 -u own.py data", Some("own.py")),
             ("bash -e own.sh", Some("own.sh")),

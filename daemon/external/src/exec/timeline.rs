@@ -111,7 +111,7 @@ mod tests {
     }
 
     #[test]
-    fn what_a_program_does_not_tell_is_the_way_to_it_and_back() {
+    fn unreported_time_is_split_before_and_after_stages() {
         let reported = stages(&[("preprocessing", 1), ("inference", 6), ("warm", 3)]).expect("adds up");
         let expected = [("preprocessing", 0, 1), ("inference", 1, 7), ("warm", 0, 3), ("ipc", 7, 10)];
         assert_eq!(reported, expected.map(|(name, from, to)| (name.to_owned(), from, to)));
@@ -124,7 +124,7 @@ mod tests {
     }
 
     #[test]
-    fn after_a_restart_only_what_was_told_is_a_stage() {
+    fn only_reported_stages_count_after_restart() {
         let reported = after(Some(2), &[("inference", 3), ("postprocessing", 1)]).expect("adds up");
         let expected = [("inference", 6, 9), ("postprocessing", 9, 10), ("restart", -2, 6)];
         assert_eq!(reported, expected.map(|(name, from, to)| (name.to_owned(), from, to)));
@@ -133,7 +133,7 @@ mod tests {
     }
 
     #[test]
-    fn stages_beyond_the_whole_are_refused_unless_they_were_rounded() {
+    fn stages_beyond_rounding_tolerance_are_refused() {
         assert_eq!(stages(&[("inference", 11)]).expect("is rounded")[1], ("ipc".to_owned(), 10, 10));
         assert!(matches!(stages(&[("inference", 80_000)]), Err(ExchangeError::Stages { .. })));
     }

@@ -108,7 +108,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn lines_are_told_one_by_one_and_endless_ones_are_cut() {
+    fn lines_are_logged_separately_long_ones_cut() {
         let mut said = Vec::new();
         let text = format!("one\r\n\n{}\nlast", "x".repeat(MAX_LINE + 3));
         listen(text.as_bytes(), |line| said.push(line.to_owned()));

@@ -132,7 +132,7 @@ mod tests {
     }
 
     #[test]
-    fn the_short_form_is_the_default_and_misspelt_keys_are_refused() {
+    fn short_form_uses_defaults_misspelt_keys_are_refused() {
         let read = |text: &str| toml::from_str::<PythonConfig>(text);
         assert_eq!(read("object = 'a::b'").expect("reads"), PythonConfig::of("a::b"));
         assert!(read("object = 'a::b'\npikle = true").is_err());

@@ -136,7 +136,7 @@ mod tests {
     }
 
     #[test]
-    fn large_parts_get_places_of_their_own_and_small_ones_none() {
+    fn only_large_parts_get_shared_memory() {
         let mut window = SharedMemory::new().expect("there is memory");
         let parts = [part(5000), part(10), part(3 << 20), part(MIN_SHARED_BYTES)];
         let places = window.write_parts(&parts).expect("there is memory");
@@ -152,7 +152,7 @@ mod tests {
     }
 
     #[test]
-    fn places_that_are_not_there_are_refused() {
+    fn positions_outside_memory_are_refused() {
         let mut window = SharedMemory::new().expect("there is memory");
         for (at, length) in
             [(0, INITIAL_BYTES + 1), (INITIAL_BYTES as u64, 1), (u64::MAX, 1), (1, usize::MAX)]
@@ -166,7 +166,7 @@ mod tests {
     }
 
     #[test]
-    fn the_other_side_can_make_it_longer_but_never_shorter() {
+    fn other_side_may_grow_but_not_shrink_memory() {
         let mut window = SharedMemory::new().expect("there is memory");
         let theirs = window.file();
         theirs.set_len(0).expect_err("it is sealed");
@@ -179,7 +179,7 @@ mod tests {
     }
 
     #[test]
-    fn what_a_large_call_took_is_given_back() {
+    fn excess_memory_is_returned_after_large_call() {
         let mut window = SharedMemory::new().expect("there is memory");
         window.write_parts(&[part(2 * MAX_KEPT_BYTES as usize)]).expect("there is memory");
         let held = || window.file.metadata().expect("it is open").blocks() * 512;

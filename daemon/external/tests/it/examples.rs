@@ -40,7 +40,7 @@ fn the_actuator_writes_all_parts_of_an_answer() {
 }
 
 #[test]
-fn the_model_takes_one_picture_and_goes_on_after_several() {
+fn model_refuses_several_pictures_and_continues() {
     let folder = tempfile::tempdir().expect("a folder");
     let program = folder.path().join("brightness");
     let built = Command::new("cc").arg("-o").arg(&program).arg(example("brightness.c")).status();

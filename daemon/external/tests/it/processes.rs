@@ -65,7 +65,7 @@ fn a_process_that_ends_by_itself_leaves_nothing() {
 }
 
 #[test]
-fn a_process_that_ends_when_told_to_leaves_nothing() {
+fn requested_end_leaves_no_processes() {
     let clock = clock();
     let mut process = shell(LEAVES_ONE, &clock);
     let left = Watched::new(&line(&mut process, &clock).expect("a number"));
@@ -74,7 +74,7 @@ fn a_process_that_ends_when_told_to_leaves_nothing() {
 }
 
 #[test]
-fn the_end_by_the_signal_that_asked_for_it_is_no_fault() {
+fn end_by_requested_signal_is_no_fault() {
     let clock = clock();
     for (script, is_expected) in [
         ("echo here; exec sleep 600", true),
@@ -116,7 +116,7 @@ fn nothing_outlives_a_host_that_is_killed() {
 }
 
 #[test]
-fn nothing_outlives_a_host_that_ends_without_ending_its_processes() {
+fn killed_host_leaves_no_processes() {
     ends_with_its_host(|host| drop(host.stdin.take()));
 }
 

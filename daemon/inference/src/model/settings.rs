@@ -46,7 +46,7 @@ mod tests {
     }
 
     #[test]
-    fn all_that_was_set_and_all_defaults_are_told_but_places_and_secrets() {
+    fn settings_are_recorded_without_places_and_secrets() {
         let told = settings("kind = 'sleep'\nname = 's'\ninference_ms = 3\nworkers = 2");
         for part in ["kind = sleep", "inference_ms = 3", "preprocessing_ms = 10", "workers = 2", "queue = 16"]
         {

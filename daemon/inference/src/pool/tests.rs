@@ -103,7 +103,7 @@ fn the_wait_for_a_worker_is_recorded() {
 }
 
 #[test]
-fn a_full_queue_gives_the_job_back() {
+fn full_queue_returns_the_job() {
     let (compute, begins, go) = gated();
     let pool = pool(1, 1, compute);
     let (first, first_done) = job_with_receiver("first");
@@ -161,7 +161,7 @@ fn a_reply_that_panics_leaves_the_pool_working() {
 }
 
 #[test]
-fn shutting_down_answers_everybody() {
+fn shutdown_answers_all_jobs() {
     let (compute, begins, go) = gated();
     let pool = pool(1, 4, compute);
     let (running, running_done) = job_with_receiver("running");
@@ -184,7 +184,7 @@ fn shutting_down_answers_everybody() {
 }
 
 #[test]
-fn the_last_handle_may_go_on_a_thread_of_the_pool() {
+fn last_handle_may_be_dropped_on_pool_thread() {
     let (compute, begins, go) = gated();
     let pool = pool(1, 1, compute);
     let (sender, receiver) = sync_channel(1);
@@ -201,7 +201,7 @@ fn the_last_handle_may_go_on_a_thread_of_the_pool() {
 }
 
 #[test]
-fn echo_answers_on_the_callers_thread_before_submit_returns() {
+fn echo_answers_on_thread_of_caller() {
     let pool = start(Arc::new(Echo::new(EchoConfig::default())), Sizes { workers: 1, queue: 1 }, clock());
     let caller = thread::current().id();
     let (sender, receiver) = sync_channel(1);

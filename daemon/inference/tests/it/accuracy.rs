@@ -24,14 +24,14 @@ fn assert_97_percent(pictures: &[(Vec<u8>, String)], prepare: impl Fn(&[u8]) -> 
 }
 
 #[test]
-fn the_demo_model_is_right_on_the_pictures_of_the_demo() {
+fn demo_model_is_right_on_demo_pictures() {
     let demo = pictures("pictures");
     assert_eq!(demo.len(), 30);
     assert_97_percent(&demo, <[u8]>::to_vec);
 }
 
 #[test]
-fn the_demo_model_is_right_on_pictures_it_was_not_trained_on() {
+fn demo_model_is_right_on_test_pictures() {
     let held_out = pictures("held-out");
     assert!(held_out.len() >= 100);
     assert_97_percent(&held_out, <[u8]>::to_vec);
@@ -39,7 +39,7 @@ fn the_demo_model_is_right_on_pictures_it_was_not_trained_on() {
 
 /// The preparation is that of the demo's third pipeline: resize to 320 × 240, encode again.
 #[test]
-fn the_demo_model_is_right_on_pictures_made_small_on_the_edge() {
+fn demo_model_is_right_on_pictures_resized_first() {
     let mut all = pictures("pictures");
     all.extend(pictures("held-out"));
     let small = |file: &[u8]| {

@@ -29,7 +29,7 @@ fn child_checks() {
 }
 
 #[test]
-fn a_library_that_cannot_be_used_is_an_error_with_file_reason_and_remedy() {
+fn unusable_library_error_names_file_reason_and_remedy() {
     let folder = tempfile::tempdir().expect("can be made");
     let at = |name: &str| folder.path().join(name);
     fs::write(at("text.so"), "no library ".repeat(10)).expect("can be written");
@@ -80,7 +80,7 @@ fn child_counts_threads() {
 
 /// Two workers, each with two threads of ONNX Runtime; both map one copy of the weights.
 #[test]
-fn threads_are_as_many_as_configured_and_weights_are_shared() {
+fn configured_threads_are_used_and_weights_shared() {
     let printed = alone("child_counts_threads", None);
     assert!(printed.contains("6 more threads") && printed.contains("0 left"), "{printed}");
 }

@@ -35,7 +35,7 @@ fn assert_equal(a: &[Answer], b: &[Answer]) {
 }
 
 #[test]
-fn any_number_of_workers_and_threads_gives_the_same_answers() {
+fn answers_are_independent_of_workers_and_threads() {
     let alone = answers("queue = 30");
     assert_equal(&alone, &answers("queue = 30\nworkers = 3"));
     assert_equal(&alone, &answers("queue = 30\nworkers = 2\nintra_threads = 2\ninter_threads = 2"));

@@ -31,7 +31,7 @@ fn samples_labels_and_drops_come_from_the_program() {
 }
 
 #[test]
-fn a_failure_names_the_program_and_the_next_sample_is_another_try() {
+fn failure_names_program_and_next_sample_retries() {
     let folder = tempfile::tempdir().expect("can be made");
     let mark = folder.path().join("mark");
     let script =

@@ -41,7 +41,7 @@ fn samples_come_from_the_object_until_it_stops() {
 }
 
 #[test]
-fn the_wait_for_a_process_that_was_started_anew_is_told() {
+fn restart_of_python_process_is_recorded() {
     let source = "
 import os, time
 time.sleep(0.3)

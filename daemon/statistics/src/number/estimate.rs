@@ -94,7 +94,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_more_than_chance_does_not_touch_zero() {
+    fn significant_difference_excludes_zero() {
         let told = |it: Estimate| format!("{}, {}", it.signed(), it.shift());
         assert_eq!(
             told(of(-0.000_7, -0.001_2, -0.000_2)),
@@ -107,7 +107,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn ends_that_differ_are_told_apart_and_from_zero(
+        fn different_ends_are_distinct_after_rounding(
             lo in -9f64..3.0, width in -6f64..6.0, is_negative in any::<bool>()
         ) {
             let lo = 10f64.powf(lo);

@@ -99,7 +99,7 @@ proptest! {
     }
 
     #[test]
-    fn the_share_below_a_number_is_right_up_to_one_percent_of_the_number(values in numbers(), x in 1e-3..1e3_f64) {
+    fn fraction_below_is_right_within_one_percent(values in numbers(), x in 1e-3..1e3_f64) {
         let share = of(&values).fraction_below(x).expect("not empty");
         let below = |x: f64| values.iter().filter(|value| **value < x).count() as f64 / values.len() as f64;
         prop_assert!(below(x * 0.979) - 1e-9 <= share && share <= below(x * 1.021) + 1e-9);
@@ -107,7 +107,7 @@ proptest! {
 }
 
 #[test]
-fn few_numbers_have_the_quantiles_that_numpy_gives_them() {
+fn quantiles_of_few_numbers_equal_numpy() {
     let sketch = of(&[10.0, 20.0, 40.0]);
     for (q, numpy) in [(0.25, 15.0), (0.5, 20.0), (0.75, 30.0), (0.95, 38.0)] {
         let seen = sketch.quantile(q).expect("not empty");
@@ -128,7 +128,7 @@ fn what_is_not_finite_is_left_out() {
 }
 
 #[test]
-fn numbers_too_far_below_the_largest_share_a_bin_and_are_still_counted() {
+fn very_small_numbers_share_one_bin() {
     let sketch = of(&[1e-9, 1e-8, 1e300]);
     assert_eq!(sketch.count(), 3);
     let top = sketch.quantile(1.0).expect("not empty");

@@ -49,7 +49,7 @@ fn fact<'a>(run: &'a Value, name: &str) -> Option<&'a str> {
 }
 
 #[test]
-fn arguments_are_told_by_fingerprints_alone() {
+fn arguments_are_published_as_fingerprints() {
     let deployment = LoopbackDeployment::new();
     let (aggregator, api) = deployment.aggregator();
     let edge = deployment.agent("edge", &TABLES.replace("{secret}", SECRET));

@@ -35,7 +35,7 @@ fn open_to_all(deployment: &LoopbackDeployment) -> Process {
 }
 
 #[test]
-fn foreign_host_name_is_refused_where_everybody_may_look() {
+fn foreign_host_header_is_refused_on_open_dashboard() {
     let deployment = LoopbackDeployment::new();
     let _aggregator = open_to_all(&deployment);
     for (method, path) in [("GET", "/"), ("GET", "/api/v1/hosts"), ("DELETE", "/api/v1/runs/1/pin")] {
@@ -95,7 +95,7 @@ fn headers_beyond_64_kib_are_refused() {
 }
 
 #[test]
-fn answers_of_503_and_repeated_failures_do_not_fill_the_log() {
+fn repeated_http_failures_are_logged_at_limited_rate() {
     let deployment = LoopbackDeployment::new();
     let (aggregator, api) = deployment.aggregator();
     let database = deployment.folder().join("aggregator.sqlite");

@@ -45,7 +45,7 @@ fn start(deployment: &LoopbackDeployment) -> (Process, Process, Api) {
 }
 
 #[test]
-fn others_cannot_use_what_daemons_make() {
+fn files_of_daemons_are_closed_to_other_users() {
     let deployment = LoopbackDeployment::new();
     let (aggregator, edge, _api) = start(&deployment);
     let files = kept(&deployment);
@@ -68,7 +68,7 @@ fn others_cannot_use_what_daemons_make() {
 }
 
 #[test]
-fn files_of_earlier_builds_are_closed_at_start() {
+fn files_of_earlier_versions_are_restricted_at_start() {
     let deployment = LoopbackDeployment::new();
     let (aggregator, edge, _api) = start(&deployment);
     edge.stop();

@@ -14,7 +14,7 @@ fn peers(testbed: &TwoHostTestbed) -> Vec<String> {
 }
 
 #[test]
-fn edges_behind_one_address_have_true_delays_each_by_its_own_clock() {
+fn edges_behind_one_address_have_separate_clock_relations() {
     let testbed = TwoHostTestbed::new(|_| Network::behind_nat());
     let shims =
         ["edge", "third"].map(|host| ClockShim::new(&testbed.folder().join(format!("{host}-clocks"))));

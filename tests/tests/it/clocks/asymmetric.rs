@@ -56,7 +56,7 @@ fn as_good_as_it_says(delay: &Delay, is_jump_suspected: bool) {
 }
 
 #[test]
-fn exchanges_alone_bound_the_delays_by_the_smallest_round_trip() {
+fn smallest_round_trip_bounds_delays() {
     let Outcome { iterations, edge, cloud, is_jump_suspected } = run("none");
     let (up, down) = hold_to_the_truth("40 ms up, 5 ms down, no discipline", &iterations, &edge, &cloud);
     let smallest = iterations.iter().map(|iteration| {
@@ -79,7 +79,7 @@ fn exchanges_alone_bound_the_delays_by_the_smallest_round_trip() {
 }
 
 #[test]
-fn disciplined_clocks_tell_what_exchanges_cannot() {
+fn disciplined_clocks_narrow_delay_bounds() {
     let Outcome { iterations, edge, cloud, is_jump_suspected } = run("exact");
     let (up, down) = hold_to_the_truth("40 ms up, 5 ms down, exact discipline", &iterations, &edge, &cloud);
     for comparison in [&up, &down] {

@@ -5,7 +5,7 @@ use peernet_tests::{Network, TwoHostTestbed};
 use super::{hold_to_the_truth, rehearsal};
 
 #[test]
-fn without_probes_the_data_itself_bounds_its_delays() {
+fn data_messages_bound_delays_without_probes() {
     let testbed = TwoHostTestbed::new(|_| Network::direct());
     testbed.network.cloud().block_udp(8620);
     let _cloud = testbed.cloud(&rehearsal(1_000.0, 40.0, ""));

@@ -147,7 +147,7 @@ fn hold(stage: &str, direction: &Value, passages: &[Passage]) {
 }
 
 #[test]
-fn intercepts_are_those_of_the_true_delays_and_lie_within_what_is_claimed() {
+fn calibrated_intercepts_contain_the_true_delays() {
     let testbed = TwoHostTestbed::new(|_| Network::direct());
     let _cloud = testbed.cloud(&rehearsal(1_000.0, 50.0, ""));
     let cloud: HostClock = testbed.clock_of("cloud");

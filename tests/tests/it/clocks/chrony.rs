@@ -104,13 +104,13 @@ fn right_clocks(what: &str, network: impl FnOnce(&Path) -> Network, such: &str) 
 }
 
 #[test]
-fn daemons_of_right_clocks_and_the_exchanges_agree() {
+fn right_daemons_agree_with_exchanges() {
     right_clocks("chrony, a cable", |_| Network::direct(), "verdict.text IN ('ok', 'limited')");
 }
 
 /// The daemons' server is not behind the wire, so that they can measure its asymmetry.
 #[test]
-fn daemons_of_right_clocks_tell_what_exchanges_cannot() {
+fn right_daemons_narrow_delay_bounds() {
     let way = |delay_ms| WireProperties { delay_ms, jitter_ms: 0, loss_percent: 0 };
     let wire = |folder: &Path| Network::wire(folder, way(40), way(5));
     right_clocks("chrony, 40 ms up, 5 ms down", wire, "source.text IN ('chrony', 'intersection')");
@@ -119,7 +119,7 @@ fn daemons_of_right_clocks_tell_what_exchanges_cannot() {
 /// The edge's daemon keeps the machine's clock and does not know that the agent reads another one: this looks like a
 /// peer that lies in all exchanges.
 #[test]
-fn a_wrong_clock_that_its_daemon_does_not_know_of_is_exposed() {
+fn wrong_clock_with_confident_daemon_is_detected() {
     const AHEAD: Span = Span::from_millis(50);
     let wrong = rehearsal(50.0, 0.0, "discipline = \"unaware\"");
     let scene = Scene::new(|_| Network::direct(), "", &wrong, true);
@@ -146,7 +146,7 @@ fn is_exposed(delay: &Delay) -> bool {
 
 /// The daemon is the same, but it is not trusted.
 #[test]
-fn a_wrong_claim_does_not_reach_the_delays_unless_it_is_trusted() {
+fn wrong_claim_affects_delays_only_if_trusted() {
     let wrong = rehearsal(50.0, 0.0, "discipline = \"unaware\"");
     let scene = Scene::new(|_| Network::direct(), "", &wrong, false);
     for host in ["edge", "cloud"] {
@@ -180,7 +180,7 @@ fn wait_for_page(scene: &Scene, words: &str) {
 }
 
 #[test]
-fn wrong_claims_within_the_round_trip_are_only_shown() {
+fn wrong_claims_within_round_trip_affect_nothing() {
     let scene = wrong_claims_that_exchanges_cannot_refute(false);
     let edge = scene.testbed.clock_of("edge");
     wait_for_page(&scene, "as claimed by chrony on both hosts, of the wall clocks, not used");
@@ -192,7 +192,7 @@ fn wrong_claims_within_the_round_trip_are_only_shown() {
 }
 
 #[test]
-fn delays_that_rest_on_trusted_claims_say_so() {
+fn delays_by_trusted_claims_are_marked() {
     let scene = wrong_claims_that_exchanges_cannot_refute(true);
     let edge = scene.testbed.clock_of("edge");
     wait_for_page(&scene, "bounds as claimed by chrony");

@@ -20,7 +20,7 @@ fn start(testbed: &TwoHostTestbed, time: &FalseTime, load: &str) -> (Process, Pr
 }
 
 #[test]
-fn an_edge_that_is_shown_a_false_time_reports_true_delays() {
+fn edge_with_false_time_reports_true_delays() {
     let testbed = TwoHostTestbed::new(|_| Network::direct());
     let time = FalseTime::new(testbed.folder(), AHEAD);
     let _hosts =
@@ -38,7 +38,7 @@ fn an_edge_that_is_shown_a_false_time_reports_true_delays() {
 
 /// Here the agent does not know of the step, in contrast to clock fault injection.
 #[test]
-fn step_that_nobody_announced_reaches_no_delay() {
+fn unannounced_step_affects_no_delay() {
     const LATER: Span = Span::from_millis(3_137);
     let testbed = TwoHostTestbed::new(|_| Network::direct());
     let time = FalseTime::new(testbed.folder(), AHEAD);

@@ -159,12 +159,12 @@ fn forged(probes: u64) {
 }
 
 #[test]
-fn forged_answers_to_probes_make_no_interval_wrong() {
+fn intervals_are_right_with_forged_probe_answers() {
     forged(150);
 }
 
 #[test]
 #[ignore = "takes ten minutes; for make soak"]
-fn ten_minutes_of_forged_answers_make_no_interval_wrong() {
+fn intervals_are_right_during_ten_minute_forgery() {
     forged(6_000);
 }

@@ -19,7 +19,7 @@ fn udp(host: &Host, port: u16) -> UdpSocket {
 }
 
 #[test]
-fn a_capture_in_the_middle_sees_what_a_limited_link_lets_through() {
+fn capture_shows_rate_of_limited_link() {
     const BYTES: usize = 250_000;
     let folder = tempfile::tempdir().expect("the temporary folder is writable");
     let network = Network::routed();
@@ -51,7 +51,7 @@ fn a_capture_in_the_middle_sees_what_a_limited_link_lets_through() {
 }
 
 #[test]
-fn blocked_ports_and_lossy_links_let_the_rest_through() {
+fn blocked_port_and_losses_affect_only_matching_packets() {
     let network = Network::direct();
     let cloud = network.cloud();
     cloud.block_udp(7001);
@@ -99,7 +99,7 @@ fn a_wire_delays_each_direction_by_itself() {
 }
 
 #[test]
-fn nothing_is_left_behind_by_a_test_that_panics() {
+fn panicking_test_removes_its_network() {
     let (tell, told) = std::sync::mpsc::sync_channel(1);
     let test = std::thread::spawn(move || {
         let network = Network::direct();

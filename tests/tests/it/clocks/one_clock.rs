@@ -86,7 +86,7 @@ fn raw_ahead_by(offset: Span) -> HostClock {
 }
 
 #[test]
-fn processes_on_one_machine_prove_one_clock_from_first_delay_on() {
+fn processes_on_one_machine_prove_one_clock() {
     let hosts = Hosts::new("", false);
     let _edge = hosts.deployment.start("edge.toml");
     let iterations = hosts.iterations();
@@ -102,7 +102,7 @@ fn processes_on_one_machine_prove_one_clock_from_first_delay_on() {
 /// The boot id is the same. libfaketime shows all clocks of the edge: the wall clock 20 ms ahead, the free-running
 /// one on another scale.
 #[test]
-fn process_shown_false_time_is_measured_and_holds_the_truth() {
+fn interval_contains_truth_for_process_with_false_time() {
     let hosts = Hosts::new("[clock]\ntimestamps = \"user\"\ndiscipline = []\n", false);
     let time = FalseTime::new(&hosts.deployment.folder().join("time"), AHEAD);
     let environment: Vec<_> =
@@ -126,7 +126,7 @@ fn process_shown_false_time_is_measured_and_holds_the_truth() {
 }
 
 #[test]
-fn process_that_is_shown_false_time_later_is_measured_from_then_on() {
+fn clock_error_introduced_later_is_measured_afterwards() {
     let hosts = Hosts::new("[clock]\ntimestamps = \"user\"\ndiscipline = []\n", true);
     let time = FalseTime::new(&hosts.deployment.folder().join("time"), Span::ZERO);
     let _edge = hosts.deployment.start_with("edge.toml", &time.environment());
@@ -159,7 +159,7 @@ fn process_that_is_shown_false_time_later_is_measured_from_then_on() {
 
 /// The process asks late because of its own pause, which is no sign of another clock.
 #[test]
-fn process_that_was_paused_itself_keeps_proof_without_incident() {
+fn paused_process_keeps_one_clock_proof() {
     let hosts = Hosts::new("[clock]\ndiscipline = []\n", true);
     let edge = hosts.deployment.start("edge.toml");
     let uploaded = || hosts.api.until("/api/v1/runs", |runs| runs["runs"][0]["counts"]["ok"].as_u64());
@@ -183,7 +183,7 @@ fn process_that_was_paused_itself_keeps_proof_without_incident() {
 
 /// A time namespace shifts the free-running clock by ten seconds, but not the wall clock.
 #[test]
-fn process_in_another_time_namespace_is_measured_and_holds_the_truth() {
+fn interval_contains_truth_in_other_time_namespace() {
     let hosts = Hosts::new("[clock]\ndiscipline = []\n", false);
     let peernetd = program("peernetd").display().to_string();
     let arguments =
@@ -194,7 +194,7 @@ fn process_in_another_time_namespace_is_measured_and_holds_the_truth() {
 }
 
 #[test]
-fn rehearsed_process_is_measured_and_holds_the_truth() {
+fn interval_contains_truth_with_clock_fault_injection() {
     let hosts = Hosts::new(&super::rehearsal(20.0, 0.0, ""), false);
     let _edge = hosts.deployment.start("edge.toml");
     assert_eq!(hosts.link()["same_clock"], false);

@@ -21,7 +21,7 @@ fn seen(packets: &[Packet], from: &Host, sent: WallTime, received: WallTime) -> 
 }
 
 #[test]
-fn megabytes_take_as_long_as_a_capture_in_the_middle_says() {
+fn large_transfer_time_matches_capture() {
     let testbed = TwoHostTestbed::new(|_| Network::routed());
     let router = testbed.network.router();
     router.limit("cloud", 20);

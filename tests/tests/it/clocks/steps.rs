@@ -53,21 +53,21 @@ fn step(stepped: Stepped, by_ms: i32) {
 }
 
 #[test]
-fn wall_clock_of_edge_set_forward_reaches_no_delay() {
+fn edge_clock_set_forward_affects_no_delay() {
     step(Stepped::Edge, 3_000);
 }
 
 #[test]
-fn wall_clock_of_cloud_set_forward_reaches_no_delay() {
+fn cloud_clock_set_forward_affects_no_delay() {
     step(Stepped::Cloud, 3_000);
 }
 
 #[test]
-fn wall_clock_of_edge_set_back_reaches_no_delay() {
+fn edge_clock_set_back_affects_no_delay() {
     step(Stepped::Edge, -3_000);
 }
 
 #[test]
-fn wall_clock_of_cloud_set_back_reaches_no_delay() {
+fn cloud_clock_set_back_affects_no_delay() {
     step(Stepped::Cloud, -3_000);
 }

@@ -49,21 +49,21 @@ fn case(offset_ms: f64, drift_ppm: f64, max_drift_ppm: f64, wrong: Wrong) {
 }
 
 #[test]
-fn a_cloud_ahead_and_fast() {
+fn delays_contain_truth_for_fast_cloud_ahead() {
     case(1_000.0, 50.0, 50.0, Wrong::Cloud);
 }
 
 #[test]
-fn an_edge_behind_and_slow() {
+fn delays_contain_truth_for_slow_edge_behind() {
     case(-1_000.0, -50.0, 50.0, Wrong::Edge);
 }
 
 #[test]
-fn an_edge_ahead_and_fast() {
+fn delays_contain_truth_for_fast_edge_ahead() {
     case(1_000.0, 100.0, 150.0, Wrong::Edge);
 }
 
 #[test]
-fn a_cloud_behind_and_slow() {
+fn delays_contain_truth_for_slow_cloud_behind() {
     case(-1_000.0, -100.0, 150.0, Wrong::Cloud);
 }

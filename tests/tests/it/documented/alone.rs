@@ -21,7 +21,7 @@ const SLIP: &str = "[experiment]\nname = 'slip'\niterations = 5\n[pipeline]\nsen
                     [[axis.value]]\nlabel = 'echo'\nset = { 'pipeline.placement.modle' = 'echo' }\n";
 
 #[test]
-fn a_sensor_a_slip_the_models_and_the_completion() {
+fn readme_commands_without_aggregator_work() {
     let machines = DocumentedCommands::new(&COMMANDS);
     let typed = |command: &str, changes: &[(&str, &str)]| {
         let ended = machines.on_edge(command, changes).ended();

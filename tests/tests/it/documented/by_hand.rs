@@ -26,7 +26,7 @@ fn answered(host: &Host, pipeline: &'static str, count: u64) {
 }
 
 #[test]
-fn the_aggregator_is_killed_and_the_dashboard_has_no_hole() {
+fn killed_aggregator_leaves_no_gap_on_dashboard() {
     let machines = DocumentedCommands::new(&COMMANDS);
     machines.copy("configs/aggregator.toml", &[("127.0.0.1:5550", "0.0.0.0:5550")]);
     machines.copy("configs/cloud.toml", &[("tcp://127.0.0.1:5551", "tcp://0.0.0.0:5551")]);

@@ -86,7 +86,7 @@ pub(super) const NOWHERE: [(&str, &[&str]); 4] = [
 ];
 
 #[test]
-fn what_runs_commands_elsewhere_is_there() {
+fn commands_executed_elsewhere_are_in_their_files() {
     for (commands, file, words) in ELSEWHERE {
         let text = std::fs::read_to_string(root().join(file)).unwrap_or_default();
         assert!(text.contains(words), "{file} has no {words:?}, which is to run {commands:?}");

@@ -38,7 +38,7 @@ fn answered(host: &Host, port: u16, pipeline: &'static str) {
 }
 
 #[test]
-fn what_is_installed_by_hand_is_where_the_units_look_for_it() {
+fn manual_installation_matches_paths_of_units() {
     let machines = DocumentedCommands::new(&COMMANDS);
     let (edge, machine) = (machines.edge(), machines.root_of(machines.edge()));
     let root = machine.display().to_string();

@@ -31,7 +31,7 @@ const TYPED: [&[&str]; 9] = [
 ];
 
 #[test]
-fn every_command_of_the_documents_is_typed_by_a_test() {
+fn every_documented_command_is_executed_by_a_test() {
     let shown: BTreeSet<String> = Document::all().iter().flat_map(Document::commands).collect();
     let unknown: Vec<_> = shown.iter().filter(|command| is_known(command) == Some(false)).collect();
     assert!(

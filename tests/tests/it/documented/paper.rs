@@ -44,7 +44,7 @@ fn server(machines: &DocumentedCommands) {
 }
 
 #[test]
-fn efficientnet_and_the_robot_arm_are_measured_compared_and_drawn() {
+fn paper_experiments_are_measured_compared_and_drawn() {
     let machines = DocumentedCommands::new(&COMMANDS);
     MODELS.iter().for_each(|name| small_model(&machines, name));
     server(&machines);

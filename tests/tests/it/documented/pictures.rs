@@ -15,7 +15,7 @@ fn well(ended: ProcessEnd) -> String {
 }
 
 #[test]
-fn pictures_drawn_again_are_judged_rightly_and_a_network_is_trained() {
+fn redrawn_pictures_are_classified_and_network_is_trained() {
     let machines = DocumentedCommands::new(&COMMANDS);
     for (command, place, [good, others]) in [
         (PICTURES, "models/quality-control/pictures", ["=18", "=4"]),

@@ -75,7 +75,7 @@ fn json(ended: ProcessEnd) -> Value {
 }
 
 #[test]
-fn the_plant_of_the_readme_is_measured_asked_calibrated_and_looked_after() {
+fn readme_commands_work_on_two_machines() {
     let machines = DocumentedCommands::new(&COMMANDS);
     install(&machines);
     let (edge, cloud) = (machines.edge(), machines.cloud());

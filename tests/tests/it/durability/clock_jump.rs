@@ -35,7 +35,7 @@ fn told(api: &Api, direction: &str, times: usize) -> String {
 }
 
 #[test]
-fn month_long_clock_jumps_of_the_aggregator_delete_nothing() {
+fn aggregator_clock_jumps_delete_nothing() {
     let deployment = LoopbackDeployment::new();
     let time = FalseTime::new(deployment.folder(), Span::ZERO);
     deployment.write("aggregator.toml", AGGREGATOR);

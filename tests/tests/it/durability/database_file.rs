@@ -102,7 +102,7 @@ fn storing_recovers_after_unmount_and_mount() {
 }
 
 #[test]
-fn moved_database_is_let_go_and_taken_up_again() {
+fn moved_database_is_closed_and_reopened() {
     let folder = tempfile::tempdir().expect("a folder");
     let (here, away) = (folder.path().join("here"), folder.path().join("away"));
     std::fs::create_dir(&here).expect("a folder");

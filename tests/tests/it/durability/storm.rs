@@ -174,7 +174,7 @@ fn answers(log: &str) -> u64 {
 
 #[test]
 #[ignore = "takes minutes with PEERNET_KILLS=200; for make soak"]
-fn kills_amid_failing_disks_and_jumping_clocks_lose_nothing_uncounted() {
+fn kills_disk_and_clock_faults_lose_nothing_uncounted() {
     let _turn = turn();
     let (mut rng, began) = (TestRng::new("storm"), Stopwatch::now());
     let mut storm = Storm::new();

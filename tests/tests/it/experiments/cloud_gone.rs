@@ -18,7 +18,7 @@ fn in_the_second(lab: &Lab, process: &Process) -> String {
 }
 
 #[test]
-fn one_that_stays_away_fails_what_is_left_and_the_same_command_does_it_later() {
+fn missing_cloud_fails_runs_that_can_be_resumed() {
     let mut lab = Lab::new();
     let process = lab.run(&impatient(), &[]);
     let second = in_the_second(&lab, &process);
@@ -46,7 +46,7 @@ fn one_that_stays_away_fails_what_is_left_and_the_same_command_does_it_later() {
 }
 
 #[test]
-fn one_that_comes_back_costs_the_iterations_that_it_had_in_hand() {
+fn returning_cloud_loses_only_iterations_in_flight() {
     let mut lab = Lab::new();
     let process = lab.run(THREE, &[]);
     let second = in_the_second(&lab, &process);

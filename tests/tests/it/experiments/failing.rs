@@ -7,7 +7,7 @@ use peernet_tests::{Process, program, root};
 use super::{Lab, THREE, children, kill};
 
 #[test]
-fn a_run_that_crashes_is_marked_and_the_others_go_on() {
+fn crashed_run_is_marked_and_others_continue() {
     let lab = Lab::new();
     let process = lab.run(THREE, &[]);
     process.wait_for("run 2 of 3 (Size = 200): begins");
@@ -39,7 +39,7 @@ fn a_run_that_crashes_is_marked_and_the_others_go_on() {
 }
 
 #[test]
-fn everything_that_is_missing_is_told_before_the_first_run() {
+fn missing_parts_are_reported_before_first_run() {
     let lab = Lab::new();
     let file = "[experiment]\nname = 'e'\niterations = 5\npatience_s = 1\n[pipeline]\n\
                 sensor = { kind = 'synthetic', size_bytes = 10 }\nplacement = { kind = 'remote', peer = '{cloud}' }\n\

@@ -28,7 +28,7 @@ placement = { kind = 'none' }
 ";
 
 #[test]
-fn it_is_shown_with_who_said_it_between_the_lines_of_the_progress() {
+fn program_output_is_printed_with_its_source() {
     let deployment = LoopbackDeployment::new();
     deployment.write("mine.py", SENSOR);
     deployment.write("experiment.toml", EXPERIMENT);

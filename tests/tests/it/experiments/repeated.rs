@@ -67,7 +67,7 @@ fn configuration(record: &Value) -> Value {
 }
 
 #[test]
-fn a_run_is_done_again_from_its_record_alone() {
+fn run_is_repeated_from_its_record() {
     let lab = Lab::new();
     let folder = lab.deployment.folder();
     let write = |name: &str, text: &str| fs::write(folder.join(name), text).expect("writable");

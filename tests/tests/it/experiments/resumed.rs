@@ -53,7 +53,7 @@ fn the_rest_is_left_out(lab: &Lab, folders: &[String], stage: &str) {
 }
 
 #[test]
-fn what_the_user_ended_is_marked_and_done_again_and_what_was_finished_is_not() {
+fn interrupted_runs_are_repeated_and_finished_ones_kept() {
     let lab = Lab::new();
     let process = lab.run(THREE, &[]);
     let folders = in_the_second(&lab, &process);
@@ -86,7 +86,7 @@ fn what_the_user_ended_is_marked_and_done_again_and_what_was_finished_is_not() {
 
 /// The suspended run handles no signals, so that waiting for it would never end.
 #[test]
-fn a_run_that_is_suspended_is_killed_and_marked_as_interrupted() {
+fn suspended_run_is_killed_and_marked_interrupted() {
     let lab = Lab::new();
     let process = lab.run(THREE, &[]);
     in_the_second(&lab, &process);
@@ -103,7 +103,7 @@ fn a_run_that_is_suspended_is_killed_and_marked_as_interrupted() {
 }
 
 #[test]
-fn a_kill_leaves_no_process_behind_and_nothing_half_done() {
+fn kill_leaves_no_process_and_no_partial_run() {
     let lab = Lab::new();
     let process = lab.run(THREE, &[]);
     let folders = in_the_second(&lab, &process);

@@ -31,7 +31,7 @@ fn stored(machines: &DocumentedCommands, experiment: &str) -> usize {
 }
 
 #[test]
-fn the_demo_twice_with_one_seed_has_one_order_and_the_same_payloads() {
+fn demo_with_same_seed_repeats_order_and_payloads() {
     let machines = DocumentedCommands::new(&COMMANDS);
     machines.copy("configs/aggregator.toml", &[("127.0.0.1:5550", "0.0.0.0:5550")]);
     machines.copy("configs/cloud.toml", &[("tcp://127.0.0.1:5551", "tcp://0.0.0.0:5551")]);

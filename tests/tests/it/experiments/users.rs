@@ -29,7 +29,7 @@ values = [1, 3]
 "#;
 
 #[test]
-fn three_users_share_one_cloud_and_it_is_told_how_evenly() {
+fn fairness_between_three_users_is_reported() {
     let lab = Lab::new();
     let ended = lab.run(USERS, &[]).ended();
     assert_eq!(ended.code(), 0, "{}", ended.log);

@@ -11,7 +11,7 @@ limit = { total = 50 }
 "#;
 
 #[test]
-fn its_run_shows_well_everywhere_without_a_model() {
+fn run_without_model_is_shown_on_all_pages() {
     let deployment = LoopbackDeployment::new();
     let (_aggregator, api) = deployment.aggregator();
     let edge = deployment.agent("edge", EDGE);

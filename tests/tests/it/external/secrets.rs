@@ -23,7 +23,7 @@ command = "while read word bytes rest; do head -c $bytes >/dev/null; [ \"$TOKEN\
 "#;
 
 #[test]
-fn a_run_tells_the_names_of_variables_and_not_their_values() {
+fn run_record_contains_variable_names_without_values() {
     let deployment = LoopbackDeployment::new();
     let secret = "hunter2";
     let file = deployment.folder().join("secrets.toml");

@@ -23,7 +23,7 @@ limit = { total = 42 }
 "#;
 
 #[test]
-fn a_picture_from_shell_is_judged_by_c_and_recorded_by_shell() {
+fn shell_sensor_c_model_shell_actuator_work_together() {
     let testbed = TwoHostTestbed::new(|_| Network::direct());
     build(testbed.folder());
     let cloud = testbed.cloud(MODEL);

@@ -26,7 +26,7 @@ fn pipeline(system: &Ros1System, name: &str) -> String {
 }
 
 #[test]
-fn iterations_whose_messages_find_no_room_are_recorded_as_lost() {
+fn iterations_without_queue_space_are_lost() {
     let (deployment, system) = (LoopbackDeployment::new(), Ros1System::new());
     let (_aggregator, api) = deployment.aggregator();
     let cloud = system.agent(&deployment, "cloud", &cloud(&system));

@@ -18,7 +18,7 @@ fn pipelines(count: usize, more: &str) -> String {
 }
 
 #[test]
-fn two_greedy_agents_leave_sessions_to_a_third() {
+fn two_greedy_agents_do_not_exclude_a_third() {
     let deployment = LoopbackDeployment::new();
     let (aggregator, api) = deployment.aggregator();
     let tables = format!(

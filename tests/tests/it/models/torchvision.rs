@@ -36,7 +36,7 @@ fn an_exported_model_answers_as_torchvision_does() {
 
 /// This shows that the previous test can fail: random weights must not give the same answer to every input.
 #[test]
-fn each_mistake_in_the_card_changes_the_answer_by_far_more_than_the_tolerance() {
+fn card_mistakes_exceed_the_answer_tolerance() {
     let [reference, other] = &*exported().answers else { panic!("two pictures") };
     assert!(difference(&reference.logits, &other.logits) > 10.0 * TOLERANCE, "another picture");
     for change in [
@@ -51,7 +51,7 @@ fn each_mistake_in_the_card_changes_the_answer_by_far_more_than_the_tolerance() 
 }
 
 #[test]
-fn the_card_says_what_the_weights_say() {
+fn card_matches_exported_weights() {
     let found = ModelFolders::of([exported().models.clone()]).find(NAME).expect("was exported");
     let hash = found.hash().expect("is read");
     let card = found.card.expect("is right");

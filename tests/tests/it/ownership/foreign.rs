@@ -79,7 +79,7 @@ fn clock(peer: HostId) -> Event {
 }
 
 #[test]
-fn foreign_reports_change_nothing_of_the_run() {
+fn foreign_reports_leave_run_unchanged() {
     let mut rng = TestRng::new("foreign reports");
     let mut fleet = measuring("");
     let row = ask(
@@ -153,7 +153,7 @@ fn foreign_reports_change_nothing_of_the_run() {
 }
 
 #[test]
-fn run_claimed_before_its_start_still_belongs_to_its_host() {
+fn run_id_claimed_early_still_belongs_to_host() {
     let mut rng = TestRng::new("claimed runs");
     let mut fleet = peernet_tests::Fleet::new(&[], "");
     let (one, other) =

@@ -63,7 +63,7 @@ fn invented_hosts_leave_pages_and_metrics_bounded() {
 }
 
 #[test]
-fn new_host_beyond_the_limit_is_refused_and_known_ones_are_not() {
+fn host_limit_refuses_new_hosts_only() {
     let mut rng = TestRng::new("too many hosts");
     let mut fleet = measuring("max_hosts = 2");
     let misbehaving_peer = MisbehavingPeer::at(fleet.deployment.events);

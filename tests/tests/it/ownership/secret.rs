@@ -37,7 +37,7 @@ fn clear(fleet: &Fleet) -> String {
 }
 
 #[test]
-fn impostor_does_not_keep_the_robot_out() {
+fn impostor_does_not_exclude_known_host() {
     let mut rng = TestRng::new("impostor");
     let mut fleet = measuring("");
     // The robot leaves with batches that are not stored.
@@ -76,7 +76,7 @@ fn impostor_does_not_keep_the_robot_out() {
 }
 
 #[test]
-fn secret_survives_the_loss_of_the_spool_and_of_the_database() {
+fn host_secret_survives_loss_of_spool_or_database() {
     let mut fleet = measuring("");
     let before = secret(&fleet);
     assert_eq!(before.len(), 64);
@@ -111,7 +111,7 @@ fn secret_survives_the_loss_of_the_spool_and_of_the_database() {
 }
 
 #[test]
-fn cleared_secret_lets_the_robot_in_with_a_new_one() {
+fn cleared_secret_permits_a_new_one() {
     let mut fleet = measuring("");
     let before = secret(&fleet);
     fleet.agents[0].stop();
@@ -136,7 +136,7 @@ fn cleared_secret_lets_the_robot_in_with_a_new_one() {
 }
 
 #[test]
-fn newcomer_with_the_robots_name_makes_way() {
+fn robot_takes_its_name_back_from_newcomer() {
     let mut rng = TestRng::new("namesake");
     let mut fleet = measuring("");
     fleet.agents[0].stop();

@@ -106,7 +106,7 @@ fn the_published_commands_work_word_for_word() {
 }
 
 #[test]
-fn a_network_is_measured_with_efficientnet_and_random_weights() {
+fn published_network_measurement_works_with_random_weights() {
     let lab = Lab::new();
     let models = exported_models().display();
     let server = lab.server(&format!(
@@ -133,7 +133,7 @@ fn a_network_is_measured_with_efficientnet_and_random_weights() {
 }
 
 #[test]
-fn a_client_may_come_first_and_send_whatever_it_likes() {
+fn early_client_sends_all_kinds_of_samples() {
     for (options, bytes) in [
         ("--sensor-type \"random string\" --text-size 300", Some(300.0)),
         ("--sensor-type synthetic --text-size 4000", Some(4000.0)),
@@ -163,7 +163,7 @@ fn a_client_may_come_first_and_send_whatever_it_likes() {
 }
 
 #[test]
-fn a_run_is_on_a_dashboard_as_well_and_its_host_is_known_again() {
+fn streamed_run_is_on_dashboard_with_same_host() {
     let lab = Lab::here();
     let deployment = LoopbackDeployment::new();
     let (_aggregator, api) = deployment.aggregator();
@@ -202,7 +202,7 @@ fn a_run_is_on_a_dashboard_as_well_and_its_host_is_known_again() {
 }
 
 #[test]
-fn results_take_the_place_of_others_only_when_they_are_told_to() {
+fn existing_results_are_replaced_only_on_request() {
     let lab = Lab::here();
     let measure = |iterations: u32, options: &str| {
         let server = lab.server(&format!(
@@ -223,7 +223,7 @@ fn results_take_the_place_of_others_only_when_they_are_told_to() {
 }
 
 #[test]
-fn what_relates_the_clocks_is_taken_from_a_configuration() {
+fn clock_settings_come_from_configuration() {
     let lab = Lab::here();
     std::fs::write(lab.folder().join("edge.toml"), "[agent]\n[rehearsal]\noffset_ms = 5000\n")
         .expect("writable");
@@ -246,7 +246,7 @@ fn what_relates_the_clocks_is_taken_from_a_configuration() {
 }
 
 #[test]
-fn an_order_is_one_run_in_a_process_of_its_own() {
+fn each_order_is_a_run_in_a_process() {
     let lab = Lab::here();
     let order = json!({
         "agent": {

@@ -30,7 +30,7 @@ fn server(lab: &Lab, iterations: u32) -> Process {
 }
 
 #[test]
-fn ctrl_c_ends_a_client_early_and_writes_all_results() {
+fn ctrl_c_ends_client_with_all_results() {
     let lab = Lab::here();
     let server = server(&lab, 1_000_000);
     let client = endless(&lab, "--result-loc results");
@@ -54,7 +54,7 @@ fn ctrl_c_ends_a_client_early_and_writes_all_results() {
 }
 
 #[test]
-fn a_session_that_ends_ends_a_client_with_all_results() {
+fn ended_session_ends_client_with_all_results() {
     let lab = Lab::here();
     let _server = server(&lab, 1_000_000);
     let client = endless(&lab, "--result-loc results");
@@ -88,7 +88,7 @@ fn a_client_under_nohup_outlives_its_session() {
 }
 
 #[test]
-fn a_folder_that_is_being_written_is_left_alone() {
+fn folder_in_use_is_left_unchanged() {
     let lab = Lab::here();
     let _server = server(&lab, 1_000_000);
     let first = endless(&lab, "--result-loc results --overwrite");
@@ -105,7 +105,7 @@ fn a_folder_that_is_being_written_is_left_alone() {
 }
 
 #[test]
-fn results_that_a_killed_run_was_to_replace_come_back() {
+fn results_replaced_by_killed_run_are_restored() {
     let lab = Lab::here();
     let _server = server(&lab, 1_000_000);
     let short = || {
@@ -136,7 +136,7 @@ fn results_that_a_killed_run_was_to_replace_come_back() {
 }
 
 #[test]
-fn results_of_a_killed_run_are_told() {
+fn results_of_killed_run_are_reported() {
     let lab = Lab::here();
     let _server = server(&lab, 1_000_000);
     let killed = endless(&lab, "--result-loc results");
@@ -151,7 +151,7 @@ fn results_of_a_killed_run_are_told() {
 }
 
 #[test]
-fn nothing_is_left_of_a_killed_run_once_others_have_ended_in_its_place() {
+fn killed_run_leaves_no_files_after_later_runs() {
     let lab = Lab::here();
     let _server = server(&lab, 1_000_000);
     let temporary = lab.folder().join("temporary");
@@ -213,7 +213,7 @@ fn a_second_signal_does_not_wait() {
 }
 
 #[test]
-fn a_server_that_goes_away_leaves_rows_and_a_code() {
+fn lost_server_leaves_rows_and_exit_code() {
     let lab = Lab::here();
     let server = server(&lab, 1_000_000);
     let client = endless(&lab, "--result-loc results --patience 2");
@@ -230,7 +230,7 @@ fn a_server_that_goes_away_leaves_rows_and_a_code() {
 }
 
 #[test]
-fn a_server_that_comes_back_is_asked_again() {
+fn returning_server_is_used_again() {
     let lab = Lab::here();
     let first = server(&lab, 1_000_000);
     let client = lab.client(&format!(
@@ -250,7 +250,7 @@ fn a_server_that_comes_back_is_asked_again() {
 }
 
 #[test]
-fn a_full_disk_loses_nothing_that_was_measured() {
+fn full_result_disk_loses_no_rows() {
     let disk = SmallDisk::new(1 << 20);
     let lab = Lab::here();
     let _server = server(&lab, 1_000_000);
@@ -287,7 +287,7 @@ fn a_full_disk_loses_nothing_that_was_measured() {
 }
 
 #[test]
-fn without_room_anywhere_the_rows_that_fit_are_kept() {
+fn full_disks_keep_rows_that_fit() {
     let (disk, other) = (SmallDisk::new(200 << 10), SmallDisk::new(64 << 10));
     let lab = Lab::here();
     // The model answers at once, so that most rows are written together.

@@ -96,7 +96,7 @@ fn a_sensor_that_hangs_is_named() {
 }
 
 #[test]
-fn a_sensor_and_a_model_of_ones_own_are_run_where_the_command_line_names_them() {
+fn python_sensor_and_model_run_on_their_hosts() {
     let lab = Lab::new();
     std::fs::write(lab.folder().join("my_camera.py"), SENSOR).expect("writable");
     std::fs::write(lab.folder().join("my_model.py"), MODEL).expect("writable");
@@ -152,7 +152,7 @@ fn an_exception_is_a_failed_iteration() {
 
 /// After consecutive failures the client waits longer and longer; the server must end all the same.
 #[test]
-fn a_server_does_not_wait_for_samples_that_all_failed() {
+fn server_ends_when_all_samples_failed() {
     let lab = Lab::here();
     let unplugged = "class Camera:\n    def sample(self):\n        raise OSError('unplugged')\n";
     let (client, server) = seen_by(unplugged, 14, &lab);
@@ -162,7 +162,7 @@ fn a_server_does_not_wait_for_samples_that_all_failed() {
 }
 
 #[test]
-fn the_wait_for_a_process_that_was_started_anew_is_told() {
+fn restart_of_python_process_is_recorded() {
     let lab = Lab::here();
     let dying = |class: &str, method: &str, last: u32| {
         format!(
@@ -217,7 +217,7 @@ class {class}:
 }
 
 #[test]
-fn a_server_says_how_many_of_its_answers_are_errors() {
+fn server_prints_number_of_error_answers() {
     let lab = Lab::here();
     std::fs::write(lab.folder().join("my_model.py"), REFUSING).expect("writable");
     let server = lab.server(
@@ -234,7 +234,7 @@ fn a_server_says_how_many_of_its_answers_are_errors() {
 }
 
 #[test]
-fn programs_are_run_where_the_command_line_names_them() {
+fn programs_run_on_their_hosts() {
     let lab = Lab::here();
     let light = peernet_tests::root().join("docs/examples/external/light.sh");
     let server = lab.server(
@@ -252,7 +252,7 @@ fn programs_are_run_where_the_command_line_names_them() {
 }
 
 #[test]
-fn what_objects_print_is_passed_on_even_quietly() {
+fn output_of_objects_is_printed_in_quiet_mode() {
     let lab = Lab::here();
     let sensor = "
 class Camera:

@@ -33,7 +33,7 @@ fn published_commands_work_over_ros() {
 }
 
 #[test]
-fn run_goes_on_when_master_and_server_are_killed_and_come_back() {
+fn run_continues_after_master_and_server_restart() {
     let (lab, mut system) = lab();
     let server = lab.server(&format!("{SERVER} --model-name dummy --iterations 1000"));
     server.wait_for("serving dummy");
@@ -58,7 +58,7 @@ fn run_goes_on_when_master_and_server_are_killed_and_come_back() {
 }
 
 #[test]
-fn missing_master_is_named_with_next_step() {
+fn missing_master_is_named_with_advice() {
     let (lab, mut system) = lab();
     system.kill_master();
     let client = lab.client(&format!("{CLIENT} --sensor-type synthetic --iterations 5 --patience 0"));

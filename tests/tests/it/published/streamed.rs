@@ -20,7 +20,7 @@ fn streamed(lab: &Lab, deployment: &LoopbackDeployment) -> String {
 }
 
 #[test]
-fn each_aggregator_gets_what_was_streamed_to_it_and_what_one_has_not_taken_is_told() {
+fn aggregators_store_their_stream_and_unsent_is_reported() {
     let lab = Lab::here();
     let (there, away) = (LoopbackDeployment::new(), LoopbackDeployment::new());
     let (_first, first) = there.aggregator();
@@ -52,7 +52,7 @@ fn each_aggregator_gets_what_was_streamed_to_it_and_what_one_has_not_taken_is_to
 }
 
 #[test]
-fn what_an_aggregator_exports_is_the_file_of_the_run() {
+fn export_of_aggregator_equals_file_of_run() {
     let (lab, deployment) = (Lab::here(), LoopbackDeployment::new());
     let (_aggregator, api) = deployment.aggregator();
     streamed(&lab, &deployment);
@@ -70,7 +70,7 @@ fn what_an_aggregator_exports_is_the_file_of_the_run() {
 }
 
 #[test]
-fn a_device_that_streams_twice_at_once_is_one_host_and_refused() {
+fn second_concurrent_stream_of_device_is_refused() {
     let (lab, deployment) = (Lab::here(), LoopbackDeployment::new());
     let (_aggregator, _) = deployment.aggregator();
     let command = format!(
@@ -88,7 +88,7 @@ fn a_device_that_streams_twice_at_once_is_one_host_and_refused() {
 }
 
 #[test]
-fn an_experiment_sends_nobody_to_a_dashboard_that_has_nothing_of_it() {
+fn experiment_prints_no_link_to_unused_dashboard() {
     let (lab, away) = (Lab::here(), LoopbackDeployment::new());
     let file = format!(
         "[experiment]\nname = \"board\"\niterations = 20\naggregator = \"tcp://127.0.0.1:{}\"\n\

@@ -5,7 +5,7 @@ use peernet_tests::{Network, TwoHostTestbed};
 use super::{drive, model, write_modules};
 
 #[test]
-fn arrays_go_up_and_each_step_of_the_users_is_a_stage() {
+fn python_objects_exchange_arrays_with_one_stage_each() {
     let testbed = TwoHostTestbed::new(|_| Network::direct());
     write_modules(testbed.folder());
     let cloud = testbed.cloud(&model());

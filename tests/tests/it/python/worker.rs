@@ -37,7 +37,7 @@ fn worker(deployment: &LoopbackDeployment) -> PathBuf {
 }
 
 #[test]
-fn no_process_stays_behind_when_the_agent_is_killed() {
+fn killed_agent_leaves_no_python_process() {
     let deployment = deployment(None);
     let (cloud, _edge) = start(&deployment, "");
     let worker = worker(&deployment);
@@ -47,7 +47,7 @@ fn no_process_stays_behind_when_the_agent_is_killed() {
 }
 
 #[test]
-fn a_check_names_what_is_missing_and_runs_nothing() {
+fn check_names_missing_parts_without_running_code() {
     let deployment = deployment(None);
     let broken = model().replace("follower::Follower", "folower::Follower");
     let here = drive("{ kind = \"local\", model = \"follower\" }");
@@ -64,7 +64,7 @@ fn a_check_names_what_is_missing_and_runs_nothing() {
 }
 
 #[test]
-fn a_model_that_dies_is_started_anew() {
+fn dead_model_process_is_restarted() {
     let deployment = deployment(Some(
         "
 import os
@@ -87,7 +87,7 @@ class Follower:
 }
 
 #[test]
-fn a_model_that_hangs_holds_up_neither_iterations_nor_the_end() {
+fn hanging_model_delays_neither_iterations_nor_stop() {
     let deployment = deployment(Some(
         "
 import os, time

@@ -8,7 +8,7 @@ use peernet_tests::{EventCounts, Fleet, measured, thousands, until};
 use super::turn;
 
 #[test]
-fn at_rest_everything_produced_is_stored_or_counted_as_dropped_wherever_one_looks() {
+fn produced_events_are_stored_or_counted_as_dropped() {
     let _turn = turn();
     // The spool is too small for what is measured without an aggregator, and hardly large enough with one.
     let small = edge("queue_events = 2000", "[spool]\nlimit_bytes = 1048576\n");

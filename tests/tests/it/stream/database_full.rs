@@ -6,7 +6,7 @@ use peernet_tests::{Fleet, SmallDisk, measured, thousands, until};
 use super::{nothing_lost, turn};
 
 #[test]
-fn a_full_disk_stops_the_storing_but_not_the_picture_and_nothing_is_lost() {
+fn full_database_disk_stops_storing_without_loss() {
     let _turn = turn();
     let disk = SmallDisk::new(48 << 20);
     let database = disk.folder().join("aggregator.sqlite").display().to_string();

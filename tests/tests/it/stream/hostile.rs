@@ -35,7 +35,7 @@ fn counter(fleet: &Fleet, name: &str) -> u64 {
 }
 
 #[test]
-fn frames_that_are_cut_or_flipped_are_refused_and_counted() {
+fn damaged_frames_are_refused_and_counted() {
     let _turn = turn();
     let mut rng = TestRng::new("damaged frames");
     let fleet = beside_an_agent();
@@ -91,7 +91,7 @@ fn frames_that_are_cut_or_flipped_are_refused_and_counted() {
 }
 
 #[test]
-fn a_batch_that_is_wrong_in_itself_is_put_aside_and_the_stream_goes_on() {
+fn invalid_batch_is_quarantined_and_stream_continues() {
     let _turn = turn();
     let mut rng = TestRng::new("wrong batches");
     let fleet = beside_an_agent();
@@ -133,7 +133,7 @@ fn a_batch_that_is_wrong_in_itself_is_put_aside_and_the_stream_goes_on() {
 }
 
 #[test]
-fn batches_of_another_host_are_not_taken_and_repeated_ones_not_twice() {
+fn foreign_batches_are_refused_and_repeated_ones_ignored() {
     let _turn = turn();
     let mut rng = TestRng::new("replayed batches");
     let fleet = beside_an_agent();
@@ -179,7 +179,7 @@ fn batches_of_another_host_are_not_taken_and_repeated_ones_not_twice() {
 }
 
 #[test]
-fn a_storm_of_hellos_keeps_no_agent_out() {
+fn hello_flood_excludes_no_agent() {
     let _turn = turn();
     let mut rng = TestRng::new("hello storm");
     let fleet = beside_an_agent();

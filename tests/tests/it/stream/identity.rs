@@ -35,7 +35,7 @@ fn killed_with_batches(fleet: &mut Fleet) {
 }
 
 #[test]
-fn a_database_restored_from_an_older_copy_shows_the_hole_and_goes_on() {
+fn restored_database_records_gap_and_continues() {
     let _turn = turn();
     let mut fleet = Fleet::new(&["edge"], &edge("", &echo("loop", &rate(500.0))));
     fleet.start(0);
@@ -79,7 +79,7 @@ fn a_database_restored_from_an_older_copy_shows_the_hole_and_goes_on() {
 }
 
 #[test]
-fn a_copied_state_folder_is_refused_while_the_first_lives_and_is_a_stream_of_its_own_later() {
+fn copied_state_folder_starts_new_stream_after_refusal() {
     let _turn = turn();
     let configuration = edge("", &echo("loop", &rate(200.0)));
     let mut fleet = Fleet::new(&["edge"], &configuration);
@@ -119,7 +119,7 @@ fn a_copied_state_folder_is_refused_while_the_first_lives_and_is_a_stream_of_its
 }
 
 #[test]
-fn a_deleted_spool_is_a_new_stream_and_a_gap() {
+fn deleted_spool_causes_new_stream_and_gap() {
     let _turn = turn();
     let mut fleet = Fleet::new(&["edge"], &edge("", &echo("loop", &rate(200.0))));
     fleet.start(0);
@@ -147,7 +147,7 @@ fn a_deleted_spool_is_a_new_stream_and_a_gap() {
 }
 
 #[test]
-fn two_agents_in_one_folder_are_one_too_many() {
+fn second_agent_in_state_folder_is_refused() {
     let _turn = turn();
     let mut fleet = Fleet::new(&["edge"], &edge("", &echo("loop", &rate(100.0))));
     fleet.start(0);

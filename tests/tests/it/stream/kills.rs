@@ -25,7 +25,7 @@ struct Tally {
 }
 
 #[test]
-fn whoever_is_killed_whenever_nothing_spooled_is_lost_and_nothing_is_stored_twice() {
+fn random_kills_lose_and_duplicate_no_spooled_iteration() {
     let _turn = turn();
     let (mut rng, began) = (TestRng::new("kills"), Stopwatch::now());
     let mut fleet = Fleet::new(&AGENTS, &edge("", &(SMALL_SPOOL.to_owned() + &echo("loop", ""))));

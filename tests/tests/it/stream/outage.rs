@@ -17,7 +17,7 @@ const DAY_S: f64 = 86_400.0;
 const USUAL_LAG_MS: u64 = 5_000;
 
 #[test]
-fn an_aggregator_that_was_away_for_a_day_gets_everything_in_order_while_the_picture_is_live() {
+fn day_long_outage_is_delivered_in_order() {
     let _turn = turn();
     let iterations = setting("PEERNET_OUTAGE_ITERATIONS", 30_000);
     // The work of a day is measured as fast as possible; the other pipeline is observed meanwhile.

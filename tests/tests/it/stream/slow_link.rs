@@ -15,7 +15,7 @@ const ITERATIONS: u64 = 3_500;
 const MOST_BEHIND_S: f64 = 5.0;
 
 #[test]
-fn a_host_behind_fifty_kilobits_stays_live_and_loses_nothing() {
+fn host_on_50_kbit_link_loses_nothing() {
     let _turn = turn();
     let testbed = TwoHostTestbed::new(|_| Network::direct());
     let host = testbed.network.edge();

@@ -7,7 +7,7 @@ use serde_json::Value;
 use super::turn;
 
 #[test]
-fn a_full_disk_under_the_spool_is_said_and_what_does_not_fit_is_counted() {
+fn full_spool_disk_is_reported_and_drops_counted() {
     let _turn = turn();
     let (store, state) = (SmallDisk::new(48 << 20), SmallDisk::new(16 << 20));
     let database = store.folder().join("aggregator.sqlite").display().to_string();
@@ -61,7 +61,7 @@ fn a_full_disk_under_the_spool_is_said_and_what_does_not_fit_is_counted() {
 }
 
 #[test]
-fn what_is_measured_after_a_start_on_a_full_disk_and_cannot_be_kept_is_counted() {
+fn start_on_full_disk_counts_dropped_events() {
     let _turn = turn();
     let state = SmallDisk::new(16 << 20);
     let folder = state.folder().join("NAME").display().to_string();

@@ -36,7 +36,7 @@ fn everything_measured_is_stored(what: &str, mut fleet: Fleet, measured_in_all: 
 }
 
 #[test]
-fn an_agent_that_stops_without_its_aggregator_leaves_everything_in_its_spool() {
+fn agent_stopped_without_aggregator_keeps_all_in_spool() {
     let _turn = turn();
     let mut fleet = Fleet::new(&["edge"], &counted());
     fleet.aggregator.stop();
@@ -48,7 +48,7 @@ fn an_agent_that_stops_without_its_aggregator_leaves_everything_in_its_spool() {
 }
 
 #[test]
-fn an_agent_that_stops_under_load_has_everything_spooled_or_stored() {
+fn agent_stopped_under_load_spooled_or_stored_everything() {
     let _turn = turn();
     let mut fleet = Fleet::new(&["edge"], &counted());
     fleet.start(0);
@@ -58,7 +58,7 @@ fn an_agent_that_stops_under_load_has_everything_spooled_or_stored() {
 }
 
 #[test]
-fn an_aggregator_that_stops_under_load_has_stored_what_it_acknowledged() {
+fn aggregator_stopped_under_load_stored_acknowledged_batches() {
     let _turn = turn();
     let mut fleet =
         Fleet::new(&["edge-1", "edge-2"], &edge("", &(SMALL_SPOOL.to_owned() + &echo("loop", ""))));

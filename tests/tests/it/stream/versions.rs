@@ -19,7 +19,7 @@ fn later_frame(hello: &Hello) -> Vec<u8> {
 }
 
 #[test]
-fn later_agent_is_served_and_unknown_versions_are_refused() {
+fn newer_agent_is_served_unknown_versions_refused() {
     let _turn = turn();
     let mut rng = TestRng::new("other versions");
     let mut fleet = Fleet::new(&[], "");

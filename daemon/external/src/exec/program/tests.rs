@@ -42,7 +42,7 @@ fn a_shell_echoes_samples() {
 }
 
 #[test]
-fn a_sample_larger_than_any_pipe_passes_both_ways() {
+fn sample_larger_than_pipe_passes_both_ways() {
     let mut program = start(Role::Model, ECHO, PATIENT);
     let large = Sample::of(Description::bytes(), vec![7; 5 << 20].into());
     assert_eq!(
@@ -52,7 +52,7 @@ fn a_sample_larger_than_any_pipe_passes_both_ways() {
 }
 
 #[test]
-fn it_knows_its_role_and_the_version_of_the_framing() {
+fn program_receives_role_and_framing_version() {
     let script = "read -r word; echo \"source $PEERNET_ROLE $PEERNET_EXEC $word\"; echo answer 0; read -r word; echo end";
     let mut program = start(Role::Sensor, script, PATIENT);
     let first = program.ask(Request::Next).expect("replies");
@@ -67,7 +67,7 @@ fn it_knows_its_role_and_the_version_of_the_framing() {
 }
 
 #[test]
-fn what_it_says_went_wrong_is_passed_on_and_it_goes_on() {
+fn error_reply_is_returned_and_program_continues() {
     let mut program = start(
         Role::Actuator,
         "n=0; while read -r line; do n=$((n+1)); echo \"error number $n\"; done",
@@ -134,7 +134,7 @@ fn one_that_closes_its_output_is_told_so() {
 }
 
 #[test]
-fn the_shell_of_a_single_program_hides_nothing_of_it() {
+fn single_program_end_is_visible_through_shell() {
     let folder = tempfile::tempdir().expect("a folder");
     let program = folder.path().join("program");
     let line = format!("{} --flag \"a word\"", program.display());
@@ -157,7 +157,7 @@ fn the_shell_of_a_single_program_hides_nothing_of_it() {
 }
 
 #[test]
-fn one_that_is_too_slow_is_shown_with_its_last_words() {
+fn slow_program_error_contains_its_last_lines() {
     let script = "echo 'out of paper' >&2; read -r line; \
                   case $PEERNET_ROLE in actuator) echo done;; *) echo answer 0;; esac; sleep 600";
     let errors = of_each_role(script, |mut program, request| {
@@ -171,7 +171,7 @@ fn one_that_is_too_slow_is_shown_with_its_last_words() {
 }
 
 #[test]
-fn a_prompt_without_an_end_of_line_is_shown_at_once() {
+fn prompt_without_line_end_is_shown_immediately() {
     let mut program = start(Role::Sensor, "read -r line; printf 'answer 0\\nReady> '; sleep 600", PATIENT);
     program.ask(Request::Next).expect("replies");
     let error = program.ask(Request::Next).expect_err("it was not asked").to_string();
@@ -201,7 +201,7 @@ fn garbage_is_quoted_and_ends_it() {
 }
 
 #[test]
-fn a_reply_too_many_does_not_shift_the_others() {
+fn extra_reply_does_not_shift_later_ones() {
     let mut program =
         start(Role::Sensor, "while read -r line; do printf 'answer 1\\naanswer 1\\nb'; done", PATIENT);
     assert!(program.ask(Request::Next).is_ok());
@@ -210,14 +210,14 @@ fn a_reply_too_many_does_not_shift_the_others() {
 }
 
 #[test]
-fn a_huge_length_is_refused_before_memory_is_taken() {
+fn huge_length_is_refused_before_allocation() {
     let mut program = start(Role::Sensor, "read -r line; echo answer 99999999999999; cat", PATIENT);
     let error = program.ask(Request::Next).expect_err("too large").to_string();
     assert!(error.contains("99999999999999") && error.contains("at most"), "{error}");
 }
 
 #[test]
-fn one_that_hangs_is_killed_and_one_that_dies_again_and_again_is_left_alone_for_a_while() {
+fn hanging_program_is_killed_and_restarts_are_delayed() {
     let mut program = start(Role::Sensor, "sleep 600", 50);
     let error = program.ask(Request::Next).expect_err("it hangs");
     assert!(matches!(error, ExchangeError::TooSlow { .. }), "{error}");
@@ -228,7 +228,7 @@ fn one_that_hangs_is_killed_and_one_that_dies_again_and_again_is_left_alone_for_
 }
 
 #[test]
-fn a_command_that_is_not_there_is_said_at_once() {
+fn missing_command_is_reported_at_start() {
     let config = ExecConfig::of(CommandLine::Words(vec!["/no/such/program".to_owned()]));
     let error = Program::start(&config, Role::Model, "m", &clock()).expect_err("is not there");
     assert!(error.to_string().contains("/no/such/program"), "{error}");

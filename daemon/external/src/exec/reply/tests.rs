@@ -84,7 +84,7 @@ fn notes_come_before_the_reply() {
 }
 
 #[test]
-fn each_role_has_its_own_words() {
+fn roles_accept_different_words() {
     assert_eq!(reply(Role::Sensor, "end\n").outcome, ReplyOutcome::End);
     assert_eq!(reply(Role::Actuator, "done\n").outcome, ReplyOutcome::Done);
     assert_eq!(reply(Role::Model, "error too dark\n").outcome, ReplyOutcome::Error("too dark".to_owned()));
@@ -97,7 +97,7 @@ fn each_role_has_its_own_words() {
 }
 
 #[test]
-fn what_is_wrong_is_shown_with_the_right_form() {
+fn errors_show_the_expected_form() {
     for (written, part) in [
         ("hello\n", "standard error"),
         ("answer\n", "answer BYTES"),

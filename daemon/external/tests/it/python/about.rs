@@ -24,7 +24,7 @@ fn libraries(facts: &[(String, String)]) -> Vec<&str> {
 }
 
 #[test]
-fn the_file_and_the_libraries_of_an_object_are_told() {
+fn description_contains_file_and_libraries() {
     let source = "import json, numpy\nclass Own:\n    def infer(self, x): return x\n";
     let module = Module::new(source, "own::Own");
     let facts = module.model().about().facts("Model");
@@ -38,7 +38,7 @@ fn the_file_and_the_libraries_of_an_object_are_told() {
 }
 
 #[test]
-fn what_an_object_is_made_of_is_found_without_running_it() {
+fn object_files_are_found_without_running_code() {
     let source = "
 from rig import lens
 try:
@@ -88,7 +88,7 @@ class Own:
 }
 
 #[test]
-fn what_was_imported_by_a_name_made_up_at_run_time_and_what_was_installed_beside_it_are_told() {
+fn dynamic_imports_and_adjacent_packages_are_recorded() {
     let source = "
 import importlib
 driver = importlib.import_module('driv' + 'er')
@@ -130,7 +130,7 @@ fn a_sensor_that_imports_nothing_has_no_libraries() {
 }
 
 #[test]
-fn of_a_module_in_a_zipped_egg_the_egg_is_hashed() {
+fn module_in_zipped_egg_is_hashed_as_egg() {
     let source = "
 import sys, zipfile
 with zipfile.ZipFile('gear.egg', 'w') as egg:
@@ -168,7 +168,7 @@ fn there_is_an_end_to_what_is_told() {
 }
 
 #[test]
-fn an_object_that_misleads_about_itself_is_had_all_the_same() {
+fn object_with_misleading_attributes_is_described() {
     for own in [
         "__file__ = None",
         "del __file__",

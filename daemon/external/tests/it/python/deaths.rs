@@ -57,7 +57,7 @@ fn kill(number: i32) {
 }
 
 #[test]
-fn one_that_is_killed_in_a_call_or_between_calls_is_told_of_and_replaced() {
+fn killed_process_is_reported_and_restarted() {
     let module = Module::new(MODEL, "own::Own");
     let (mut model, mut other) = (module.model(), module.model());
     let first = number(&mut model);
@@ -82,7 +82,7 @@ fn one_that_is_killed_in_a_call_or_between_calls_is_told_of_and_replaced() {
 }
 
 #[test]
-fn what_ends_the_process_says_so_and_what_does_not_fails_one_call() {
+fn process_end_is_reported_others_fail_one_call() {
     let module = Module::new(MODEL, "own::Own");
     let mut model = module.model();
     for (input, parts) in [
@@ -128,7 +128,7 @@ fn one_that_does_not_come_up_says_why() {
 }
 
 #[test]
-fn one_that_does_not_come_up_again_is_tried_later() {
+fn failed_restart_is_retried_later() {
     let source = "
 import os
 class Own:

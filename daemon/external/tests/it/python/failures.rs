@@ -36,7 +36,7 @@ fn module() -> Module {
 }
 
 #[test]
-fn an_exception_fails_one_call_with_the_users_part_of_the_traceback() {
+fn exception_fails_one_call_with_user_traceback() {
     let mut model = module().model();
     let called = model.call(&[bytes(b"raise")]);
     assert_eq!(called.times.stages.iter().map(|stage| stage.0).collect::<Vec<_>>(), [Stage::Infer]);
@@ -80,7 +80,7 @@ fn a_value_that_cannot_cross_fails_one_call() {
 }
 
 #[test]
-fn what_an_array_masks_does_not_become_a_value() {
+fn masked_array_values_are_refused() {
     let source = "
 import numpy
 class Own:
@@ -93,7 +93,7 @@ class Own:
 }
 
 #[test]
-fn a_module_that_is_being_imported_does_not_disturb() {
+fn module_during_import_is_ignored() {
     let source = "
 import sys, types
 class Own:
@@ -115,7 +115,7 @@ fn what_is_printed_does_not_disturb() {
 }
 
 #[test]
-fn a_process_that_dies_is_told_of_and_started_anew() {
+fn dead_process_is_reported_and_restarted() {
     let module = module();
     let mut model = module.model();
     let said = failure(&mut model, &[bytes(b"exit")]);
@@ -127,7 +127,7 @@ fn a_process_that_dies_is_told_of_and_started_anew() {
 }
 
 #[test]
-fn a_process_that_keeps_dying_rests_longer_and_longer() {
+fn restart_delay_grows_after_repeated_deaths() {
     let module = module();
     let mut model = module.model();
     let mut rested = 0;
@@ -145,7 +145,7 @@ fn a_process_that_keeps_dying_rests_longer_and_longer() {
 }
 
 #[test]
-fn a_call_that_hangs_ends_when_its_time_is_over() {
+fn hanging_call_ends_at_timeout() {
     let mut module = module();
     module.config.timeout_ms = NonZeroU64::new(500).expect("above 0");
     let mut model = module.model();
@@ -155,7 +155,7 @@ fn a_call_that_hangs_ends_when_its_time_is_over() {
 }
 
 #[test]
-fn a_fork_of_the_users_does_not_hide_that_the_process_died() {
+fn death_is_detected_despite_forked_child() {
     let source = "
 import multiprocessing, os, time
 class Own:

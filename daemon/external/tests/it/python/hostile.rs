@@ -10,7 +10,7 @@ fn part(media: MediaType, content: &'static [u8]) -> Part {
 }
 
 #[test]
-fn parts_that_make_no_sense_are_refused_and_the_next_call_works() {
+fn invalid_parts_fail_one_call() {
     let module = Module::new("class Own:\n    def infer(self, x): return x\n", "own::Own");
     let mut model = module.model();
     let tree = |content| part(MediaType::Other("application/x-python-tree".to_owned()), content);

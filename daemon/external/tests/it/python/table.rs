@@ -208,7 +208,7 @@ fn pictures_of_every_mode() {
 }
 
 #[test]
-fn with_pickle_everything_that_can_be_pickled_is_the_same() {
+fn pickle_returns_equal_objects() {
     carried(
         &[
             ("Local()", "Local [1, array([0, 1, 2]), b'raw']"),

@@ -155,7 +155,7 @@ class Own:
 }
 
 #[test]
-fn objects_of_ones_own_cross_only_between_two_ends_that_both_say_so() {
+fn pickled_objects_need_consent_of_both_ends() {
     let source = "
 import numpy
 class State:

@@ -346,7 +346,7 @@ labels = ["a", "b"]
     }
 
     #[test]
-    fn an_odd_margin_is_split_as_the_card_says() {
+    fn odd_margin_is_split_as_configured() {
         let before = |rounding: Rounding| [0, 1, 2, 3, 4, 5, 7].map(|margin| rounding.before(margin));
         assert_eq!(before(Rounding::Down), [0, 0, 1, 1, 2, 2, 3]);
         // As `int(round(margin / 2.0))` computes in Python.

@@ -94,7 +94,7 @@ mod tests {
     }
 
     #[test]
-    fn an_output_that_is_not_finite_is_a_failure() {
+    fn non_finite_output_is_a_failure() {
         for bad in [f32::NAN, f32::INFINITY] {
             assert!(classify(&output(Activation::Softmax, 3), &mut [0.0, bad, 1.0]).is_err());
         }
@@ -102,7 +102,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn scores_are_probabilities_in_the_order_of_the_numbers(numbers: [i16; 3]) {
+        fn scores_are_probabilities_in_order_of_outputs(numbers: [i16; 3]) {
             let numbers = numbers.map(f32::from);
             for activation in [Activation::Softmax, Activation::Sigmoid] {
                 let mut scores = numbers;

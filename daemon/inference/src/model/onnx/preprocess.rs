@@ -205,7 +205,7 @@ mod tests {
     }
 
     #[test]
-    fn the_shortest_side_is_scaled_and_the_centre_cut_out() {
+    fn shortest_side_is_scaled_and_centre_cropped() {
         let card = changed(
             "resize = { mode = \"exact\", width = 2, height = 1 }",
             "resize = { mode = \"shortest\", size = 2 }\ncrop = { width = 2, height = 1 }",

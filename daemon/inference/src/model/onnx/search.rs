@@ -136,7 +136,7 @@ mod tests {
     }
 
     #[test]
-    fn a_named_library_that_is_not_there_is_not_replaced_by_another() {
+    fn missing_configured_library_has_no_fallback() {
         let root = tempfile::tempdir().expect("can be made");
         put(&root.path().join(FOLDER), "libonnxruntime.so");
         let mut search_settings = SearchSettings { current: root.path().to_owned(), ..Default::default() };

@@ -111,7 +111,7 @@ mod tests {
     use super::reason;
 
     #[test]
-    fn refusal_is_one_line_without_the_source_of_the_library() {
+    fn refusal_is_one_line_without_source_location() {
         let said = "/onnxruntime_src/cuda_execution_provider_info.cc:63 static onnxruntime::Info [ONNXRuntimeError] : 1 : FAIL : \
                     options.h:187 Parse Failed to parse provider option \"device_id\": Invalid device ID: 7, must be between 0 \
                     (inclusive) and 1 (exclusive).\n";

@@ -140,7 +140,7 @@ mod tests {
     }
 
     #[test]
-    fn a_pipe_in_a_models_place_is_refused_and_not_waited_for() {
+    fn named_pipe_as_model_file_is_refused() {
         let folder = tempfile::tempdir().expect("a folder");
         std::fs::write(folder.path().join(CARD), SMALL).expect("written");
         let model = folder.path().join(MODEL);

@@ -191,7 +191,7 @@ mod tests {
     }
 
     #[test]
-    fn message_of_another_type_is_handed_on_as_bytes() {
+    fn message_of_other_type_is_passed_as_bytes() {
         let (form, bytes) = (WireForm::Ros1, Bytes::from_static(&[1, 2, 3]));
         let of: Arc<str> = "nav_msgs/Odometry".into();
         let received = WallTime::from_unix_nanos(0);

@@ -44,18 +44,18 @@ fn warm_and_cool(shim: &ClockShim, ppm: f64, ppm_per_s: f64, for_s: f64) {
 }
 
 #[test]
-fn clocks_200_ppm_apart_make_no_interval_wrong() {
+fn intervals_are_right_at_200_ppm() {
     hold("+200 ppm, 1/1 ms", [way(1, 0, 0); 2], 10, steady(200.0));
 }
 
 #[test]
-fn clocks_200_ppm_apart_on_a_bad_path_make_no_interval_wrong() {
+fn intervals_hold_at_200_ppm_on_bad_path() {
     let ways = [way(5, 3, 2), way(40, 3, 2)];
     hold("-200 ppm, 5/40 ms, 3 ms of jitter, 2 % lost", ways, 10, steady(-200.0));
 }
 
 #[test]
-fn crystal_that_is_warmed_and_cooled_makes_no_interval_wrong() {
+fn intervals_are_right_with_temperature_changes() {
     // A degree per second at 1 ppm/°C: the limit of the rate's change.
     let waves = |[edge, _]: [&ClockShim; 2]| warm_and_cool(edge, 4.0, 0.999, 120.0);
     hold("rate changes by 1 ppm/s, 2/2 ms", [way(2, 0, 0); 2], 20, waves);
@@ -63,7 +63,7 @@ fn crystal_that_is_warmed_and_cooled_makes_no_interval_wrong() {
 
 #[test]
 #[ignore = "takes half an hour; for make soak"]
-fn crystals_of_all_temperatures_on_all_paths_make_no_interval_wrong() {
+fn intervals_are_right_for_all_crystals_and_paths() {
     let paths = [("1/1 ms", 1, 1), ("5/40 ms", 5, 40), ("20/20 ms", 20, 20), ("5/300 ms", 5, 300)];
     for (what, up, down) in paths {
         let ways = [way(up, up / 2, 1), way(down, down / 4, 1)];

@@ -50,34 +50,34 @@ fn paused_machine(what: &'static str, length: Span) {
 }
 
 #[test]
-fn process_that_is_stopped_makes_no_interval_wrong() {
+fn intervals_are_right_after_process_stop() {
     stopped_process("the edge is stopped for 2 s, 2/2 ms", Span::from_seconds(2), edge);
 }
 
 #[test]
-fn cloud_process_that_is_stopped_makes_no_interval_wrong() {
+fn intervals_are_right_after_cloud_process_stop() {
     stopped_process("the cloud is stopped for 2 s, 2/2 ms", Span::from_seconds(2), Scene::cloud);
 }
 
 #[test]
 #[ignore = "takes eleven minutes; for make soak"]
-fn process_that_is_stopped_for_ten_minutes_makes_no_interval_wrong() {
+fn intervals_are_right_after_ten_minute_stop() {
     stopped_process("the edge is stopped for 600 s, 2/2 ms", Span::from_seconds(600), edge);
 }
 
 #[test]
-fn paused_virtual_machine_makes_intervals_wrong_for_a_window_at_most() {
+fn paused_vm_affects_one_window_at_most() {
     paused_machine("a virtual machine is paused for 0.5 s, 2/2 ms", Span::from_millis(500));
 }
 
 #[test]
 #[ignore = "takes eleven minutes; for make soak"]
-fn virtual_machine_paused_for_ten_minutes_makes_intervals_wrong_for_a_window_at_most() {
+fn long_vm_pause_affects_one_window_at_most() {
     paused_machine("a virtual machine is paused for 600 s, 2/2 ms", Span::from_seconds(600));
 }
 
 #[test]
-fn cloud_that_is_rebooted_makes_no_interval_wrong() {
+fn intervals_are_right_after_cloud_reboot() {
     let what = "the cloud is rebooted, 2/6 ms";
     let mut scene = Scene::new(what, wire(way(2, 0, 0), way(6, 0, 0)), "", |[edge, cloud]| {
         edge.change(Span::from_seconds(3), -50.0, 0.0);

@@ -29,7 +29,7 @@ fn drift_on_a_long_path(
 /// Within a window the clocks drift apart by more than a fiftieth of the round trip, which repeatedly looks like a
 /// jump.
 #[test]
-fn drift_hidden_by_a_long_path_makes_no_interval_wrong() {
+fn intervals_are_right_with_hidden_drift() {
     let outcome =
         drift_on_a_long_path("drift of 750 ppm of 200, 6/6 ms", [way(6, 0, 0); 2], 200.0, 750.0, 30);
     outcome.tells("either the path between them changed, or a clock jumped");
@@ -37,7 +37,7 @@ fn drift_hidden_by_a_long_path_makes_no_interval_wrong() {
 
 #[test]
 #[ignore = "takes a quarter of an hour; for make soak"]
-fn drift_of_100_ppm_hidden_by_5_and_40_ms_is_proven() {
+fn drift_of_100_ppm_is_proven_despite_delays() {
     let ways = [way(5, 0, 0), way(40, 0, 0)];
     let outcome = drift_on_a_long_path("drift of 100 ppm of 50, 5/40 ms", ways, 50.0, 100.0, 1_100);
     outcome.is_withdrawn_at_the_end();
@@ -61,32 +61,32 @@ fn change(
 }
 
 #[test]
-fn drift_far_beyond_the_limit_withdraws_all_delays() {
+fn drift_beyond_limit_invalidates_all_delays() {
     let outcome = change("drift of 1,000 ppm of 200 begins, a cable", cable, (0, 1_000.0), 15);
     outcome.is_withdrawn_at_the_end();
     outcome.tells("max_drift");
 }
 
 #[test]
-fn rate_that_changes_at_once_makes_intervals_wrong_for_a_window_at_most() {
+fn sudden_rate_change_affects_one_window_at_most() {
     change("rate changes by 150 ppm, a cable", cable, (0, 150.0), 15).is_good_at_the_end();
 }
 
 #[test]
-fn rate_that_changes_under_jitter_makes_intervals_wrong_for_a_window_at_most() {
+fn jittered_rate_change_affects_one_window_at_most() {
     let path = wire(way(2, 2, 1), way(2, 2, 1));
     change("rate changes by 180 ppm, 2/2 ms, 2 ms of jitter", path, (0, 180.0), 15).is_good_at_the_end();
 }
 
 #[test]
-fn gained_time_of_all_clocks_makes_intervals_wrong_for_a_window_at_most() {
+fn common_time_gain_affects_one_window_at_most() {
     let path = wire(way(20, 2, 1), way(20, 2, 1));
     change("39 ms gained, 20/20 ms, 2 ms of jitter, 1 % lost", path, (39, 0.0), 15).is_good_at_the_end();
 }
 
 /// Exchanges of a short path would narrow those of a longer path for ever, if the window did not end.
 #[test]
-fn exchange_that_nothing_replaces_bounds_no_delay_after_the_window() {
+fn expired_exchange_bounds_no_delay() {
     let what = "1/1 ms becomes 40/40 ms while a drift of 1,000 ppm of 200 begins";
     let scene = Scene::new(what, wire(way(1, 0, 0), way(1, 0, 0)), "", |_| ());
     scene.settle();
