@@ -6,7 +6,7 @@ use std::process::Command;
 /// Returns a Python interpreter with numpy and PIL.
 ///
 /// # Panics
-/// If there is none.
+/// If it does not exist.
 pub fn python() -> PathBuf {
     let has_both = |python: &PathBuf| {
         let run = Command::new(python).args(["-c", "import numpy, PIL"]).output();

@@ -93,7 +93,7 @@ mod tests {
     }
 
     #[test]
-    fn a_classification_is_logged_with_label_and_score_anything_else_with_its_size() {
+    fn classification_logs_label_and_other_answers_size() {
         let json =
             |text: &'static str| Sample::of(Description::unshaped(MediaType::Json), text.as_bytes().into());
         let line =

@@ -97,7 +97,7 @@ mod tests {
     }
 
     #[test]
-    fn nothing_is_read_that_may_have_no_end() {
+    fn irregular_files_are_not_hashed() {
         let folder = tempfile::tempdir().expect("a folder");
         let pipe = folder.path().join("pipe");
         rustix::fs::mkfifoat(rustix::fs::CWD, &pipe, Mode::RWXU).expect("can be made");

@@ -54,7 +54,7 @@ mod tests {
     }
 
     #[test]
-    fn the_rectangle_is_where_it_was_asked_for_or_in_the_centre() {
+    fn rectangle_is_at_position_or_centre() {
         let mut target = Picture::default();
         crop(&numbered(5, 4), Crop { width: 2, height: 2, x: Some(3), y: Some(0) }, &mut target)
             .expect("fits");
@@ -65,7 +65,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn a_rectangle_is_cut_or_refused(w in 0u32..9, h in 0u32..9, x: Option<u32>, y in proptest::option::of(0u32..9)) {
+        fn rectangle_is_cropped_or_refused(w in 0u32..9, h in 0u32..9, x: Option<u32>, y in proptest::option::of(0u32..9)) {
             let mut target = Picture::default();
             match crop(&numbered(7, 6), Crop { width: w, height: h, x, y }, &mut target) {
                 Ok(()) => prop_assert_eq!((target.width(), target.height(), target.pixels().len()), (w, h, (w * h) as usize)),

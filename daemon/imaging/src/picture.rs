@@ -105,7 +105,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_size_that_lies_about_its_bytes_is_refused() {
+    fn size_that_contradicts_bytes_is_refused() {
         assert!(Picture::new(PixelFormat::Grey8, 2, 3, vec![0; 6]).is_ok());
         assert!(matches!(
             Picture::new(PixelFormat::Rgb8, 2, 3, vec![0; 6]),

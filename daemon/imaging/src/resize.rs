@@ -143,7 +143,7 @@ mod tests {
     }
 
     #[test]
-    fn a_plain_picture_stays_plain_at_any_size() {
+    fn uniform_picture_stays_uniform_when_resized() {
         let plain = Picture::new(PixelFormat::Rgb8, 7, 5, [10, 200, 30].repeat(35)).expect("fits");
         let (mut resizer, mut target) = (Resizer::new(), Picture::default());
         for (width, height) in [(1, 1), (3, 9), (20, 2), (7, 5)] {

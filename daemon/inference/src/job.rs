@@ -27,7 +27,7 @@ pub(crate) type Reply = Box<dyn FnOnce(Done) + Send>;
 pub struct Done {
     /// The recorder of the job, with the stages of the model.
     pub log: Recorder,
-    /// The answer, or the reason that there is none.
+    /// The answer, or the error.
     pub result: Result<Sample, InferenceError>,
 }
 

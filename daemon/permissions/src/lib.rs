@@ -128,7 +128,7 @@ mod tests {
     }
 
     #[test]
-    fn only_the_permissions_of_others_are_taken() {
+    fn only_permissions_of_others_are_removed() {
         let folder = tempfile::tempdir().expect("a folder");
         let database = folder.path().join("a.sqlite");
         for (ending, before, after) in
@@ -155,7 +155,7 @@ mod tests {
     }
 
     #[test]
-    fn a_state_folder_is_closed_and_a_shared_one_is_not() {
+    fn state_folder_is_restricted_shared_one_is_not() {
         let folder = tempfile::tempdir().expect("a folder");
         for (before, after) in [(0o755, 0o750), (0o775, 0o770), (0o700, 0o700), (0o1777, 0o1777)] {
             fs::set_permissions(folder.path(), Permissions::from_mode(before)).expect("own folder");
@@ -167,7 +167,7 @@ mod tests {
     }
 
     #[test]
-    fn what_a_link_leads_to_is_left_alone() {
+    fn target_of_link_keeps_its_permissions() {
         let folder = tempfile::tempdir().expect("a folder");
         let elsewhere = folder.path().join("elsewhere");
         put(&elsewhere, 0o644);

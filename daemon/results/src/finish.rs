@@ -93,7 +93,7 @@ fn is_complete(path: &Path, rows: &Rows) -> bool {
         && expected.next().is_none()
 }
 
-/// Writes a new file and renames it, so that there is a complete file at any time.
+/// Writes a new file and renames it, so that the file is always complete.
 fn replace(path: &Path, rows: &Rows) -> Result<(), WriteError> {
     let new_file = path.with_extension("csv.new");
     let written = put(&new_file, rows).and_then(|()| std::fs::rename(&new_file, path));

@@ -137,7 +137,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_shape_says_how_many_bytes_there_are() {
+    fn shape_determines_number_of_bytes() {
         assert_eq!(Description::pixels(PixelFormat::Rgb8, 4, 3).shaped_bytes(), Some(36));
         let of = |shape: &[u32]| {
             let (shape, element) = (shape.to_vec(), Some(ElementType::F64));

@@ -41,7 +41,7 @@ mod tests {
     }
 
     #[test]
-    fn a_few_words_stand_for_many() {
+    fn long_list_is_shortened() {
         assert_eq!(examples(["a", "b"]), "a, b");
         assert_eq!(examples(["a", "b", "c", "d", "e"]), "a, b, c, d, e");
         assert_eq!(examples(["a", "b", "c", "d", "e", "f"]), "a, b, c, d, e, …");

@@ -56,7 +56,7 @@ mod tests {
     }
 
     #[test]
-    fn nothing_of_all_characters_is_a_control() {
+    fn output_contains_no_control_characters() {
         let all: String = ('\0'..=char::MAX).collect();
         assert!(!printable_line(&all).contains(char::is_control));
         assert_eq!(printable_line(&all).chars().count(), all.chars().count());

@@ -45,7 +45,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_sequence_is_the_published_one() {
+    fn sequence_equals_published_one() {
         // Reference values for seed 1234567, by which implementations of SplitMix64 are compared.
         let mut random = SplitMix64::new(1_234_567);
         let first: Vec<u64> = (0..5).map(|_| random.bits()).collect();

@@ -155,7 +155,7 @@ mod tests {
     }
 
     #[test]
-    fn no_second_is_too_far_away() {
+    fn any_distance_of_seconds_is_accepted() {
         let mut windows = Windows::new(4);
         for second in [i64::MIN, i64::MAX, 0] {
             windows.replace(second, Count(1));

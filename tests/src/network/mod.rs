@@ -212,7 +212,7 @@ impl Network {
     /// Returns the third host.
     ///
     /// # Panics
-    /// If there is none.
+    /// If it does not exist.
     pub fn third(&self) -> &Host {
         self.third.as_ref().expect("a network with a third host")
     }

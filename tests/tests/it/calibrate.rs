@@ -7,7 +7,7 @@ use peernet_tests::{AGGREGATOR, Api, LoopbackDeployment, Process, ProcessEnd, pr
 use rustix::process::{Pid, Signal, kill_process};
 use serde_json::Value;
 
-/// Cloud whose clock differs from that of `peernet`: a second ahead, with an identity of its own.
+/// Cloud whose clock differs from that of `peernet`: a second ahead, with another clock identity.
 const CLOUD: &str = r#"
 [agent]
 name = "cloud"

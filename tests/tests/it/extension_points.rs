@@ -19,7 +19,7 @@ const REGISTRATIONS: [(&str, &str); 5] = [
     ("NetworkKind", "daemon/networks/src/transport/mod.rs"),
 ];
 
-/// Files that name a kind outside of its own file: the file or folder, the kind's module, and the reason.
+/// Files that name a kind outside its file: the file or folder, the kind's module, and the reason.
 const EXCEPTIONS: [(&str, &str, &str); 2] = [
     ("daemon/inference/src/bank", "onnx", "a folder of models holds ONNX models with their cards"),
     ("daemon/inference/src/lib.rs", "onnx", "[onnxruntime] is a table of its own, and commands show cards"),

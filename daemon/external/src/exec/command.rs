@@ -240,7 +240,7 @@ mod tests {
     }
 
     #[test]
-    fn the_files_of_a_command_are_told() {
+    fn files_of_command_are_recorded() {
         let folder = tempfile::tempdir().expect("a folder");
         std::fs::write(folder.path().join("own.sh"), "abc").expect("writable");
         let own = "/own.sh SHA-256 ba7816bf";

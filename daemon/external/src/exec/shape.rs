@@ -77,7 +77,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_shape_says_how_many_bytes_there_are() {
+    fn shape_determines_number_of_bytes() {
         let (description, bytes) = read(MediaType::Tensor, "1x3x2:f32").expect("a shape");
         assert_eq!((description.shape.as_slice(), bytes), ([1, 3, 2].as_slice(), Some(24)));
         assert_eq!(write(&description), "1x3x2:f32");

@@ -1,4 +1,4 @@
-//! A user's Python object (`module::object`) in a process of its own.
+//! A user's Python object (`module::object`) in a separate process.
 //!
 //! The process runs [`SOURCE`] with Python's standard library only. It imports the user's module from its folder,
 //! instantiates the class, and then answers one call after the other: `sample()` of a sensor, or `preprocess`,

@@ -69,7 +69,7 @@ impl ObjectDescription {
     }
 }
 
-/// Python object in a process of its own, which is restarted when it dies. Dropping it ends the process.
+/// Python object in a separate process, which is restarted when it dies. Dropping it ends the process.
 #[derive(Debug)]
 pub struct PythonObject {
     config: PythonConfig,

@@ -111,7 +111,7 @@ fn ends_with_its_host(end: impl FnOnce(&mut std::process::Child)) {
 }
 
 #[test]
-fn nothing_outlives_a_host_that_is_killed() {
+fn killed_host_leaves_no_child_processes() {
     ends_with_its_host(|host| host.kill().expect("it runs"));
 }
 

@@ -23,7 +23,7 @@ fn checksum(bytes: &[u8]) -> u32 {
 }
 
 #[test]
-fn a_file_that_is_cut_off_is_an_error() {
+fn truncated_file_is_an_error() {
     for encoding in [Encoding::Png, Encoding::Jpeg { quality: 85 }] {
         let file = file(encoding);
         // Only the end marker may be missing: the picture is complete without it.
@@ -34,7 +34,7 @@ fn a_file_that_is_cut_off_is_an_error() {
 }
 
 #[test]
-fn what_is_no_picture_is_named_as_such() {
+fn unknown_format_is_refused() {
     assert_eq!(try_decode(b""), Err(ImageError::UnknownFormat));
     assert_eq!(try_decode(b"GIF89a"), Err(ImageError::UnknownFormat));
     let text = Part { description: Description::unshaped(MediaType::Text), bytes: "hello".into() };

@@ -7,7 +7,7 @@ use std::process::Command;
 
 use super::{bank, loaded, quality_control};
 
-/// Runs one of the ignored tests below in a process of its own and returns its output.
+/// Runs one of the ignored tests below in a separate process and returns its output.
 fn alone(test: &str, library: Option<&Path>) -> String {
     let mut command = Command::new(std::env::current_exe().expect("is known"));
     command.args(["--ignored", "--exact", "--nocapture", &format!("process::{test}")]);

@@ -407,19 +407,19 @@ mod tests {
     }
 
     #[test]
-    fn a_deadline_that_no_clock_can_reach_is_refused() {
+    fn unrepresentable_deadline_is_refused() {
         let text = said("[lifecycle]\nshutdown_deadline_s = 9223372036854775807\n[aggregator]\n");
         assert!(text.contains(":2: lifecycle.shutdown_deadline_s: ") && text.contains("a day"), "{text}");
     }
 
     #[test]
-    fn without_a_rehearsal_there_is_one_clock() {
+    fn without_clock_fault_there_is_one_clock() {
         let (truth, agents) = clocks("");
         assert!(Arc::ptr_eq(&truth, &agents));
     }
 
     #[test]
-    fn a_rehearsed_agent_reads_another_clock_than_the_rest_of_the_process() {
+    fn agent_with_clock_fault_reads_another_clock() {
         let (truth, agents) = clocks("[rehearsal]\noffset_ms = 86400000\n");
         assert_eq!(truth.identity().clock.as_ref(), ClockIdentity::SYSTEM);
         assert!(agents.identity().clock.starts_with("rehearsal-"), "{:?}", agents.identity());

@@ -69,7 +69,7 @@ mod tests {
     }
 
     #[test]
-    fn a_key_that_is_not_written_leads_to_the_one_above() {
+    fn missing_key_is_located_at_its_parent() {
         let locator = Locator::new(TEXT);
         assert_eq!(locator.line("pipeline[1].timeout_ms"), locator.line("pipeline[1]"));
         assert_eq!(locator.line("agent.state_dir"), Some(1));

@@ -338,7 +338,7 @@ mod tests {
     }
 
     #[test]
-    fn every_mistake_of_every_table_is_found_once() {
+    fn all_errors_of_all_tables_are_found_once() {
         let (told, rest) = found(
             "third = 1\n[first]\nnumbr = 1\nnumber = 'x'\nlist = [1, 'y', 2]\n[second]\na = 1\n\
              [[element]]\nname = 'a'\nkind = { kind = 'one', size = 1 }\n\
@@ -366,7 +366,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_left_of_a_file_knows_where_it_stood() {
+    fn remaining_tables_keep_their_positions() {
         let (_, rest) = found(
             "[first]\nnumber = 'x'\nlist = [1, 2]\n[[element]]\nname = 'a'\n\
              [[element]]\nname = 'b'\nkind = { kind = 'one', size = 1 }\nnumber = 'x'\n",

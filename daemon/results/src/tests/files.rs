@@ -58,7 +58,7 @@ fn write(folder: &Path, rows: &[Row]) -> WrittenResults {
 }
 
 #[test]
-fn what_is_written_reads_back_as_it_was() {
+fn written_rows_are_read_back() {
     let folder = tempfile::tempdir().expect("a folder");
     let finished = write(folder.path(), &rows(10));
     assert!(finished.trouble.is_none());
@@ -166,7 +166,7 @@ fn partial_results_are_marked() {
 }
 
 #[test]
-fn a_folder_that_cannot_be_written_loses_nothing() {
+fn unwritable_folder_loses_no_rows() {
     let folder = tempfile::tempdir().expect("a folder");
     let result = ResultFolder::create(folder.path(), Overwrite::Refuse).expect("it is empty");
     // Every write to this file fails like on a full disk, also for root.
@@ -242,7 +242,7 @@ fn folders_are_found_in_natural_order() {
 }
 
 #[test]
-fn a_file_that_makes_no_sense_says_where() {
+fn invalid_file_error_names_line_and_column() {
     let folder = tempfile::tempdir().expect("a folder");
     let open = |text: &str| {
         std::fs::write(folder.path().join("data.csv"), text).expect("writable");

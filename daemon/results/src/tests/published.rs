@@ -43,7 +43,7 @@ fn published_file_without_record_is_read() {
 }
 
 #[test]
-fn what_a_dashboard_exported_can_be_read() {
+fn export_of_dashboard_is_read() {
     let folder = tempfile::tempdir().expect("a folder");
     let path = folder.path().join("run-7.csv");
     let text = "iteration,episode,step,warm-up,outcome,reason,started,total,sensing,upload,upload-lo,upload-hi\n\

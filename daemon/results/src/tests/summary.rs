@@ -85,7 +85,7 @@ Clock verdicts: upload 7 ok (in-band, ±0.010 ms); download 7 ok (in-band, ±0.0
 Clock bounds contain the median of the true values.";
 
 #[test]
-fn the_summary_reads_as_the_papers_metrics() {
+fn summary_has_metrics_of_the_paper() {
     let record = RunRecord { title: "robot_1".to_owned(), ..RunRecord::default() };
     let summary = Summary::of(&kept(&rows(10))).about(&record);
     assert_eq!(text(&summary), TEXT);

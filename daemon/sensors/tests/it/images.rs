@@ -109,7 +109,7 @@ fn seed_determines_new_order_of_each_round() {
 }
 
 #[test]
-fn what_cannot_be_opened_is_named() {
+fn errors_name_the_wrong_file_or_label() {
     let empty = folder(&[("readme.txt", "")]);
     assert!(refused(empty.path()).contains("holds no picture"));
     assert!(refused(&empty.path().join("missing")).contains("missing"));

@@ -8,7 +8,7 @@ use super::{EXACT, SPACE, between, decimals, fixed, measured, milliseconds, sign
 const MOST: usize = 3;
 
 /// Returns the number of decimals for a value with a known bound: up to the bound's second digit. An exact value has
-/// the decimals of its own size.
+/// the decimals of its size.
 fn decimals_within(seconds: f64, half_width: f64) -> usize {
     if half_width > 0.0 { decimals(half_width * 1e3, 2).min(MOST) } else { own_decimals(seconds * 1e3) }
 }

@@ -152,14 +152,14 @@ fn lengths_in_words() {
 }
 
 #[test]
-fn what_is_not_a_number_is_a_dash() {
+fn nan_is_shown_as_dash() {
     assert_eq!(fixed(f64::NAN, 2), NONE);
     assert_eq!(stage_ms(f64::INFINITY), NONE);
 }
 
 proptest! {
     #[test]
-    fn what_is_shown_is_what_was_measured(value in -1e12f64..1e12, decimals in 0usize..4) {
+    fn shown_figure_equals_rounded_measurement(value in -1e12f64..1e12, decimals in 0usize..4) {
         let text = fixed(value, decimals);
         let back: f64 = text.replace(',', "").replace('\u{2212}', "-").parse().expect("a number again");
         prop_assert!((back - value).abs() <= 0.51 * 10f64.powi(-(decimals as i32)) + value.abs() * 1e-12);

@@ -64,7 +64,7 @@ proptest! {
     }
 
     #[test]
-    fn the_compact_form_leads_back(values in numbers()) {
+    fn compact_form_is_read_back(values in numbers()) {
         let sketch = of(&values);
         prop_assert_eq!(&Sketch::from_bytes(&sketch.to_bytes()).expect("reads back"), &sketch);
         let wire = rmp_serde::to_vec(&sketch).expect("serialises");
@@ -88,7 +88,7 @@ proptest! {
     }
 
     #[test]
-    fn a_histogram_over_everything_counts_everything(values in numbers()) {
+    fn full_histogram_counts_all_numbers(values in numbers()) {
         let sketch = of(&values);
         let edges = [f64::MIN, -10.0, 0.0, 1e-3, 1.0, 1e3, f64::MAX];
         let bars = sketch.histogram(&edges);
@@ -123,7 +123,7 @@ fn an_empty_sketch_has_no_quantile() {
 }
 
 #[test]
-fn what_is_not_finite_is_left_out() {
+fn non_finite_numbers_are_ignored() {
     assert_eq!(of(&[f64::NAN, f64::INFINITY, f64::NEG_INFINITY]), Sketch::default());
 }
 
@@ -136,7 +136,7 @@ fn very_small_numbers_share_one_bin() {
 }
 
 #[test]
-fn a_typical_stage_packs_small() {
+fn typical_stage_is_stored_in_few_bytes() {
     let values: Vec<f64> = (0..10_000).map(|n| 0.002 * (1.0 + f64::from(n % 100) / 100.0)).collect();
     let bytes = of(&values).to_bytes();
     assert!(bytes.len() < 150, "{}", bytes.len());

@@ -157,7 +157,7 @@ fn clock_error_introduced_later_is_measured_afterwards() {
     shows(true);
 }
 
-/// The process asks late because of its own pause, which is no sign of another clock.
+/// The process asks late because of its own pause, which does not indicate another clock.
 #[test]
 fn paused_process_keeps_one_clock_proof() {
     let hosts = Hosts::new("[clock]\ndiscipline = []\n", true);

@@ -38,7 +38,7 @@ inference_ms = 40
 postprocessing_ms = 0
 "#;
 
-/// Experiment of three runs; the second one takes ten seconds, so that there is time to end it.
+/// Experiment of three runs; the second one takes ten seconds, so that the test can end it.
 const THREE: &str = r#"
 [experiment]
 name = "three"

@@ -81,7 +81,7 @@ fn error_reply_is_returned_and_program_continues() {
 }
 
 #[test]
-fn after_its_end_it_is_started_anew() {
+fn ended_program_is_restarted() {
     let folder = tempfile::tempdir().expect("a folder");
     let mark = folder.path().join("mark");
     let script = format!(
@@ -116,7 +116,7 @@ fn failures(script: &str) -> [String; 3] {
 }
 
 #[test]
-fn one_that_closes_its_output_is_told_so() {
+fn closed_output_is_reported() {
     for error in failures("read -r line; echo enough >&2; exec >&-; sleep 600") {
         assert!(
             error.contains("closed its standard output and was killed; its last words: enough"),
@@ -179,7 +179,7 @@ fn prompt_without_line_end_is_shown_immediately() {
 }
 
 #[test]
-fn what_it_says_does_not_control_a_terminal() {
+fn control_characters_of_program_are_replaced() {
     let script =
         "read -r line; printf 'error \\033[31mred\\n'; read -r line; printf '\\033[31mred\\n' >&2; exit 3";
     let mut program = start(Role::Sensor, script, PATIENT);

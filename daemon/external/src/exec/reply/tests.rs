@@ -159,7 +159,7 @@ proptest! {
 
     /// The request to a model can be read as an answer, because both directions encode parts in the same way.
     #[test]
-    fn what_we_write_reads_back(payloads in prop::collection::vec(prop::collection::vec(any::<u8>(), 0..200), 1..5)) {
+    fn written_requests_are_parsed_back(payloads in prop::collection::vec(prop::collection::vec(any::<u8>(), 0..200), 1..5)) {
         let parts: Vec<_> = payloads
             .into_iter()
             .map(|bytes| Part {

@@ -107,7 +107,7 @@ fn process_end_is_reported_others_fail_one_call() {
 }
 
 #[test]
-fn one_that_does_not_come_up_says_why() {
+fn failed_start_reports_reason() {
     for (source, part) in [
         ("import os\nos.kill(os.getpid(), 9)", "signal 9 (SIGKILL"),
         ("class Own:\n    def __init__(self): raise SystemExit('no camera')", "no camera"),
@@ -172,7 +172,7 @@ class Own:
 }
 
 #[test]
-fn nothing_is_left_of_those_that_died() {
+fn dead_processes_leave_no_children() {
     let this = std::env::current_exe().expect("a test has a file");
     let test = "python::deaths::counts_what_is_left";
     let output = Command::new(this).args(["--exact", test, "--ignored", "--nocapture"]).output();

@@ -49,7 +49,7 @@ fn exception_fails_one_call_with_user_traceback() {
 }
 
 #[test]
-fn an_exception_does_not_control_a_terminal() {
+fn control_characters_of_exception_are_replaced() {
     let source = r"
 class Own:
     def infer(self, x):
@@ -72,7 +72,7 @@ class Own:
 }
 
 #[test]
-fn a_value_that_cannot_cross_fails_one_call() {
+fn unsupported_value_fails_one_call() {
     let mut model = module().model();
     let said = failure(&mut model, &[bytes(b"object")]);
     assert!(said.contains("_thread.lock does not cross"), "{said}");
@@ -108,7 +108,7 @@ class Own:
 }
 
 #[test]
-fn what_is_printed_does_not_disturb() {
+fn printed_output_does_not_affect_calls() {
     let mut model = module().model();
     assert_eq!(value(&mut model, &[bytes(b"loud")])[0].bytes, "loud");
     assert_eq!(value(&mut model, &[bytes(b"on")])[0].bytes, "on");

@@ -116,7 +116,7 @@ fn the_process_ends_with_its_object() {
 }
 
 #[test]
-fn the_environment_and_the_folder_are_the_users() {
+fn configured_environment_and_folder_are_used() {
     let source = "
 import os, pathlib
 class Own:

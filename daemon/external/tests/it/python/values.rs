@@ -97,7 +97,7 @@ fn several_arrays_are_several_parts() {
 }
 
 #[test]
-fn what_one_object_yields_another_gets() {
+fn value_of_one_object_reaches_another() {
     let source = "
 import numpy
 VALUE = {'image': numpy.arange(6, dtype='f4').reshape(2, 3), 'pose': (1.0, float('inf')), 3: [b'raw', None, 'text']}

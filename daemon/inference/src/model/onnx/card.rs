@@ -354,7 +354,7 @@ labels = ["a", "b"]
     }
 
     #[test]
-    fn each_contradiction_is_named() {
+    fn contradictory_keys_are_named() {
         for (from, to, named) in [
             ("shape = [1, 1, 1, 2]", "shape = [2, 1, 1, 2]", "batch of 2"),
             ("colour = \"grey\"", "colour = \"rgb\"", "1 channels"),

@@ -86,7 +86,7 @@ mod tests {
     }
 
     #[test]
-    fn the_best_come_first() {
+    fn best_classes_come_first() {
         let json = classify(&output(Activation::None, 2), &mut [0.25, 0.125, 0.5]).expect("is finite");
         let expected =
             r#"{"label":"c","score":0.5,"top":[{"label":"c","score":0.5},{"label":"a","score":0.25}]}"#;

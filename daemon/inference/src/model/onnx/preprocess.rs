@@ -218,7 +218,7 @@ mod tests {
     }
 
     #[test]
-    fn without_a_resize_the_size_must_be_right() {
+    fn wrong_size_without_resize_is_refused() {
         let card = changed("resize = { mode = \"exact\", width = 2, height = 1 }", "");
         let mut preprocessor = Preprocessor::new(&card.expect("is right"));
         assert!(preprocessor.fill(&pixels(PixelFormat::Grey8, 2, 1, &[1, 2])).is_ok());
@@ -228,7 +228,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_picture_is_named() {
+    fn payload_without_picture_is_refused() {
         let mut preprocessor = Preprocessor::new(&changed("", "").expect("is right"));
         let fill = |preprocessor: &mut Preprocessor, sample: &Sample| {
             preprocessor.fill(sample).expect_err("wrong").to_string()

@@ -149,7 +149,7 @@ mod tests {
     }
 
     #[test]
-    fn every_place_is_listed() {
+    fn search_error_lists_all_places() {
         let search_settings = SearchSettings {
             current: "/nowhere/current".into(),
             executable: "/nowhere/bin/program".into(),

@@ -1,7 +1,7 @@
 //! A session of ONNX Runtime, one per worker.
 //!
 //! `ort` runs a session by `&mut`, because parts of the library are not safe under concurrent runs. Each worker
-//! therefore has a session of its own, and [`Shared`] lets them share the weights.
+//! therefore has its own session, and [`Shared`] lets them share the weights.
 
 use ort::session::Session;
 use ort::session::builder::{GraphOptimizationLevel, SessionBuilder};

@@ -119,7 +119,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn every_step_is_told() {
+    fn plan_describes_every_step() {
         let card = changed(
             "resize = { mode = \"exact\", width = 2, height = 1 }",
             "resize = { mode = \"shortest\", size = 3, filter = \"bicubic\" }\n\
