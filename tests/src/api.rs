@@ -84,7 +84,7 @@ impl Api {
     ///
     /// # Panics
     /// If they do not.
-    pub fn stages_are_the_total(&self, run: i64, stages: &[&str]) {
+    pub fn assert_stages_sum_to_total(&self, run: i64, stages: &[&str]) {
         let all = stages.iter().chain(&["unattributed"]);
         let sum: f64 = all.map(|name| self.mean(run, name)).sum();
         let total = self.mean(run, "total");

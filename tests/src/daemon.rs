@@ -79,16 +79,16 @@ impl Daemon {
         }
     }
 
-    /// Waits until it is ready. If it ends instead, because of a condition that `mend` corrects, it is started again,
+    /// Waits until it is ready. If it ends instead, because of a condition that `repair` corrects, it is started again,
     /// as a service manager does. Returns the number of restarts.
-    pub fn is_ready(&mut self, deployment: &LoopbackDeployment, mut mend: impl FnMut()) -> u32 {
+    pub fn wait_until_ready(&mut self, deployment: &LoopbackDeployment, mut repair: impl FnMut()) -> u32 {
         let mut ended = 0;
         while !self.process().logs_before_end("ready") {
             let process = self.take().ended();
             let failed = process.status.code().is_some_and(|code| code != 0);
             assert!(failed, "{} ended with {}:\n{}", self.name, process.status, process.log);
             self.keep(&process);
-            mend();
+            repair();
             self.start(deployment);
             ended += 1;
         }
@@ -96,7 +96,7 @@ impl Daemon {
     }
 
     /// Returns whether it was started and neither stopped nor killed.
-    pub fn runs(&self) -> bool {
+    pub fn is_running(&self) -> bool {
         self.process.is_some()
     }
 
@@ -149,7 +149,7 @@ impl Daemon {
     }
 
     /// Returns the batches that it reported as spooled so far, including the running process.
-    pub fn spooled_now(&self) -> Vec<SpooledIterations> {
+    pub fn all_spooled(&self) -> Vec<SpooledIterations> {
         let now =
             self.process.as_ref().map(|process| SpooledIterations::all(&process.log())).unwrap_or_default();
         self.spooled.iter().cloned().chain(now).collect()

@@ -170,7 +170,7 @@ fn mount_point() -> PathBuf {
     );
     let all = std::env::temp_dir().join("peernet-tests").join("disks");
     std::fs::create_dir_all(&all).expect("the temporary folder is writable");
-    sweep(&all);
+    remove_remains(&all);
     let number = DISKS.fetch_add(1, Ordering::Relaxed);
     let folder = all.join(format!("{}-{number}", std::process::id()));
     std::fs::create_dir(&folder).expect("the temporary folder is writable");
@@ -191,7 +191,7 @@ fn text(path: &Path) -> String {
 }
 
 /// Removes the disks of test processes that have ended.
-fn sweep(all: &Path) {
+fn remove_remains(all: &Path) {
     let folders = std::fs::read_dir(all).into_iter().flatten().flatten();
     for folder in folders.map(|entry| entry.path()) {
         let name = folder.file_name().and_then(|name| name.to_str()).unwrap_or_default();

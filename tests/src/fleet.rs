@@ -140,7 +140,7 @@ impl Fleet {
 
     /// Stops all running processes, each of which must exit with 0. Returns the stored data.
     pub fn stop(&mut self) -> StoredEvents {
-        for agent in self.agents.iter_mut().filter(|agent| agent.runs()) {
+        for agent in self.agents.iter_mut().filter(|agent| agent.is_running()) {
             agent.stop();
         }
         self.aggregator.stop();

@@ -17,7 +17,7 @@ use zeromq::{Message, Options, Socket, SocketType};
 use crate::{PATIENCE, Stopwatch, TestRng, wall};
 
 /// Time after which an agent repeats its hello.
-const AGAIN: Duration = Duration::from_secs(1);
+const HELLO_INTERVAL: Duration = Duration::from_secs(1);
 
 /// Connection to an aggregator.
 pub struct MisbehavingPeer {
@@ -102,7 +102,7 @@ impl MisbehavingPeer {
         let began = Stopwatch::now();
         while began.elapsed() < PATIENCE {
             self.say(&ToAggregator::Hello(hello.clone()));
-            while let Some(said) = self.receive_within(AGAIN) {
+            while let Some(said) = self.receive_within(HELLO_INTERVAL) {
                 if holds(&said) {
                     return;
                 }

@@ -116,7 +116,9 @@ impl TwoHostTestbed {
     /// Returns the injected clock faults of a host, as the host reports them.
     pub fn clock_of(&self, host: &str) -> HostClock {
         let path = format!("/api/v1/hosts/{host}");
-        self.api.until(&path, |host| HostClock::told(&host["clock"]["rehearsal"], |wall| self.raw_at(wall)))
+        self.api.until(&path, |host| {
+            HostClock::from_report(&host["clock"]["rehearsal"], |wall| self.raw_at(wall))
+        })
     }
 
     /// Converts a time of the kernel's wall clock since the start of this test to its free-running clock. A time

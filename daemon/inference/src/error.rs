@@ -6,7 +6,7 @@ use peernet_external::exec::ExchangeError;
 use peernet_external::python::PythonError;
 
 /// Largest number of names in a message.
-const LISTED: usize = 30;
+const MAX_LISTED: usize = 30;
 
 /// Reason that a model cannot be loaded.
 #[derive(Debug, thiserror::Error)]
@@ -295,9 +295,9 @@ fn listed(folders: &[PathBuf]) -> String {
 
 /// Lists the first names of a list. The list may be long, but an answer to a peer must not be.
 fn first(names: &[String]) -> String {
-    match names.get(..LISTED) {
-        Some(first) if names.len() > LISTED => {
-            format!("{} and {} more", first.join(", "), names.len() - LISTED)
+    match names.get(..MAX_LISTED) {
+        Some(first) if names.len() > MAX_LISTED => {
+            format!("{} and {} more", first.join(", "), names.len() - MAX_LISTED)
         }
         _ => names.join(", "),
     }

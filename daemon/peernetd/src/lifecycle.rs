@@ -31,14 +31,14 @@ pub(crate) struct LifecycleConfig {
 
 /// Error of a deadline that is longer than one day.
 #[derive(Debug, thiserror::Error)]
-#[error("{seconds} s is too long; at most {} s, a day", LifecycleConfig::LONGEST_S)]
+#[error("{seconds} s is too long; at most {} s, a day", LifecycleConfig::MAX_DEADLINE_S)]
 pub(crate) struct DeadlineError {
     seconds: u64,
 }
 
 impl LifecycleConfig {
     /// Longest permitted deadline, seconds: one day.
-    const LONGEST_S: u64 = 86_400;
+    const MAX_DEADLINE_S: u64 = 86_400;
 
     /// Checks the deadline.
     ///
@@ -46,7 +46,7 @@ impl LifecycleConfig {
     /// If it is longer than one day.
     pub(crate) fn check(&self) -> Result<(), DeadlineError> {
         match self.shutdown_deadline_s {
-            ..=Self::LONGEST_S => Ok(()),
+            ..=Self::MAX_DEADLINE_S => Ok(()),
             seconds => Err(DeadlineError { seconds }),
         }
     }

@@ -24,9 +24,9 @@ impl ResultFolder {
     /// Prepares the folder, or another one according to `overwrite`.
     ///
     /// # Errors
-    /// Those of [`Self::take`], and if results in the folder cannot be removed.
+    /// Those of [`Self::acquire`], and if results in the folder cannot be removed.
     pub fn create(dir: &Path, overwrite: Overwrite) -> Result<Self, FolderError> {
-        let folder = Self::take(dir, overwrite)?;
+        let folder = Self::acquire(dir, overwrite)?;
         if overwrite == Overwrite::Replace {
             super::preparation::clear(folder.path())?;
         }
@@ -39,8 +39,8 @@ impl ResultFolder {
     /// # Errors
     /// If another program writes to the folder, or if it contains files that may not be replaced, is not a folder or
     /// cannot be created.
-    pub fn take(dir: &Path, overwrite: Overwrite) -> Result<Self, FolderError> {
-        super::preparation::take(dir, overwrite).map(|(path, lock)| Self { path, _lock: Arc::new(lock) })
+    pub fn acquire(dir: &Path, overwrite: Overwrite) -> Result<Self, FolderError> {
+        super::preparation::acquire(dir, overwrite).map(|(path, lock)| Self { path, _lock: Arc::new(lock) })
     }
 
     /// Returns the names of the files that [`Overwrite::Replace`] removes from a folder, whether they exist or not.

@@ -31,7 +31,7 @@ const MAX_DEPTH: usize = 8;
 pub(crate) type LockedFolder = (PathBuf, File);
 
 /// Finds the folder that `overwrite` permits and locks it for this program; its contents are left unchanged.
-pub(crate) fn take(dir: &Path, overwrite: Overwrite) -> Result<LockedFolder, FolderError> {
+pub(crate) fn acquire(dir: &Path, overwrite: Overwrite) -> Result<LockedFolder, FolderError> {
     let failed = |path: &Path| {
         let path = path.to_owned();
         move |error: std::io::Error| FolderError::Make { path, reason: error.to_string() }

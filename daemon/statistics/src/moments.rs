@@ -25,7 +25,7 @@ pub struct Moments {
 
 impl Moments {
     /// Adds a number. The caller must leave out numbers that are not finite or too large
-    /// ([`Summary::takes`](crate::Summary::takes)).
+    /// ([`Summary::accepts`](crate::Summary::accepts)).
     #[inline]
     pub fn record(&mut self, value: f64) {
         if self.count == 0 {

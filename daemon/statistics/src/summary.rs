@@ -17,14 +17,14 @@ impl Summary {
     /// Returns whether a number counts: it must be finite, and small enough that squares can be added. Some drivers
     /// report the largest number for a missing reading.
     #[inline]
-    pub fn takes(value: f64) -> bool {
+    pub fn accepts(value: f64) -> bool {
         value.abs() <= LARGEST
     }
 
     /// Adds a number if it counts.
     #[inline]
     pub fn record(&mut self, value: f64) {
-        if Self::takes(value) {
+        if Self::accepts(value) {
             self.moments.record(value);
             self.sketch.record(value);
         }

@@ -96,7 +96,7 @@ impl Host {
     }
 
     /// Removes the limit of an interface's rate.
-    pub fn open_up(&self, interface: &str) {
+    pub fn remove_limit(&self, interface: &str) {
         self.run("tc", &["qdisc", "delete", "dev", interface, "root"]);
     }
 
@@ -107,7 +107,7 @@ impl Host {
     }
 
     /// Drops this percentage of all packets that arrive on the measured path.
-    pub fn lose(&self, percent: u32) {
+    pub fn drop_percent(&self, percent: u32) {
         let percent = percent.to_string();
         self.input(&["numgen", "random", "mod", "100", "<", &percent, "drop"]);
     }
@@ -132,7 +132,7 @@ impl Host {
     }
 
     /// Removes the rules that drop packets on the measured path.
-    pub fn let_in(&self) {
+    pub fn clear_rules(&self) {
         self.run("nft", &["delete", "table", "inet", "test"]);
     }
 

@@ -177,7 +177,7 @@ impl Network {
         ip(&["netns", "add", &third.namespace]);
         ip(&["-n", &third.namespace, "link", "set", "lo", "up"]);
         third.run("sysctl", &["-qw", "net.ipv4.tcp_congestion_control=reno"]);
-        network.lead_home(&third, "t");
+        network.connect_home(&third, "t");
         let (router, gateway) = (network.router(), network.slot.address(49));
         veth(router, "third", &third, DATA);
         router.set_up("third", gateway, 30);
@@ -203,7 +203,7 @@ impl Network {
         ip(&["netns", "add", &third.namespace]);
         ip(&["-n", &third.namespace, "link", "set", "lo", "up"]);
         veth(&self.cloud, "third", &third, DATA);
-        self.cloud.set_up("third", self.third_faces(), 30);
+        self.cloud.set_up("third", self.cloud_address_for_third_host(), 30);
         third.set_up(DATA, third.address, 30);
         self.third = Some(third);
         self
@@ -218,7 +218,7 @@ impl Network {
     }
 
     /// Returns the address at which the third host reaches the cloud.
-    pub const fn third_faces(&self) -> Ipv4Addr {
+    pub const fn cloud_address_for_third_host(&self) -> Ipv4Addr {
         self.slot.address(97)
     }
 
@@ -242,13 +242,13 @@ impl Network {
             wire: None,
             slot,
         };
-        network.lead_home(&network.edge, "e");
-        network.lead_home(&network.cloud, "c");
+        network.connect_home(&network.edge, "e");
+        network.connect_home(&network.cloud, "c");
         network
     }
 
     /// Creates a host's interface to the namespace of the tests.
-    fn lead_home(&self, host: &Host, role: &str) {
+    fn connect_home(&self, host: &Host, role: &str) {
         let outside = self.slot.interface(role);
         ip(&["link", "add", &outside, "type", "veth", "peer", "name", HOME, "netns", &host.namespace]);
         ip(&["address", "add", &format!("{}/30", host.home), "dev", &outside]);
@@ -277,7 +277,7 @@ impl Network {
 
 impl Drop for Network {
     fn drop(&mut self) {
-        self.slot.sweep();
+        self.slot.remove_remains();
     }
 }
 

@@ -30,7 +30,7 @@ impl Slot {
             match lock.try_lock() {
                 Ok(()) => {
                     let slot = Self { number, _lock: lock };
-                    slot.sweep();
+                    slot.remove_remains();
                     return slot;
                 }
                 Err(TryLockError::WouldBlock) => {}
@@ -62,7 +62,7 @@ impl Slot {
     }
 
     /// Ends all processes in the namespaces of this number and removes the namespaces and their interfaces.
-    pub(super) fn sweep(&self) {
+    pub(super) fn remove_remains(&self) {
         for role in ["e", "c", "t"] {
             // The interface need not exist.
             let _ = attempt("ip", &["link", "delete", &self.interface(role)]);

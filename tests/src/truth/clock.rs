@@ -50,7 +50,7 @@ impl HostClock {
 
     /// Creates the clocks from the faults that a host reports, in the API's form; returns `None` for anything else.
     /// `raw_at` converts a time of the kernel's wall clock to its free-running clock.
-    pub fn told(rehearsal: &Value, raw_at: impl FnOnce(WallTime) -> RawTime) -> Option<Self> {
+    pub fn from_report(rehearsal: &Value, raw_at: impl FnOnce(WallTime) -> RawTime) -> Option<Self> {
         let span = |value: &Value| value.as_f64().map(Span::from_seconds_f64);
         let since = DateTime::parse_from_rfc3339(rehearsal["since"].as_str()?).ok()?;
         let since = WallTime::from_unix_nanos(since.timestamp_nanos_opt()?);
@@ -67,7 +67,7 @@ impl HostClock {
     }
 
     /// Creates the kernel's clocks.
-    pub fn kernels() -> Self {
+    pub fn of_kernel() -> Self {
         Self::ahead_by(&[Span::ZERO])
     }
 
@@ -165,7 +165,7 @@ mod tests {
             assert!((found - truth).abs() <= Span::from_nanos(1), "{found:?} {truth:?}");
             assert_eq!(truth + clock.ahead(truth), rehearsal.shown(truth));
         }
-        assert_eq!(HostClock::kernels().truth(since), since);
+        assert_eq!(HostClock::of_kernel().truth(since), since);
         let mut back = rehearsal.clone();
         back.steps[0].by = Span::from_seconds(-3);
         let clock_set_back = HostClock::new(back.clone(), raw_since);
@@ -176,7 +176,7 @@ mod tests {
             "offset_s": -1.0, "drift_ppm": 100.0, "since": "2023-11-14T22:13:20.000000000Z",
             "steps": [{ "at_s": 20.0, "by_s": 3.0 }],
         });
-        let told = HostClock::told(&told, |_| raw_since).expect("the API's form");
+        let told = HostClock::from_report(&told, |_| raw_since).expect("the API's form");
         let later = since + Span::from_seconds(30);
         assert_eq!(told.truth(rehearsal.shown(later)), clock.truth(rehearsal.shown(later)));
         let mut jumped = rehearsal.clone();

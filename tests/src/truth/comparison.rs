@@ -164,8 +164,8 @@ mod tests {
             one(2, delay(110, 100, 200), delay(96, 100, 200)),
             one(3, unknown, delay(203, 100, 200)),
         ];
-        let kernels = HostClock::kernels();
-        let (up, down) = compare(&iterations, &kernels, &kernels);
+        let of_kernel = HostClock::of_kernel();
+        let (up, down) = compare(&iterations, &of_kernel, &of_kernel);
         assert_eq!((up.compared, up.without_value.len(), up.outside.len()), (2, 1, 0));
         assert_eq!((up.mean_error(), up.error(1.0)), (Span::from_nanos(20), Span::from_nanos(40)));
         assert_eq!((down.compared, down.outside.len()), (3, 2));

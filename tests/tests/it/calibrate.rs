@@ -139,7 +139,7 @@ fn calibration_is_right_despite_clock_errors() {
     }
     let samples = std::fs::read_to_string(folder.join("samples.csv")).expect("it was written");
     assert_eq!(samples.lines().count(), 311);
-    every_delay_lies_within_its_bounds(&samples);
+    assert_delays_within_bounds(&samples);
 
     let again = hosts.calibrate(&sweep);
     assert_eq!(again.code(), 64, "{}", again.log);
@@ -147,7 +147,7 @@ fn calibration_is_right_despite_clock_errors() {
 }
 
 /// Checks every answered iteration, warm-up included: the raw delay without the injected second is the truth.
-fn every_delay_lies_within_its_bounds(samples: &str) {
+fn assert_delays_within_bounds(samples: &str) {
     let mut rows = samples.lines().map(|line| line.split(',').collect::<Vec<_>>());
     let header = rows.next().expect("there is a header");
     let outcome = header.iter().position(|column| *column == "outcome").expect("the column is there");
@@ -274,7 +274,7 @@ fn peer_with_new_clock_ends_the_calibration() {
     assert!((offset - 1.0).abs() < 1e-3, "the clock of the study is 1 s ahead, not {offset} s");
     let samples =
         std::fs::read_to_string(hosts.deployment.folder().join("results/samples.csv")).expect("written");
-    every_delay_lies_within_its_bounds(&samples);
+    assert_delays_within_bounds(&samples);
 }
 
 #[test]

@@ -72,7 +72,7 @@ fn offloaded_picture_is_stored_with_all_stages() {
         assert_eq!(stage["count"], 40, "{stage}");
         assert!(number(&stage, "min") >= 0.0, "{stage}");
     }
-    api.stages_are_the_total(run, &STAGES);
+    api.assert_stages_sum_to_total(run, &STAGES);
 
     // One tree contains the nodes of both hosts.
     let iteration = api.json(&format!("/api/v1/runs/{run}/iterations/10"));

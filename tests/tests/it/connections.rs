@@ -91,7 +91,7 @@ fn page_api_and_metrics_show_connection() {
 #[test]
 fn lossy_link_shows_retransmissions() {
     let testbed = TwoHostTestbed::new(|_| Network::direct());
-    testbed.network.cloud().lose(10);
+    testbed.network.cloud().drop_percent(10);
     let _cloud = testbed.cloud("");
     let load = "load = { mode = \"rate\", hz = 20.0 }";
     let _edge = testbed.edge(&testbed.pipeline("offload", 100_000, load), &[]);

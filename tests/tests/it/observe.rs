@@ -87,7 +87,7 @@ fn chain_latencies_are_right_within_a_millisecond() {
     let (_, whole) = finished(&api, 1).remove(0);
     // A median of the API is within 1 % of the true one.
     assert!(median(&api, whole, "total") >= sum * 0.99);
-    api.stages_are_the_total(whole, &["inference"]);
+    api.assert_stages_sum_to_total(whole, &["inference"]);
 
     // Rate and jitter of both topics, the age since the stamp, and the hosts of the publishers.
     for topic in ["input", "output"] {

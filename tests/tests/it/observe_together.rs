@@ -106,7 +106,13 @@ impl RosOverWire {
 
     /// Compares stored delays with the truth and with the delays of the wire, and the node's share with its own
     /// measurement. `clocks` are the edge's and the cloud's.
-    fn hold(&self, what: &str, run: i64, iterations: &[Iteration], clocks: [&HostClock; 2]) {
+    fn assert_delays_contain_truth(
+        &self,
+        what: &str,
+        run: i64,
+        iterations: &[Iteration],
+        clocks: [&HostClock; 2],
+    ) {
         let (up, down) = compare(iterations, clocks[0], clocks[1]);
         for (direction, comparison) in [("upload", &up), ("download", &down)] {
             say(&format!("{what}, {direction}: {}", comparison.in_words()));
@@ -131,7 +137,7 @@ impl RosOverWire {
     }
 }
 
-/// Keys of a run that [`RosOverWire::hold`] examines.
+/// Keys of a run that [`RosOverWire::assert_delays_contain_truth`] examines.
 const KEYS: &str = "warm_up = { iterations = 20 }\nlimit = { iterations = 300 }";
 
 #[test]
@@ -147,7 +153,12 @@ fn observed_delays_contain_truth_despite_clock_errors() {
     let agent = scene.edge(&(wrong(-3_000.0, -20.0) + &robot(&testbed.peer(), KEYS)));
     let clocks = (testbed.clock_of("edge"), testbed.clock_of("cloud"));
     let (run, detail) = finished(&testbed.api);
-    scene.hold("observed together", run, &testbed.iterations(), [&clocks.0, &clocks.1]);
+    scene.assert_delays_contain_truth(
+        "observed together",
+        run,
+        &testbed.iterations(),
+        [&clocks.0, &clocks.1],
+    );
 
     // Exchanges after the run narrow these delays as well.
     let recomputed = testbed.api.json(&format!("/api/v1/runs/{run}/recomputed"));
@@ -180,7 +191,12 @@ fn equal_sequence_numbers_keep_delays_true() {
     let agent = scene.edge(&by_sequence(robot(&testbed.peer(), KEYS)));
     let cloud = testbed.clock_of("cloud");
     let (run, detail) = finished(&testbed.api);
-    scene.hold("observed together by sequence", run, &testbed.iterations(), [&HostClock::kernels(), &cloud]);
+    scene.assert_delays_contain_truth(
+        "observed together by sequence",
+        run,
+        &testbed.iterations(),
+        [&HostClock::of_kernel(), &cloud],
+    );
     assert_eq!(detail["counts"]["lost"], 0, "{detail}");
     assert!(detail["facts"].to_string().contains("sequence number"), "{detail}");
     // The answer is as old as its way back, and its input message as old as the whole iteration: the two stamps

@@ -35,12 +35,12 @@ impl Results {
     pub(super) fn begin(order: &Order) -> Result<Self, Failure> {
         // The lock says that no run is under way there; nothing is touched by it.
         if Aside::is_left(&order.folder)
-            && let Ok(folder) = ResultFolder::take(&order.folder, Overwrite::Replace)
+            && let Ok(folder) = ResultFolder::acquire(&order.folder, Overwrite::Replace)
         {
             Aside::recover(folder.path())?;
         }
         let was_there = order.folder.exists();
-        let folder = ResultFolder::take(&order.folder, order.overwrite).map_err(failure)?;
+        let folder = ResultFolder::acquire(&order.folder, order.overwrite).map_err(failure)?;
         let replaces = was_there && order.overwrite == Overwrite::Replace;
         let earlier = replaces.then(|| Aside::put(folder.path())).transpose()?;
         let made = !was_there || folder.path() != order.folder;

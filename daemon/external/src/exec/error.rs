@@ -120,14 +120,14 @@ pub enum ExchangeError {
     UnsolicitedOutput(String),
     /// The program did not reply before its timeout.
     #[error(
-        "it gave no whole reply within {after:?}{last_words}; it is killed and started anew (timeout_ms sets how long it \
+        "it gave no whole reply within {after:?}{stderr_suffix}; it is killed and started anew (timeout_ms sets how long it \
          may take)"
     )]
     TooSlow {
         /// The timeout.
         after: Duration,
         /// The last lines of its standard error as a suffix for a message; may be empty.
-        last_words: String,
+        stderr_suffix: String,
     },
     /// The program failed several times in a row and is not restarted yet.
     #[error("it failed again and again; it is started anew in {left:.1?}; the last time {last}")]

@@ -123,7 +123,7 @@ impl Program {
                 let error = match error {
                     ExchangeError::Process(ProcessError::TimedOut) => ExchangeError::TooSlow {
                         after: self.timeout.to_duration(),
-                        last_words: process.kill().last_words(),
+                        stderr_suffix: process.kill().stderr_suffix(),
                     },
                     error => {
                         drop(process);

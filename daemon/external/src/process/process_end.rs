@@ -76,7 +76,7 @@ impl ProcessEnd {
     }
 
     /// Returns the last lines of its standard error as a suffix for a message; empty if there are none.
-    pub fn last_words(&self) -> String {
+    pub fn stderr_suffix(&self) -> String {
         match self.last_lines.as_slice() {
             [] => String::new(),
             lines => format!("; its last words: {}", lines.join(" / ")),
@@ -92,7 +92,7 @@ impl fmt::Display for ProcessEnd {
             Some(fault) => write!(f, "{fault} and ended with {}", self.in_words())?,
             None => write!(f, "ended with {}", self.in_words())?,
         }
-        f.write_str(&self.last_words())
+        f.write_str(&self.stderr_suffix())
     }
 }
 

@@ -27,7 +27,7 @@ pub enum StderrLog {
 }
 
 impl StderrLog {
-    fn say(self, name: &str, line: &str) {
+    fn log_line(self, name: &str, line: &str) {
         match self {
             Self::Python => tracing::info!(target: "peernet_external::python", name, "{line}"),
             Self::Exec => tracing::info!(target: "peernet_external::exec", name, "{line}"),
@@ -50,9 +50,9 @@ impl StderrReader {
         thread::Builder::new().name("stderr".to_owned()).spawn(move || {
             // Dropping the sender reports that the standard error is closed.
             let _end = end;
-            listen(stderr, |line| {
-                stderr_log.say(&name, line);
-                remember(&keep, line);
+            read_lines(stderr, |line| {
+                stderr_log.log_line(&name, line);
+                keep_line(&keep, line);
             });
         })?;
         Ok(Self { last, over })
@@ -65,7 +65,7 @@ impl StderrReader {
     }
 }
 
-fn remember(last: &Mutex<VecDeque<String>>, line: &str) {
+fn keep_line(last: &Mutex<VecDeque<String>>, line: &str) {
     let mut last = last.lock().unwrap_or_else(PoisonError::into_inner);
     if last.len() == KEPT_LINES {
         last.pop_front();
@@ -73,14 +73,14 @@ fn remember(last: &Mutex<VecDeque<String>>, line: &str) {
     last.push_back(printable_lines(&line[..line.floor_char_boundary(KEPT_BYTES)]).into_owned());
 }
 
-/// Calls `say` with each line that is not blank.
-fn listen(mut from: impl Read, mut say: impl FnMut(&str)) {
+/// Calls `log_line` with each line that is not blank.
+fn read_lines(mut from: impl Read, mut log_line: impl FnMut(&str)) {
     let (mut line, mut chunk) = (Vec::new(), [0; MAX_LINE]);
     let mut tell = |line: &mut Vec<u8>| {
         let text = String::from_utf8_lossy(line);
         let text = text.trim_end();
         if !text.is_empty() {
-            say(text);
+            log_line(text);
         }
         line.clear();
     };
@@ -111,7 +111,7 @@ mod tests {
     fn lines_are_logged_separately_long_ones_cut() {
         let mut said = Vec::new();
         let text = format!("one\r\n\n{}\nlast", "x".repeat(MAX_LINE + 3));
-        listen(text.as_bytes(), |line| said.push(line.to_owned()));
+        read_lines(text.as_bytes(), |line| said.push(line.to_owned()));
         assert_eq!(said, ["one", &"x".repeat(MAX_LINE), "xxx", "last"]);
     }
 
@@ -119,7 +119,7 @@ mod tests {
     fn the_last_lines_are_kept_and_bounded() {
         let last = Mutex::new(VecDeque::new());
         for number in 0..100 {
-            remember(&last, &format!("{number} {}", "ä".repeat(KEPT_BYTES)));
+            keep_line(&last, &format!("{number} {}", "ä".repeat(KEPT_BYTES)));
         }
         let last = last.into_inner().expect("not poisoned");
         assert_eq!(last.len(), KEPT_LINES);

@@ -74,7 +74,7 @@ pub enum PythonError {
     },
     /// The call exceeded its timeout, and the process was killed.
     #[error(
-        "{object} did not answer within {} s and was killed{last_words}; it is started anew; raise timeout_ms when it \
+        "{object} did not answer within {} s and was killed{stderr_suffix}; it is started anew; raise timeout_ms when it \
          needs longer", .after.seconds()
     )]
     TooSlow {
@@ -83,7 +83,7 @@ pub enum PythonError {
         /// The timeout.
         after: Span,
         /// The last lines that it printed, as a suffix for a message; may be empty.
-        last_words: String,
+        stderr_suffix: String,
     },
     /// The process died repeatedly and is not restarted yet.
     #[error("{object} is started anew in {:.1} s, because it keeps dying: {last}", .left.seconds())]

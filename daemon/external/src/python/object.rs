@@ -15,7 +15,7 @@ use crate::digest;
 use crate::process::{Launch, ProcessError, RestartBackoff};
 
 /// Time that a process has to end after it is no longer needed.
-const GRACE: Span = Span::from_millis(1000);
+const STOP_TIMEOUT: Span = Span::from_millis(1000);
 
 /// Role of an object in a pipeline.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
@@ -233,9 +233,9 @@ impl PythonObject {
             Ok((Reply::Raised { text, .. } | Reply::Refused { text, .. }, _)) => Err(self.start_error(text)),
             Ok(_) => Err(self.start_error("it answers before it was asked".to_owned())),
             Err(WorkerError::Process(ProcessError::TimedOut)) => {
-                let (allowed, last_words) = (allowed.seconds(), worker.kill().last_words());
+                let (allowed, stderr_suffix) = (allowed.seconds(), worker.kill().stderr_suffix());
                 Err(self.start_error(format!(
-                    "it was not ready within {allowed} s and was killed{last_words}; raise start_timeout_ms when it needs \
+                    "it was not ready within {allowed} s and was killed{stderr_suffix}; raise start_timeout_ms when it needs \
                      longer"
                 )))
             }
@@ -256,7 +256,7 @@ impl PythonObject {
             WorkerError::Process(ProcessError::TimedOut) => PythonError::TooSlow {
                 object,
                 after: milliseconds(self.config.timeout_ms.get()),
-                last_words: worker.kill().last_words(),
+                stderr_suffix: worker.kill().stderr_suffix(),
             },
             WorkerError::Process(error) => PythonError::Process(error),
             WorkerError::InvalidMessage(source) => self.invalid_message(source),
@@ -272,7 +272,7 @@ impl PythonObject {
 impl Drop for PythonObject {
     fn drop(&mut self) {
         if let Some(worker) = self.worker.take() {
-            let ended = worker.end(GRACE);
+            let ended = worker.end(STOP_TIMEOUT);
             if !ended.ended_as_requested() {
                 tracing::warn!(name = self.launch.name, "at its end, {ended}");
             }

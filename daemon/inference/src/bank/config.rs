@@ -50,7 +50,7 @@ impl Default for BankConfig {
 
 impl BankConfig {
     /// Largest permitted value of `most_loaded`.
-    pub(super) const MOST_LOADED: usize = 64;
+    pub(super) const MAX_LOADED: usize = 64;
 
     /// Returns the configuration of a model in the folders, as a `[[model]]` table would have it.
     pub fn model(&self, name: &Slug, folder: &Path, device: &str) -> ModelConfig {

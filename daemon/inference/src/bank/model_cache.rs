@@ -55,7 +55,7 @@ impl ModelCache {
         let (entry, unloaded) = {
             let mut entries = self.lock();
             let unloaded = make_room(&mut entries, name, device, &stamp, self.config.most_loaded.get())?;
-            let kept = entries.iter().position(|entry| is(entry, name, device));
+            let kept = entries.iter().position(|entry| is_entry(entry, name, device));
             let entry = match kept {
                 Some(at) => entries.remove(at),
                 None => CacheEntry::new(self.config.model(name, &found.folder, device), Some(stamp)),
@@ -86,7 +86,7 @@ impl ModelCache {
     /// Checks the folders and limits; returns each error with its key.
     pub(super) fn check(&self) -> Vec<(&'static str, LoadError)> {
         let mut errors: Vec<_> = self.folders.check().into_iter().map(|error| ("folders", error)).collect();
-        let (value, most) = (self.config.most_loaded.get(), BankConfig::MOST_LOADED);
+        let (value, most) = (self.config.most_loaded.get(), BankConfig::MAX_LOADED);
         if value > most {
             let (value, most) = (value as u64, most as u64);
             errors.push(("most_loaded", LoadError::TooMuch { key: "most_loaded", value, most }));
@@ -110,7 +110,7 @@ impl ModelCache {
     }
 }
 
-fn is(entry: &CacheEntry, name: &Slug, device: &str) -> bool {
+fn is_entry(entry: &CacheEntry, name: &Slug, device: &str) -> bool {
     entry.config.name() == name && entry.config.device() == device
 }
 
@@ -124,7 +124,7 @@ fn make_room(
 ) -> Result<Vec<Arc<CacheEntry>>, LoadError> {
     // While the lock is held, no caller can get hold of an entry that only the list holds.
     let idle = |entry: &Arc<CacheEntry>| Arc::strong_count(entry) == 1 && entry.is_idle();
-    if let Some(at) = entries.iter().position(|entry| is(entry, name, device)) {
+    if let Some(at) = entries.iter().position(|entry| is_entry(entry, name, device)) {
         if entries[at].stamp.as_ref() == Some(stamp) {
             return Ok(Vec::new());
         }

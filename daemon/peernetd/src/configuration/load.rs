@@ -24,7 +24,7 @@ use crate::lifecycle::LifecycleConfig;
 use crate::log::LogConfig;
 
 /// Largest size of a configuration file, bytes.
-const LARGEST_FILE: u64 = 4 << 20;
+const MAX_FILE_BYTES: u64 = 4 << 20;
 
 /// Tables that belong into another table, and the hint for them.
 const MISPLACED: [(&str, &str); 1] = [("retention", "did you mean [aggregator.retention]?")];
@@ -109,7 +109,7 @@ impl fmt::Display for Problem {
 /// # Errors
 /// All problems; several only if the file could be read.
 pub(crate) fn load(path: &Path) -> Result<Configuration, Vec<Problem>> {
-    let text = small_file::read(path, LARGEST_FILE).map_err(|error| vec![unreadable(path, &error)])?;
+    let text = small_file::read(path, MAX_FILE_BYTES).map_err(|error| vec![unreadable(path, &error)])?;
     let locator = Locator::new(&text);
     let problem = |(key, text): (String, String)| Problem {
         file: path.to_owned(),
@@ -143,7 +143,7 @@ pub(crate) fn load(path: &Path) -> Result<Configuration, Vec<Problem>> {
 /// # Errors
 /// If it cannot be read or parsed.
 pub(super) fn read_unchecked(path: &Path) -> Result<Configuration, Vec<Problem>> {
-    let text = small_file::read(path, LARGEST_FILE).map_err(|error| vec![unreadable(path, &error)])?;
+    let text = small_file::read(path, MAX_FILE_BYTES).map_err(|error| vec![unreadable(path, &error)])?;
     let unread = |mistake| vec![unread(path, mistake, &Locator::new(&text))];
     mistakes::read::<File>(&text, &ARRAYS).map(Configuration::from).map_err(unread)
 }

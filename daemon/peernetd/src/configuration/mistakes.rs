@@ -11,7 +11,7 @@ use toml::Spanned;
 use toml::de::{DeArray, DeTable, DeValue, Deserializer, Error};
 
 /// Largest number of mistakes that are reported for one file.
-const MOST_MISTAKES: usize = 100;
+const MAX_MISTAKES: usize = 100;
 /// Beginning of serde's message about a missing key.
 const MISSING: &str = "missing field";
 
@@ -156,7 +156,7 @@ impl<'a> Part<'a> {
     ) -> Option<Spanned<DeTable<'a>>> {
         let mut document = self.document.clone();
         let mut removed = Vec::new();
-        while mistakes.len() < MOST_MISTAKES {
+        while mistakes.len() < MAX_MISTAKES {
             let read = serde_path_to_error::deserialize::<_, T>(Deserializer::from(document.clone()));
             let Err(error) = read else {
                 // Nothing remains if a key was removed that is required at the top of this part.
@@ -173,7 +173,7 @@ impl<'a> Part<'a> {
                 }
                 return None;
             }
-            if mistakes.len() + 1 == MOST_MISTAKES {
+            if mistakes.len() + 1 == MAX_MISTAKES {
                 let error = Error::custom(
                     "there may be more mistakes, which are not listed; correct those above first",
                 );
@@ -392,8 +392,8 @@ mod tests {
     fn list_of_too_many_mistakes_says_that_it_is_not_whole() {
         let keys: String = (0..200).map(|key| format!("k{key} = 1\n")).collect();
         let (told, _) = found(&format!("[first]\n{keys}"));
-        assert_eq!(told.len(), MOST_MISTAKES);
-        assert!(told[MOST_MISTAKES - 1].contains("more mistakes"), "{told:#?}");
+        assert_eq!(told.len(), MAX_MISTAKES);
+        assert!(told[MAX_MISTAKES - 1].contains("more mistakes"), "{told:#?}");
     }
 
     #[test]

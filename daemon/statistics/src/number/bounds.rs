@@ -5,12 +5,16 @@ use super::milliseconds::own_decimals;
 use super::{EXACT, SPACE, between, decimals, fixed, measured, milliseconds, signed};
 
 /// Number of decimals for a resolution of a microsecond.
-const MOST: usize = 3;
+const MAX_DECIMALS: usize = 3;
 
 /// Returns the number of decimals for a value with a known bound: up to the bound's second digit. An exact value has
 /// the decimals of its size.
 fn decimals_within(seconds: f64, half_width: f64) -> usize {
-    if half_width > 0.0 { decimals(half_width * 1e3, 2).min(MOST) } else { own_decimals(seconds * 1e3) }
+    if half_width > 0.0 {
+        decimals(half_width * 1e3, 2).min(MAX_DECIMALS)
+    } else {
+        own_decimals(seconds * 1e3)
+    }
 }
 
 /// Formats the largest error of a value: `±0.65`, `±0.006`, or `exact` for zero.
@@ -18,7 +22,7 @@ pub fn bound_ms(half_width: f64) -> String {
     if half_width == 0.0 {
         return EXACT.to_owned();
     }
-    format!("±{}", measured(half_width * 1e3, decimals(half_width * 1e3, 2).min(MOST)))
+    format!("±{}", measured(half_width * 1e3, decimals(half_width * 1e3, 2).min(MAX_DECIMALS)))
 }
 
 /// Formats the largest error of a value with its unit: `±0.65 ms`, `exact`.

@@ -4,7 +4,7 @@ use super::milliseconds::own_decimals;
 use super::{between, decimals, fixed, has_digit, plus};
 
 /// Largest number of decimals of an estimate: a picosecond.
-const FINEST: usize = 9;
+const MAX_DECIMALS: usize = 9;
 
 /// Estimate with its interval. Both end with the second significant digit of the interval's half width. Unlike a
 /// bound from clocks, an interval may be arbitrarily narrow.
@@ -22,7 +22,7 @@ impl Estimate {
         let [value, lo, hi] = [seconds, lo, hi].map(|seconds| seconds * 1e3);
         let half_width = (hi - lo) / 2.0;
         let decimals =
-            if half_width > 0.0 { decimals(half_width, 2).min(FINEST) } else { own_decimals(value) };
+            if half_width > 0.0 { decimals(half_width, 2).min(MAX_DECIMALS) } else { own_decimals(value) };
         Self { value, interval: (lo, hi), decimals }
     }
 

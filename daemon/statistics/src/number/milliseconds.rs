@@ -3,7 +3,7 @@
 use super::{Quantity, between, decimals, figure, fixed, measured, signed};
 
 /// Largest number of decimals of a value in ms: a nanosecond.
-const MOST: usize = 6;
+const MAX_DECIMALS: usize = 6;
 /// Number of decimals for a resolution of a tenth of a microsecond.
 const TENTH_OF_MICROSECOND: usize = 4;
 /// Durations below this number of ms are shorter than a clock can distinguish from zero.
@@ -13,13 +13,13 @@ const NOTHING: f64 = 1e-6;
 const SHORT: f64 = 0.099_95;
 
 /// Smallest number of decimals in a column of values with a bound or deviation.
-const LEAST_IN_COLUMN: usize = 2;
+const MIN_COLUMN_DECIMALS: usize = 2;
 /// Largest number of decimals in such a column.
-const MOST_IN_COLUMN: usize = 3;
+const MAX_COLUMN_DECIMALS: usize = 3;
 
 /// Returns the number of decimals of a value in ms without an interval: three significant digits, to the nanosecond.
 pub(super) fn own_decimals(ms: f64) -> usize {
-    if ms.abs() < NOTHING { 2 } else { decimals(ms, 3).min(MOST) }
+    if ms.abs() < NOTHING { 2 } else { decimals(ms, 3).min(MAX_DECIMALS) }
 }
 
 /// Formats seconds in ms with three significant digits: `0.126`, `6.31`, `16.1`, `141`.
@@ -92,10 +92,10 @@ pub fn range_ms((lo, hi): (f64, f64)) -> String {
 /// has its second digit there. All values of a stage have the same number, so that they can be compared.
 pub fn column_decimals(half_width: Option<f64>) -> usize {
     match half_width {
-        None => LEAST_IN_COLUMN,
+        None => MIN_COLUMN_DECIMALS,
         // Exact values are shown as precisely as they are measured.
-        Some(0.0) => MOST_IN_COLUMN,
-        Some(half_width) => decimals(half_width * 1e3, 2).clamp(LEAST_IN_COLUMN, MOST_IN_COLUMN),
+        Some(0.0) => MAX_COLUMN_DECIMALS,
+        Some(half_width) => decimals(half_width * 1e3, 2).clamp(MIN_COLUMN_DECIMALS, MAX_COLUMN_DECIMALS),
     }
 }
 
@@ -108,5 +108,5 @@ pub fn trip_ms(seconds: f64) -> String {
 
 /// Formats an error in seconds, in ms with two significant digits.
 pub fn error_ms(seconds: f64) -> String {
-    fixed(seconds * 1e3, decimals(seconds * 1e3, 2).min(MOST))
+    fixed(seconds * 1e3, decimals(seconds * 1e3, 2).min(MAX_DECIMALS))
 }

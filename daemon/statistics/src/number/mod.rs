@@ -38,7 +38,7 @@ const HUGE: f64 = 1e12;
 /// Below this magnitude a number is written with its power of ten, if it has enough decimals to differ from zero.
 const TINY: f64 = 1e-12;
 /// Largest number of decimals that is meaningful.
-const MOST_DIGITS: usize = 17;
+const MAX_DIGITS: usize = 17;
 
 /// Formats a number with a fixed number of decimals: with a true minus sign, commas between thousands, and no signed
 /// zero.
@@ -49,9 +49,9 @@ pub fn fixed(value: f64, decimals: usize) -> String {
     if !value.is_finite() {
         return NONE.to_owned();
     }
-    let decimals = decimals.min(MOST_DIGITS);
+    let decimals = decimals.min(MAX_DIGITS);
     let size = value.abs();
-    let is_tiny = value != 0.0 && size < TINY && decimals == MOST_DIGITS;
+    let is_tiny = value != 0.0 && size < TINY && decimals == MAX_DIGITS;
     if size >= HUGE || is_tiny {
         let sign = if value < 0.0 { MINUS } else { "" };
         return format!("{sign}{size:.3e}");

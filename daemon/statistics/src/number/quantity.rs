@@ -5,7 +5,7 @@ use std::fmt;
 use super::{SPACE, decimals, fixed, measured, significant};
 
 /// Largest number of decimals of a throughput in MB/s: a byte per second.
-const MOST: usize = 6;
+const MAX_DECIMALS: usize = 6;
 
 /// Number and unit, kept apart because a page formats them differently.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -62,13 +62,13 @@ pub fn rate(hz: f64) -> String {
 /// Formats bits per second in MB/s with three significant digits: `0.00625`, `0.690`, `106`.
 pub fn throughput(bits_per_second: f64) -> String {
     let value = bits_per_second / 8e6;
-    if value == 0.0 { "0".to_owned() } else { fixed(value, decimals(value, 3).min(MOST)) }
+    if value == 0.0 { "0".to_owned() } else { fixed(value, decimals(value, 3).min(MAX_DECIMALS)) }
 }
 
 /// Formats bits per second with their margin in MB/s, to the margin's second digit: `943 ± 14`.
 pub fn throughput_with(bits_per_second: f64, margin: f64) -> String {
     let [rate, margin] = [bits_per_second, margin].map(|bits| bits / 8e6);
-    let decimals = if margin > 0.0 { decimals(margin, 2) } else { decimals(rate, 3) }.min(MOST);
+    let decimals = if margin > 0.0 { decimals(margin, 2) } else { decimals(rate, 3) }.min(MAX_DECIMALS);
     format!("{} ± {}", fixed(rate, decimals), fixed(margin, decimals))
 }
 
@@ -79,7 +79,7 @@ pub fn throughput_between((lo, hi): (f64, Option<f64>)) -> String {
     if lo == hi {
         return throughput(lo);
     }
-    let decimals = decimals((hi - lo) / 2.0 / 8e6, 2).min(MOST);
+    let decimals = decimals((hi - lo) / 2.0 / 8e6, 2).min(MAX_DECIMALS);
     super::between([lo, hi].map(|end| fixed(end / 8e6, decimals)))
 }
 

@@ -4,7 +4,7 @@ use peernet_clock::Span;
 use peernet_tests::truth::{HostClock, Iteration};
 use peernet_tests::{ClockShim, Network, TwoHostTestbed, until};
 
-use super::hold_to_the_truth;
+use super::assert_contains_truth;
 
 /// Returns the addresses of the peers that are connected to the cloud's port.
 fn peers(testbed: &TwoHostTestbed) -> Vec<String> {
@@ -44,7 +44,7 @@ fn edges_behind_one_address_have_separate_clock_relations() {
         let own: Vec<Iteration> =
             iterations.iter().filter(|iteration| iteration.run == number).cloned().collect();
         let what = format!("{host} behind one address");
-        let (up, down) = hold_to_the_truth(&what, &own, &clock, &HostClock::kernels());
+        let (up, down) = assert_contains_truth(&what, &own, &clock, &HostClock::of_kernel());
         assert_eq!((up.compared, down.compared), (705, 705), "{what}");
         let probes = format!(
             "SELECT sum(probes_answered) > 20 FROM clock_sample JOIN link ON link.id = clock_sample.link \

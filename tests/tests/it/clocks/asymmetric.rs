@@ -8,7 +8,7 @@ use peernet_tests::TwoHostTestbed;
 use peernet_tests::network::{Network, WireProperties};
 use peernet_tests::truth::{Delay, HostClock, Iteration};
 
-use super::{WARM_UP, hold_to_the_truth, rehearsal, say};
+use super::{WARM_UP, assert_contains_truth, rehearsal, say};
 
 fn wire(folder: &Path) -> Network {
     let way = |delay_ms| WireProperties { delay_ms, jitter_ms: 5, loss_percent: 2 };
@@ -44,7 +44,7 @@ fn run(discipline: &str) -> Outcome {
 
 /// Checks the verdict of a delay: `ok` if its interval is no wider than half of it, else `limited`. After a suspected
 /// jump, which jitter causes now and then, a narrow one is `limited` as well until the window is full again.
-fn as_good_as_it_says(delay: &Delay, is_jump_suspected: bool) {
+fn assert_verdict_matches_bounds(delay: &Delay, is_jump_suspected: bool) {
     let (value, (lo, hi)) = (delay.value.expect("a value"), delay.bounds.expect("bounds"));
     let is_wide = (hi - lo).nanos() * 2 > value.nanos();
     let may_be = match (is_wide, is_jump_suspected) {
@@ -58,7 +58,7 @@ fn as_good_as_it_says(delay: &Delay, is_jump_suspected: bool) {
 #[test]
 fn smallest_round_trip_bounds_delays() {
     let Outcome { iterations, edge, cloud, is_jump_suspected } = run("none");
-    let (up, down) = hold_to_the_truth("40 ms up, 5 ms down, no discipline", &iterations, &edge, &cloud);
+    let (up, down) = assert_contains_truth("40 ms up, 5 ms down, no discipline", &iterations, &edge, &cloud);
     let smallest = iterations.iter().map(|iteration| {
         let there_and_back = edge.truth(iteration.down.received) - edge.truth(iteration.up.sent);
         there_and_back - (cloud.truth(iteration.down.sent) - cloud.truth(iteration.up.received))
@@ -71,8 +71,8 @@ fn smallest_round_trip_bounds_delays() {
     }
     let settled = iterations.iter().filter(|iteration| iteration.number > WARM_UP);
     for iteration in settled {
-        as_good_as_it_says(&iteration.up, is_jump_suspected);
-        as_good_as_it_says(&iteration.down, is_jump_suspected);
+        assert_verdict_matches_bounds(&iteration.up, is_jump_suspected);
+        assert_verdict_matches_bounds(&iteration.down, is_jump_suspected);
     }
     // The download is shorter than the asymmetry that cannot be excluded.
     assert!(iterations.iter().any(|iteration| iteration.down.verdict == "limited"));
@@ -81,15 +81,16 @@ fn smallest_round_trip_bounds_delays() {
 #[test]
 fn disciplined_clocks_narrow_delay_bounds() {
     let Outcome { iterations, edge, cloud, is_jump_suspected } = run("exact");
-    let (up, down) = hold_to_the_truth("40 ms up, 5 ms down, exact discipline", &iterations, &edge, &cloud);
+    let (up, down) =
+        assert_contains_truth("40 ms up, 5 ms down, exact discipline", &iterations, &edge, &cloud);
     for comparison in [&up, &down] {
         assert!(comparison.without_value.is_empty());
         assert!(comparison.error(1.0) <= Span::from_millis(1), "{}", comparison.in_words());
     }
     // The first iterations may be answered before there are three exchanges, and are `stale` then.
     for iteration in iterations.iter().filter(|iteration| iteration.number > WARM_UP) {
-        as_good_as_it_says(&iteration.up, is_jump_suspected);
-        as_good_as_it_says(&iteration.down, is_jump_suspected);
+        assert_verdict_matches_bounds(&iteration.up, is_jump_suspected);
+        assert_verdict_matches_bounds(&iteration.down, is_jump_suspected);
         assert!(is_jump_suspected || iteration.up.verdict == "ok", "{:?}", iteration.up);
     }
 }

@@ -2,7 +2,7 @@
 
 use peernet_tests::{Network, TwoHostTestbed};
 
-use super::{hold_to_the_truth, rehearsal};
+use super::{assert_contains_truth, rehearsal};
 
 #[test]
 fn data_messages_bound_delays_without_probes() {
@@ -14,8 +14,8 @@ fn data_messages_bound_delays_without_probes() {
     let cloud = testbed.clock_of("cloud");
     testbed.wait_for_runs(1);
     let iterations = testbed.iterations();
-    let edge = peernet_tests::truth::HostClock::kernels();
-    let (up, down) = hold_to_the_truth("probes blocked", &iterations, &edge, &cloud);
+    let edge = peernet_tests::truth::HostClock::of_kernel();
+    let (up, down) = assert_contains_truth("probes blocked", &iterations, &edge, &cloud);
     let all = iterations.len();
     assert_eq!((all, up.compared, down.compared), (305, all, all));
     let probes = testbed.ask("SELECT sum(probes_sent) > 10, sum(probes_answered) FROM clock_sample");

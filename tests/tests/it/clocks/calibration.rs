@@ -117,7 +117,7 @@ fn by_size<'a>(passages: impl Iterator<Item = (&'a Passage, Span)>) -> BTreeMap<
 }
 
 /// Compares one direction with the truth, without its warm-up.
-fn hold(stage: &str, direction: &Value, passages: &[Passage]) {
+fn assert_intercept_is_right(stage: &str, direction: &Value, passages: &[Passage]) {
     for Passage { payload, bounds: (lo, hi), truth, slack, .. } in passages {
         let allowed = *lo - *slack..=*hi + *slack;
         assert!(allowed.contains(truth), "{stage} of {payload} B: {truth} is not in {allowed:?}");
@@ -162,7 +162,11 @@ fn calibrated_intercepts_contain_the_true_delays() {
     let study: Value = serde_json::from_slice(&study).expect("it is JSON");
     say(&format!("verdict {}, {}", study["verdict"], study["counts"]));
     let samples = results.join("samples.csv");
-    hold("upload", &study["up"], &passages(&samples, "upload", |at| cloud.ahead(at)));
-    hold("download", &study["down"], &passages(&samples, "download", |at| -cloud.ahead(at)));
+    assert_intercept_is_right("upload", &study["up"], &passages(&samples, "upload", |at| cloud.ahead(at)));
+    assert_intercept_is_right(
+        "download",
+        &study["down"],
+        &passages(&samples, "download", |at| -cloud.ahead(at)),
+    );
     assert_eq!(study["verdict"]["kind"], "trusted", "{}", study["verdict"]);
 }

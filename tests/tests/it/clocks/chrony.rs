@@ -8,7 +8,7 @@ use peernet_tests::truth::{Delay, HostClock, Iteration, compare, truth};
 use peernet_tests::{Process, TwoHostTestbed, until};
 use serde_json::Value;
 
-use super::{hold_to_the_truth, rehearsal, say};
+use super::{assert_contains_truth, rehearsal, say};
 
 /// Clock identity by which the machine's clock counts as a separate clock.
 const OWN: &str = "clock_identity = \"edge\"\n";
@@ -96,8 +96,8 @@ fn right_clocks(what: &str, network: impl FnOnce(&Path) -> Network, such: &str) 
         scene.wait_for_daemon(host, "chrony, stratum 11, to 10.");
     }
     let iterations = scene.iterations(such);
-    let kernels = HostClock::kernels();
-    let (up, down) = hold_to_the_truth(what, &iterations, &kernels, &kernels);
+    let of_kernel = HostClock::of_kernel();
+    let (up, down) = assert_contains_truth(what, &iterations, &of_kernel, &of_kernel);
     for comparison in [&up, &down] {
         assert!(comparison.without_value.is_empty(), "{what}: {:?}", comparison.without_value);
     }
@@ -159,7 +159,7 @@ fn wrong_claim_affects_delays_only_if_trusted() {
     });
     assert!(sources.iter().all(|source| source["source"] == "in-band"), "{sources:?}");
     let iterations = scene.iterations("verdict.text IN ('ok', 'limited')");
-    hold_to_the_truth("a wrong claim, not trusted", &iterations, &edge, &HostClock::kernels());
+    assert_contains_truth("a wrong claim, not trusted", &iterations, &edge, &HostClock::of_kernel());
 }
 
 /// Starts hosts whose daemons claim less than a millisecond while the clocks differ by ten: within the bounds of the
@@ -186,7 +186,7 @@ fn wrong_claims_within_round_trip_affect_nothing() {
     wait_for_page(&scene, "as claimed by chrony on both hosts, of the wall clocks, not used");
     let iterations = scene.iterations("source.text = 'in-band' AND verdict.text IN ('ok', 'limited')");
     let what = "claims wrong by 10 ms, 5/40 ms, not trusted";
-    let (up, down) = hold_to_the_truth(what, &iterations, &edge, &HostClock::kernels());
+    let (up, down) = assert_contains_truth(what, &iterations, &edge, &HostClock::of_kernel());
     assert!(up.without_value.is_empty() && down.without_value.is_empty(), "{:?}", up.without_value);
     assert!(iterations.iter().all(|both| both.up.source == "in-band" && both.down.source == "in-band"));
 }
@@ -197,13 +197,13 @@ fn delays_by_trusted_claims_are_marked() {
     let edge = scene.testbed.clock_of("edge");
     wait_for_page(&scene, "bounds as claimed by chrony");
     let iterations = scene.iterations("source.text = 'chrony'");
-    let kernels = HostClock::kernels();
-    let (up, down) = compare(&iterations, &edge, &kernels);
+    let of_kernel = HostClock::of_kernel();
+    let (up, down) = compare(&iterations, &edge, &of_kernel);
     say(&format!("claims wrong by 10 ms, 5/40 ms, trusted, upload: {}", up.in_words()));
     say(&format!("claims wrong by 10 ms, 5/40 ms, trusted, download: {}", down.in_words()));
     assert!(up.outside.len() + down.outside.len() >= ENOUGH as usize / 2, "the claims are wrong");
     for both in &iterations {
-        for (delay, ends) in [(&both.up, [&edge, &kernels]), (&both.down, [&kernels, &edge])] {
+        for (delay, ends) in [(&both.up, [&edge, &of_kernel]), (&both.down, [&of_kernel, &edge])] {
             let truth = truth(delay, ends[0], ends[1]);
             let is_held = delay.bounds.is_none_or(|bounds| holds(bounds, truth));
             assert!(

@@ -4,7 +4,7 @@ use peernet_clock::Span;
 use peernet_tests::truth::{Delay, HostClock, Iteration};
 use peernet_tests::{FalseTime, Network, Process, TwoHostTestbed};
 
-use super::{WARM_UP, hold_to_the_truth, say};
+use super::{WARM_UP, assert_contains_truth, say};
 
 /// Offset of the edge's clock.
 const AHEAD: Span = Span::from_millis(137);
@@ -26,9 +26,9 @@ fn edge_with_false_time_reports_true_delays() {
     let _hosts =
         start(&testbed, &time, "load = { mode = \"rate\", hz = 50.0 }\nlimit = { iterations = 300 }");
     testbed.wait_for_runs(1);
-    let (edge, cloud) = (HostClock::ahead_by(&[AHEAD]), HostClock::kernels());
+    let (edge, cloud) = (HostClock::ahead_by(&[AHEAD]), HostClock::of_kernel());
     let iterations = testbed.iterations();
-    let (up, down) = hold_to_the_truth("libfaketime +0.137 s", &iterations, &edge, &cloud);
+    let (up, down) = assert_contains_truth("libfaketime +0.137 s", &iterations, &edge, &cloud);
     assert_eq!((up.compared, down.compared), (305, 305));
     // If the false time did not reach the program, the difference of the stamps would be positive.
     let raw: Vec<Span> =
@@ -51,8 +51,8 @@ fn unannounced_step_affects_no_delay() {
     testbed.wait_for_runs(1);
 
     let iterations = testbed.iterations();
-    let (edge, cloud) = (HostClock::ahead_by(&[AHEAD, LATER]), HostClock::kernels());
-    hold_to_the_truth("libfaketime, set by +3 s", &iterations, &edge, &cloud);
+    let (edge, cloud) = (HostClock::ahead_by(&[AHEAD, LATER]), HostClock::of_kernel());
+    assert_contains_truth("libfaketime, set by +3 s", &iterations, &edge, &cloud);
     let ahead = |iteration: &Iteration| iteration.up.sent - cloud.truth(iteration.up.received);
     let stepped = |iteration: &&Iteration| ahead(iteration) > Span::from_seconds(1);
     let first = iterations.iter().find(stepped).expect("the time that is shown was changed");

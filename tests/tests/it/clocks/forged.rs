@@ -12,7 +12,7 @@ use peernet_tests::network::{Host, Network, WireProperties};
 use peernet_tests::truth::HostClock;
 use peernet_tests::{ClockShim, TwoHostTestbed, until_grown};
 
-use super::hold_to_the_truth;
+use super::assert_contains_truth;
 
 /// Port of the reflector.
 const PROBES: u16 = 8620;
@@ -147,9 +147,9 @@ fn forged(probes: u64) {
     assert_eq!(edge.stop().code(), 0);
     testbed.api.until("/api/v1/runs", |runs| (runs["runs"][0]["reason"] == "stopped").then_some(()));
 
-    let clocks = (HostClock::shown(shim.errors()), HostClock::kernels());
+    let clocks = (HostClock::shown(shim.errors()), HostClock::of_kernel());
     let what = "all answers to probes forged by 13 ms, 20/20 ms";
-    let (up, down) = hold_to_the_truth(what, &testbed.iterations(), &clocks.0, &clocks.1);
+    let (up, down) = assert_contains_truth(what, &testbed.iterations(), &clocks.0, &clocks.1);
     for comparison in [&up, &down] {
         assert!(comparison.without_value.is_empty(), "{:?}", comparison.without_value);
         assert!(comparison.compared > 500, "{}", comparison.in_words());

@@ -32,7 +32,7 @@ fn say(figures: &str) {
 }
 
 /// Compares delays with the truth, prints the results of `what`, and checks every interval.
-fn hold_to_the_truth(
+fn assert_contains_truth(
     what: &str,
     iterations: &[Iteration],
     edge: &HostClock,

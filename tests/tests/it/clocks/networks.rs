@@ -65,7 +65,7 @@ fn blocked_port_and_losses_affect_only_matching_packets() {
     blocked.set_nonblocking(true).expect("a socket");
     assert_eq!(blocked.recv(&mut buffer).expect_err("dropped").kind(), std::io::ErrorKind::WouldBlock);
 
-    cloud.lose(30);
+    cloud.drop_percent(30);
     let arrived = (0..500).filter(|_| {
         from.send_to(b"probe", (address, 7002)).expect("there is a route");
         open.set_nonblocking(true).expect("a socket");

@@ -10,7 +10,7 @@ use peernet_tests::{Api, FalseTime, LoopbackDeployment, Process, Stopwatch, prog
 use rustix::process::Signal;
 use serde_json::Value;
 
-use super::{WARM_UP, hold_to_the_truth, say};
+use super::{WARM_UP, assert_contains_truth, say};
 
 /// Offset of the edge's clock where it reads another one.
 const AHEAD: Span = Span::from_millis(20);
@@ -67,8 +67,8 @@ impl Hosts {
 }
 
 /// Compares the delays of a pair with two clocks with the truth; none may claim that there is one clock.
-fn hold_measured(what: &str, iterations: &[Iteration], edge: &HostClock) {
-    let (up, down) = hold_to_the_truth(what, iterations, edge, &HostClock::kernels());
+fn assert_measured(what: &str, iterations: &[Iteration], edge: &HostClock) {
+    let (up, down) = assert_contains_truth(what, iterations, edge, &HostClock::of_kernel());
     let all = usize::try_from(ITERATIONS + WARM_UP).expect("a few hundred");
     assert_eq!((up.compared, down.compared), (all, all));
     for iteration in iterations {
@@ -90,7 +90,8 @@ fn processes_on_one_machine_prove_one_clock() {
     let hosts = Hosts::new("", false);
     let _edge = hosts.deployment.start("edge.toml");
     let iterations = hosts.iterations();
-    let (up, _) = hold_to_the_truth("one clock", &iterations, &HostClock::kernels(), &HostClock::kernels());
+    let (up, _) =
+        assert_contains_truth("one clock", &iterations, &HostClock::of_kernel(), &HostClock::of_kernel());
     assert_eq!(up.compared, usize::try_from(ITERATIONS + WARM_UP).expect("a few hundred"));
     for iteration in &iterations {
         for delay in [&iteration.up, &iteration.down] {
@@ -190,7 +191,7 @@ fn interval_contains_truth_in_other_time_namespace() {
         ["--time", "--monotonic", "10", "--boottime", "10", &peernetd, "run", "edge.toml"].map(str::to_owned);
     let _edge = Process::start(Path::new("unshare"), &arguments, hosts.deployment.folder(), &[]);
     assert_eq!(hosts.link()["same_clock"], false);
-    hold_measured("another time namespace", &hosts.iterations(), &raw_ahead_by(Span::from_seconds(10)));
+    assert_measured("another time namespace", &hosts.iterations(), &raw_ahead_by(Span::from_seconds(10)));
 }
 
 #[test]
@@ -198,5 +199,5 @@ fn interval_contains_truth_with_clock_fault_injection() {
     let hosts = Hosts::new(&super::rehearsal(20.0, 0.0, ""), false);
     let _edge = hosts.deployment.start("edge.toml");
     assert_eq!(hosts.link()["same_clock"], false);
-    hold_measured("rehearsed by 20 ms", &hosts.iterations(), &raw_ahead_by(AHEAD));
+    assert_measured("rehearsed by 20 ms", &hosts.iterations(), &raw_ahead_by(AHEAD));
 }

@@ -5,7 +5,7 @@ use peernet_tests::TwoHostTestbed;
 use peernet_tests::network::{Host, Network, Packet};
 use peernet_tests::truth::{Delay, HostClock};
 
-use super::{hold_to_the_truth, rehearsal, say};
+use super::{assert_contains_truth, rehearsal, say};
 
 const ITERATIONS: usize = 15;
 
@@ -36,7 +36,7 @@ fn large_transfer_time_matches_capture() {
     let packets = capture.finish();
     let iterations = &testbed.iterations()[2..];
     assert_eq!(iterations.len(), ITERATIONS);
-    hold_to_the_truth("1.2 MB, 20 Mbit/s up, 100 Mbit/s down", iterations, &edge, &cloud);
+    assert_contains_truth("1.2 MB, 20 Mbit/s up, 100 Mbit/s down", iterations, &edge, &cloud);
 
     let network = &testbed.network;
     against(

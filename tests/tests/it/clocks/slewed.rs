@@ -6,7 +6,7 @@ use peernet_clock::{RehearsalDescription, RehearsedStep, Span, WallTime};
 use peernet_tests::truth::{Delay, HostClock, Iteration};
 use peernet_tests::{Network, TwoHostTestbed};
 
-use super::{WARM_UP, hold_to_the_truth, rehearsal};
+use super::{WARM_UP, assert_contains_truth, rehearsal};
 
 /// Period in which a wall clock runs fast: it is set forward repeatedly by a little.
 struct Slew {
@@ -73,7 +73,7 @@ fn slewed_wall_clock_affects_no_delay() {
     testbed.wait_for_runs(1);
 
     let iterations = testbed.iterations();
-    let (up, down) = hold_to_the_truth("500 and 40,000 ppm", &iterations, &edge, &cloud);
+    let (up, down) = assert_contains_truth("500 and 40,000 ppm", &iterations, &edge, &cloud);
     for comparison in [&up, &down] {
         assert!(comparison.without_value.is_empty(), "{:?}", comparison.without_value);
         assert!(comparison.mean_error() < Span::from_micros(50), "{}", comparison.in_words());

@@ -4,7 +4,7 @@ use peernet_clock::{Span, WallTime};
 use peernet_tests::truth::{Delay, Iteration};
 use peernet_tests::{Network, TwoHostTestbed};
 
-use super::{WARM_UP, hold_to_the_truth, rehearsal};
+use super::{WARM_UP, assert_contains_truth, rehearsal};
 
 /// Time of the step after the start of the agent.
 const AT: Span = Span::from_seconds(8);
@@ -28,7 +28,7 @@ fn step(stepped: Stepped, by_ms: i32) {
     testbed.wait_for_runs(1);
 
     let iterations = testbed.iterations();
-    hold_to_the_truth(&what, &iterations, &edge, &cloud);
+    assert_contains_truth(&what, &iterations, &edge, &cloud);
     let clock = if stepped == Stepped::Edge { &edge } else { &cloud };
     let at = clock.since().expect("rehearsed") + AT;
     // Times by the clock that was not stepped, because it shows no time twice.

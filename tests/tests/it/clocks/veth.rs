@@ -4,7 +4,7 @@ use peernet_clock::Span;
 use peernet_tests::truth::HostClock;
 use peernet_tests::{Network, TwoHostTestbed};
 
-use super::{WARM_UP, hold_to_the_truth, rehearsal};
+use super::{WARM_UP, assert_contains_truth, rehearsal};
 
 /// Largest mean error of each direction.
 const MEAN_ERROR: Span = Span::from_micros(50);
@@ -36,12 +36,12 @@ fn case(offset_ms: f64, drift_ppm: f64, max_drift_ppm: f64, wrong: Wrong) {
     let _edge = testbed.edge(&format!("{clock}{edge_own}{pipelines}"), &[]);
 
     let (edge, cloud) = match wrong {
-        Wrong::Edge => (testbed.clock_of("edge"), HostClock::kernels()),
-        Wrong::Cloud => (HostClock::kernels(), testbed.clock_of("cloud")),
+        Wrong::Edge => (testbed.clock_of("edge"), HostClock::of_kernel()),
+        Wrong::Cloud => (HostClock::of_kernel(), testbed.clock_of("cloud")),
     };
     testbed.wait_for_runs(2);
     let what = format!("{offset_ms:+} ms, {drift_ppm:+} ppm of {max_drift_ppm}");
-    let (up, down) = hold_to_the_truth(&what, &testbed.iterations(), &edge, &cloud);
+    let (up, down) = assert_contains_truth(&what, &testbed.iterations(), &edge, &cloud);
     for comparison in [&up, &down] {
         assert_eq!(comparison.compared, STEADY + QUICK + 2 * WARM_UP as usize);
         assert!(comparison.mean_error() <= MEAN_ERROR, "{what}: {}", comparison.in_words());

@@ -22,7 +22,7 @@ const PROGRAMS: &str = "install -m 755 target/release/peernetd target/release/pe
 const LIBRARY: &str = "deploy/onnxruntime/fetch.py --dest /usr/lib/peernet";
 const DEMO: &str = "deploy/demo.sh target/release/peernetd FOLDER";
 
-fn well(ended: &ProcessEnd) {
+fn assert_success(ended: &ProcessEnd) {
     assert_eq!(ended.code(), 0, "{}", ended.log);
 }
 
@@ -47,7 +47,9 @@ fn manual_installation_matches_paths_of_units() {
     }
     // The library that the command would download exists already.
     let library = peernet_tests::onnxruntime();
-    well(&machines.run_on(edge, &format!("cp -a {} {root}/usr/lib/peernet", library.display())).ended());
+    assert_success(
+        &machines.run_on(edge, &format!("cp -a {} {root}/usr/lib/peernet", library.display())).ended(),
+    );
 
     let programs = format!("{root}/usr/bin/");
     let [users, folders] = ["sysusers", "tmpfiles"].map(|tool| format!("systemd-{tool} --root={root}"));
@@ -55,7 +57,7 @@ fn manual_installation_matches_paths_of_units() {
         [("/usr/bin/", &programs), ("systemd-sysusers", &users), ("systemd-tmpfiles", &folders)];
     for command in &COMMANDS[..9] {
         let changes: Vec<_> = mine.into_iter().filter(|(from, _)| command.contains(from)).collect();
-        well(&machines.on_edge(command, &changes).ended());
+        assert_success(&machines.on_edge(command, &changes).ended());
     }
     for role in ["agent", "aggregator"] {
         let unit = machine.join(format!("etc/systemd/system/peernet-{role}.service"));
@@ -73,7 +75,7 @@ fn manual_installation_matches_paths_of_units() {
         machines.install(edge, &file, &text, &[]);
         let installed = format!("{programs}peernetd");
         let check = format!("peernetd check {file}");
-        well(&machines.on_edge(&check, &[("peernetd", &installed)]).ended());
+        assert_success(&machines.on_edge(&check, &[("peernetd", &installed)]).ended());
     }
     the_demo(&machines);
     machines.finish();
@@ -89,6 +91,6 @@ fn the_demo(machines: &DocumentedCommands) {
     demo.wait_for("http://127.0.0.1:8050/api/v1/pipelines");
     answered(machines.edge(), 8050, "offload-resized");
     let ended = demo.stop();
-    well(&ended);
+    assert_success(&ended);
     assert!(ended.log.contains("demo: ended"), "{}", ended.log);
 }

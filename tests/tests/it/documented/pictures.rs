@@ -9,7 +9,7 @@ const HELD_OUT: &str = "/usr/bin/python3 models/quality_control/draw.py models/q
 const THIRD: &str = "/usr/bin/python3 models/quality_control/draw.py /tmp/third --width 1280 --quality 85 --first-seed 6000001 --count good=100 scratched=100 dented=100 \"hole missing=100\"";
 const TRAIN: &str = "/usr/bin/python3 models/quality_control/train.py models/quality-control";
 
-fn well(ended: ProcessEnd) -> String {
+fn assert_success(ended: ProcessEnd) -> String {
     assert_eq!(ended.code(), 0, "{}", ended.log);
     ended.log
 }
@@ -22,15 +22,15 @@ fn redrawn_pictures_are_classified_and_network_is_trained() {
         (HELD_OUT, "models/quality-control/held-out", ["=25", "=25"]),
         (THIRD, "/tmp/third", ["=100", "=100"]),
     ] {
-        well(machines.on_edge(command, &[(place, "drawn"), (good, "=1"), (others, "=1")]).ended());
+        assert_success(machines.on_edge(command, &[(place, "drawn"), (good, "=1"), (others, "=1")]).ended());
         // The model was trained with thousands of such pictures.
         let check = "peernet models check quality-control --pictures drawn";
-        let judged = well(machines.run_on(machines.edge(), check).ended());
+        let judged = assert_success(machines.run_on(machines.edge(), check).ended());
         assert!(judged.contains("4 of 4 labels right"), "{command}: {judged}");
     }
     let few = "trained --scenes 16 --validation-scenes 4 --epochs 6";
-    well(machines.on_edge(TRAIN, &[("models/quality-control", few)]).ended());
-    let checked = well(machines.run_on(machines.edge(), "peernet models check ./trained").ended());
+    assert_success(machines.on_edge(TRAIN, &[("models/quality-control", few)]).ended());
+    let checked = assert_success(machines.run_on(machines.edge(), "peernet models check ./trained").ended());
     assert!(checked.contains("run on zeros"), "{checked}");
     machines.finish();
 }

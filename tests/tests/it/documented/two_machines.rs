@@ -62,14 +62,14 @@ pub(crate) fn install(machines: &DocumentedCommands) {
     );
 }
 
-fn well(ended: ProcessEnd) -> String {
+fn assert_success(ended: ProcessEnd) -> String {
     assert_eq!(ended.code(), 0, "{}", ended.log);
     ended.log
 }
 
 /// Returns the JSON document that curl received.
 fn json(ended: ProcessEnd) -> Value {
-    let log = well(ended);
+    let log = assert_success(ended);
     let line = log.lines().find_map(|line| serde_json::from_str(line).ok());
     line.unwrap_or_else(|| panic!("no document: {log}"))
 }
@@ -81,11 +81,11 @@ fn readme_commands_work_on_two_machines() {
     let (edge, cloud) = (machines.edge(), machines.cloud());
     let config = |name: &str| format!("/etc/peernet/{name}.toml");
     for host in [edge, cloud] {
-        well(machines.execute_on(host, "peernetd check /etc/peernet/agent.toml", &[]).ended());
+        assert_success(machines.execute_on(host, "peernetd check /etc/peernet/agent.toml", &[]).ended());
     }
-    well(machines.on_cloud("peernetd check FILE", &[("FILE", &config("aggregator"))]).ended());
+    assert_success(machines.on_cloud("peernetd check FILE", &[("FILE", &config("aggregator"))]).ended());
     let both = format!("{} {}", config("aggregator"), config("agent"));
-    well(machines.on_cloud("peernetd check FILE…", &[("FILE…", &both)]).ended());
+    assert_success(machines.on_cloud("peernetd check FILE…", &[("FILE…", &both)]).ended());
 
     let run =
         |host: &Host, name: &str| machines.execute_on(host, "peernetd run FILE", &[("FILE", &config(name))]);
@@ -96,14 +96,15 @@ fn readme_commands_work_on_two_machines() {
         let there = ["robot", "inspection", "quality-control", "cloud"];
         (status.code() == 0 && there.iter().all(|word| status.log.contains(word))).then_some(())
     });
-    ask_for_everything(&machines);
+    request_everything(&machines);
     calibrate(&machines);
 
-    well(machines.on_cloud("peernetd doctor --config /etc/peernet/aggregator.toml", &[]).ended());
+    assert_success(machines.on_cloud("peernetd doctor --config /etc/peernet/aggregator.toml", &[]).ended());
     assert_eq!(robot.stop().code(), 0);
-    let spool = well(machines.on_edge("peernetd doctor --config /etc/peernet/agent.toml", &[]).ended());
+    let spool =
+        assert_success(machines.on_edge("peernetd doctor --config /etc/peernet/agent.toml", &[]).ended());
     assert!(spool.contains("stream"), "{spool}");
-    let again = well(machines.on_cloud("peernet recompute 12", &[("12", "1")]).ended());
+    let again = assert_success(machines.on_cloud("peernet recompute 12", &[("12", "1")]).ended());
     assert!(again.contains("upload") && again.contains("download"), "{again}");
     keep(&machines, || assert_eq!(aggregator.stop().code(), 0));
     assert_eq!(agent.stop().code(), 0);
@@ -111,7 +112,7 @@ fn readme_commands_work_on_two_machines() {
 }
 
 /// Executes the README's section "Ask it".
-fn ask_for_everything(machines: &DocumentedCommands) {
+fn request_everything(machines: &DocumentedCommands) {
     let get =
         |path: &str| json(machines.on_cloud(&format!("curl http://127.0.0.1:8040/api/{path}"), &[]).ended());
     let pipelines = get("v1/pipelines");
@@ -135,7 +136,7 @@ fn calibrate(machines: &DocumentedCommands) {
         ("peernet calibrate PEER", ("PEER", "--result-loc second 10.0.0.2:5551")),
         ("peernet calibrate 10.0.0.2", ("10.0.0.2", "--result-loc third 10.0.0.2")),
     ] {
-        well(machines.on_edge(command, &[changes, ("calibrate", SHORT)]).ended());
+        assert_success(machines.on_edge(command, &[changes, ("calibrate", SHORT)]).ended());
     }
     for folder in ["first", "second", "third"] {
         let study = std::fs::read(machines.folder().join(folder).join("calibration.json")).expect("written");
@@ -147,13 +148,13 @@ fn calibrate(machines: &DocumentedCommands) {
 /// Makes a backup while the database is written to, and rebuilds roll-ups while it is not.
 fn keep(machines: &DocumentedCommands, stop: impl FnOnce()) {
     std::fs::create_dir_all(machines.folder().join("cloud/backup")).expect("writable");
-    well(machines.on_cloud(BACKUP, &[]).ended());
+    assert_success(machines.on_cloud(BACKUP, &[]).ended());
     let backups = std::fs::read_dir(machines.folder().join("cloud/backup")).expect("it was made");
     let backups: Vec<_> = backups.map(|entry| entry.expect("it can be listed").path()).collect();
     let [backup] = &*backups else { panic!("one copy under the day's name: {backups:?}") };
     assert_eq!(ask(backup, "SELECT count(*) FROM run").trim(), "1");
 
-    let cleared = well(machines.on_cloud(CLEAR, &[]).ended());
+    let cleared = assert_success(machines.on_cloud(CLEAR, &[]).ended());
     assert!(cleared.contains("cleared the secret of robot"), "{cleared}");
 
     let all = |of: &str| machines.on_cloud(REBUILD, &[("[--run NUMBER]", of)]).ended();
@@ -162,9 +163,9 @@ fn keep(machines: &DocumentedCommands, stop: impl FnOnce()) {
     let database = machines.folder().join("cloud/var/lib/peernet/aggregator/peernet.sqlite");
     let answered = || ask(&database, "SELECT sum(count) FROM rollup WHERE resolution_s = 0");
     let before = answered();
-    well(all(""));
-    well(all("--run 1"));
+    assert_success(all(""));
+    assert_success(all("--run 1"));
     assert_eq!(answered(), before);
-    well(machines.on_cloud(REPAIR, &[]).ended());
+    assert_success(machines.on_cloud(REPAIR, &[]).ended());
     assert_eq!(answered(), before, "nothing of it was damaged");
 }

@@ -24,7 +24,7 @@ fn run_to_the_end(deployment: &LoopbackDeployment, api: &Api, host: &str) {
 }
 
 /// Waits until this number of the aggregator's incidents report a clock step; returns the newest text.
-fn told(api: &Api, direction: &str, times: usize) -> String {
+fn wait_for_jump_message(api: &Api, direction: &str, times: usize) -> String {
     api.until("/api/v1/incidents", |list| {
         let incidents = list["incidents"].as_array()?.iter();
         let steps = incidents.filter(|it| it["kind"] == "clock-step" && it["host"].is_null());
@@ -71,7 +71,7 @@ fn aggregator_clock_jumps_delete_nothing() {
         (-MONTH, "set back by 30.0 days", 2, "past"),
     ] {
         time.show(jump);
-        words.push(told(&api, direction, times));
+        words.push(wait_for_jump_message(&api, direction, times));
         // Meanwhile retention runs once a second and after commits.
         run_to_the_end(&deployment, &api, host);
     }
@@ -84,7 +84,7 @@ fn aggregator_clock_jumps_delete_nothing() {
     // It starts with a clock that is behind its last reading, and then with one that is far ahead.
     time.show(-MONTH - MONTH);
     let (aggregator, api) = start();
-    words.push(told(&api, "less than when it last stored something", 1));
+    words.push(wait_for_jump_message(&api, "less than when it last stored something", 1));
     assert_eq!(aggregator.stop().code(), 0);
     time.show(MONTH);
     let (aggregator, api) = start();

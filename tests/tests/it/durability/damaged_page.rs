@@ -92,7 +92,7 @@ fn damaged_page_stops_storing_until_repaired() {
     let found = doctor(&fleet, &[]);
     assert_eq!(found.code(), 65, "{}", found.log);
     assert!(found.log.contains("--repair"), "{}", found.log);
-    goes_on_after_repair(fleet, "a page of nodes");
+    assert_continues_after_repair(fleet, "a page of nodes");
 }
 
 #[test]
@@ -105,11 +105,11 @@ fn damage_across_pages_of_several_tables_is_repaired() {
     assert!(why.contains("damaged"), "{why}");
     // The killed aggregator leaves its log beside the file.
     fleet.aggregator.kill();
-    goes_on_after_repair(fleet, "pages of three tables");
+    assert_continues_after_repair(fleet, "pages of three tables");
 }
 
 /// Repairs the database, and checks that every measured event is stored or in a gap.
-fn goes_on_after_repair(mut fleet: Fleet, what: &str) {
+fn assert_continues_after_repair(mut fleet: Fleet, what: &str) {
     let repaired = doctor(&fleet, &["--repair"]);
     assert_eq!(repaired.code(), 0, "{}", repaired.log);
     assert!(repaired.log.contains(".damaged-") && repaired.log.contains("iteration"), "{}", repaired.log);

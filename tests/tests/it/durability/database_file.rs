@@ -32,21 +32,21 @@ fn not_ready(fleet: &Fleet, words: &str) {
 }
 
 /// Waits until the aggregator is ready and has stored the events that waited on its agent.
-fn stores_again(fleet: &Fleet) {
+fn wait_until_storing(fleet: &Fleet) {
     until("ready", || fleet.api.get("/readyz").filter(|(status, _)| *status == 200));
     fleet.counts(0, "what waited is stored", |counts| counts.waiting < 100 && counts.events > 0);
 }
 
 /// Stops everything; checks that each produced event is stored or counted as dropped.
-fn account_for_all(fleet: &mut Fleet) -> StoredEvents {
+fn assert_all_accounted_for(fleet: &mut Fleet) -> StoredEvents {
     fleet.agents[0].stop();
     fleet.deliver(0).assert_balanced();
     fleet.stop()
 }
 
 /// Stops everything; checks that no event is missing.
-fn nothing_is_missing(fleet: &mut Fleet) {
-    let stored_events = account_for_all(fleet);
+fn assert_nothing_is_missing(fleet: &mut Fleet) {
+    let stored_events = assert_all_accounted_for(fleet);
     assert_eq!(stored_events.count_missing(fleet.agents[0].spooled()), 0, "{stored_events:?}");
     assert_eq!(stored_events.hosts["edge"].gaps, 0, "{stored_events:?}");
     assert!(stored_events.runs.values().all(|run| run.is_contiguous()), "{stored_events:?}");
@@ -73,7 +73,7 @@ fn storing_recovers_after_database_was_read_only() {
     disk.set_immutable(written, true);
     not_ready(&fleet, "cannot store events");
     disk.set_immutable(written, false);
-    stores_again(&fleet);
+    wait_until_storing(&fleet);
 
     disk.set_immutable(written, true);
     not_ready(&fleet, "cannot store events");
@@ -82,8 +82,8 @@ fn storing_recovers_after_database_was_read_only() {
     disk.remount("ro");
     not_ready(&fleet, "ead-only");
     disk.remount("rw");
-    stores_again(&fleet);
-    nothing_is_missing(&mut fleet);
+    wait_until_storing(&fleet);
+    assert_nothing_is_missing(&mut fleet);
 }
 
 #[test]
@@ -97,8 +97,8 @@ fn storing_recovers_after_unmount_and_mount() {
     let folder = std::fs::read_dir(disk.folder()).expect("the mount point is there");
     assert_eq!(folder.count(), 0, "nothing is made where the disk was");
     disk.mount();
-    stores_again(&fleet);
-    nothing_is_missing(&mut fleet);
+    wait_until_storing(&fleet);
+    assert_nothing_is_missing(&mut fleet);
 }
 
 #[test]
@@ -111,8 +111,8 @@ fn moved_database_is_closed_and_reopened() {
     not_ready(&fleet, "deleted, moved or replaced");
     until("the files are closed", || (!holds(&fleet, folder.path())).then_some(()));
     std::fs::rename(&away, &here).expect("moves back");
-    stores_again(&fleet);
-    nothing_is_missing(&mut fleet);
+    wait_until_storing(&fleet);
+    assert_nothing_is_missing(&mut fleet);
 }
 
 #[test]
@@ -139,9 +139,9 @@ fn database_replaced_by_backup_is_compared_with_spools() {
     }
     not_ready(&fleet, "cannot store events");
     std::fs::rename(&backup, &main).expect("restores");
-    stores_again(&fleet);
+    wait_until_storing(&fleet);
     fleet.counts(0, "newer events are stored", |counts| counts.events > older.iterations() + 200);
-    let stored_events = account_for_all(&mut fleet);
+    let stored_events = assert_all_accounted_for(&mut fleet);
     let (host, run) = (&stored_events.hosts["edge"], stored_events.runs.values().next().expect("one run"));
     assert_eq!((host.gaps, host.quarantined, stored_events.runs.len()), (1, 0, 1), "{stored_events:?}");
     assert_eq!((run.ranges.len(), run.reason.as_str()), (2, "stopped"), "one hole, told as a gap: {run:?}");
@@ -176,5 +176,5 @@ fn second_aggregator_through_another_name_is_refused() {
     refused(&fleet, &hard_link);
     let elsewhere = disk.mounted_elsewhere();
     refused(&fleet, &elsewhere.folder().join("aggregator.sqlite"));
-    nothing_is_missing(&mut fleet);
+    assert_nothing_is_missing(&mut fleet);
 }

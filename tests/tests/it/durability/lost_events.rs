@@ -22,7 +22,7 @@ struct Life {
 }
 
 /// Checks that every produced event is stored or in a gap.
-fn adds_up(counts: &EventCounts, host: &StoredHost) {
+fn assert_adds_up(counts: &EventCounts, host: &StoredHost) {
     counts.assert_balanced();
     assert_eq!((counts.waiting, counts.dropped), (0, host.missing), "{counts:?}, {host:?}");
     assert_eq!(counts.produced, host.events + host.missing, "{counts:?}, {host:?}");
@@ -65,7 +65,7 @@ fn killed_agent_reports_every_event_it_lost() {
     fleet.agents[0].stop();
     let stored_events = fleet.stop();
     let host = &stored_events.hosts["edge"];
-    adds_up(&after, host);
+    assert_adds_up(&after, host);
     assert_eq!((after.dropped, host.streams, host.quarantined), (counts.dropped, 1, 0));
     let mut lost = 0;
     for Life { run, answers } in &lives {

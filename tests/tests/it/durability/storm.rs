@@ -83,7 +83,7 @@ impl Storm {
         vec![main.clone(), format!("{}-wal", main.display()).into()]
     }
 
-    fn strike(&mut self, trouble: Fault, rng: &mut TestRng) {
+    fn inject(&mut self, trouble: Fault, rng: &mut TestRng) {
         let jump = Span::from_seconds(rng.below(2 * JUMP.seconds() as usize) as i64) - JUMP;
         match trouble {
             Fault::StoreFull => self.store.fill(),
@@ -98,7 +98,7 @@ impl Storm {
     }
 
     /// Repairs everything but clocks.
-    fn mend(&mut self) {
+    fn repair(&mut self) {
         for trouble in std::mem::take(&mut self.troubles) {
             match trouble {
                 Fault::StoreFull => self.store.free(),
@@ -132,7 +132,7 @@ impl Storm {
     /// Causes faults, a kill during them, and a restart during or after them.
     fn round(&mut self, rng: &mut TestRng) {
         for trouble in Self::pick(rng) {
-            self.strike(trouble, rng);
+            self.inject(trouble, rng);
             rng.sleep_up_to(PAUSE);
         }
         let (agent, who) = (rng.below(AGENTS.len()), rng.below(5));
@@ -149,7 +149,7 @@ impl Storm {
         // An aggregator that is started without its disk creates a database in the mount point's folder.
         let needs_disk = kills_aggregator && self.troubles.contains(&Fault::StoreAway);
         if needs_disk || rng.once_in(2) {
-            self.mend();
+            self.repair();
         }
         if kills_agent {
             self.fleet.start(agent);
@@ -158,10 +158,10 @@ impl Storm {
             self.fleet.aggregator.start(&self.fleet.deployment);
         }
         rng.sleep_up_to(PAUSE);
-        self.mend();
+        self.repair();
         let Fleet { deployment, aggregator, agents, .. } = &mut self.fleet;
         for daemon in agents.iter_mut().chain([aggregator]) {
-            self.ended += daemon.is_ready(deployment, || {});
+            self.ended += daemon.wait_until_ready(deployment, || {});
         }
         rng.sleep_up_to(PAUSE);
     }

@@ -5,12 +5,12 @@ use peernet_tests::Process;
 use super::{Lab, THREE, column, json};
 
 /// Returns the experiment of three runs with a wait of two seconds for an absent cloud.
-fn impatient() -> String {
+fn impatient_experiment() -> String {
     THREE.replace("order =", "patience_s = 2\norder =")
 }
 
 /// Waits until the second run has some rows; returns its folder.
-fn in_the_second(lab: &Lab, process: &Process) -> String {
+fn wait_for_second_run(lab: &Lab, process: &Process) -> String {
     process.wait_for("run 2 of 3 (Size = 200): begins");
     let second = lab.results.folders()[1].clone();
     lab.results.rows(&second, 3);
@@ -20,8 +20,8 @@ fn in_the_second(lab: &Lab, process: &Process) -> String {
 #[test]
 fn missing_cloud_fails_runs_that_can_be_resumed() {
     let mut lab = Lab::new();
-    let process = lab.run(&impatient(), &[]);
-    let second = in_the_second(&lab, &process);
+    let process = lab.run(&impatient_experiment(), &[]);
+    let second = wait_for_second_run(&lab, &process);
     lab.kill_cloud();
     let ended = process.ended();
     assert_eq!(ended.code(), 75, "{}", ended.log);
@@ -33,7 +33,7 @@ fn missing_cloud_fails_runs_that_can_be_resumed() {
     let first = json(&lab.results.file(&lab.results.folders()[0], "run.json"));
 
     lab.start_cloud();
-    let ended = lab.run(&impatient(), &[]).ended();
+    let ended = lab.run(&impatient_experiment(), &[]).ended();
     assert_eq!(ended.code(), 0, "{}", ended.log);
     assert_eq!(lab.results.stages(), ["finished"; 3]);
     let answered = column(&lab.results.file(&second, "data.csv"), "outcome");
@@ -49,7 +49,7 @@ fn missing_cloud_fails_runs_that_can_be_resumed() {
 fn returning_cloud_loses_only_iterations_in_flight() {
     let mut lab = Lab::new();
     let process = lab.run(THREE, &[]);
-    let second = in_the_second(&lab, &process);
+    let second = wait_for_second_run(&lab, &process);
     // The cloud is stopped first, so that it certainly has an iteration in progress.
     lab.stop_cloud();
     process.wait_for("is away");

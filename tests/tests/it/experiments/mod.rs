@@ -116,7 +116,7 @@ impl Lab {
 }
 
 /// Runs a command on results and returns its output.
-fn told(command: &str, results: &Path) -> ProcessEnd {
+fn run_command(command: &str, results: &Path) -> ProcessEnd {
     let arguments = [OsStr::new(command), results.as_os_str()];
     Process::start(&program("peernet"), &arguments, root(), &[]).ended()
 }

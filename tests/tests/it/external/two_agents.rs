@@ -51,7 +51,7 @@ fn shell_sensor_c_model_shell_actuator_work_together() {
     // Stages that the program reported, and the time for sending the request and the reply.
     let here = ["sensing", "encode", "upload", "download", "actuation"];
     let there = ["queue", "inference", "postprocessing", "ipc"];
-    api.stages_are_the_total(run, &[&here[..], &there].concat());
+    api.assert_stages_sum_to_total(run, &[&here[..], &there].concat());
     assert_eq!(api.mean(run, "dropped-samples"), 0.0);
 
     let answers = std::fs::read_to_string(testbed.folder().join("answers.txt")).expect("was written");

@@ -47,7 +47,7 @@ fn peers_probes_are_answered_during_forged_flood() {
     let script = peernet_tests::root().join("tests/tests/it/limits/forged_probes.py");
     let arguments = [
         &script.display().to_string(),
-        &testbed.network.third_faces().to_string(),
+        &testbed.network.cloud_address_for_third_host().to_string(),
         PORT,
         &PER_SECOND.to_string(),
         &SECONDS.to_string(),

@@ -128,7 +128,7 @@ fn attack(machines: &DocumentedCommands) -> Process {
     let line = format!(
         "{} attack {} {ports} --seconds {SECONDS} --bytes-per-second {BYTES_PER_SECOND}",
         program.display(),
-        machines.network().third_faces()
+        machines.network().cloud_address_for_third_host()
     );
     let arguments: Vec<&str> = line.split(' ').collect();
     machines.network().third().start(Path::new("python3"), &arguments, machines.folder(), &[])

@@ -213,7 +213,7 @@ fn run_id_claimed_early_still_belongs_to_host() {
 
 /// Stops all running processes. Data of invented hosts has no totals, so that no statistics can agree with it.
 fn stop(fleet: &mut Fleet) -> StoredEvents {
-    for agent in fleet.agents.iter_mut().filter(|agent| agent.runs()) {
+    for agent in fleet.agents.iter_mut().filter(|agent| agent.is_running()) {
         agent.stop();
     }
     fleet.aggregator.stop();

@@ -31,7 +31,7 @@ fn python_objects_exchange_arrays_with_one_stage_each() {
     // The time between the processes is a stage, and the stages add up to the total.
     let here = ["sensing", "encode", "upload", "download", "actuation"];
     let there = ["queue", "ipc", "preprocessing", "inference", "postprocessing"];
-    api.stages_are_the_total(run, &[&here[..], &there].concat());
+    api.assert_stages_sum_to_total(run, &[&here[..], &there].concat());
     assert!(api.mean(run, "capture-ipc") <= api.mean(run, "capture"));
 
     cloud.wait_for("following on cuda:0");

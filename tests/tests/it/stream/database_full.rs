@@ -3,7 +3,7 @@
 use peernet_tests::fleet::{echo, edge, rate};
 use peernet_tests::{Fleet, SmallDisk, measured, thousands, until};
 
-use super::{nothing_lost, turn};
+use super::{assert_nothing_lost, turn};
 
 #[test]
 fn full_database_disk_stops_storing_without_loss() {
@@ -43,7 +43,7 @@ fn full_database_disk_stops_storing_without_loss() {
     let counts = fleet.deliver(0);
     counts.assert_balanced();
     let stored_events = fleet.stop();
-    let spooled = nothing_lost(&fleet, &stored_events);
+    let spooled = assert_nothing_lost(&fleet, &stored_events);
     let number = |count: u64| thousands(count as f64);
     measured(
         "full disk, database",

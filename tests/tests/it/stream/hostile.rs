@@ -4,10 +4,10 @@ use peernet_stream::{ToAgent, ToAggregator, codec};
 use peernet_tests::fleet::{echo, edge, rate};
 use peernet_tests::{Fleet, InventedHost, MisbehavingPeer, TestRng, measured, thousands, until};
 
-use super::{nothing_lost, turn};
+use super::{assert_nothing_lost, turn};
 
 /// Starts a fleet whose agent measures meanwhile.
-fn beside_an_agent() -> Fleet {
+fn with_agent() -> Fleet {
     let mut fleet = Fleet::new(&["edge"], &edge("", &echo("loop", &rate(200.0))));
     fleet.start(0);
     fleet.counts(0, "something is stored", |counts| counts.events > 0);
@@ -15,14 +15,14 @@ fn beside_an_agent() -> Fleet {
 }
 
 /// Checks that the normal agent lost nothing and that the aggregator exits with 0.
-fn nobody_was_harmed(mut fleet: Fleet) -> u64 {
+fn assert_nobody_was_harmed(mut fleet: Fleet) -> u64 {
     let seen = fleet.counts(0, "it is there", |_| true);
     fleet.counts(0, "more is stored", |counts| counts.events > seen.events + 100);
     fleet.agents[0].stop();
     fleet.deliver(0).assert_balanced();
     let mut stored_events = fleet.stop();
     stored_events.hosts.retain(|name, _| name == "edge");
-    nothing_lost(&fleet, &stored_events)
+    assert_nothing_lost(&fleet, &stored_events)
 }
 
 /// Returns the sum of a counter over all its labels, by the beginning of its name.
@@ -38,7 +38,7 @@ fn counter(fleet: &Fleet, name: &str) -> u64 {
 fn damaged_frames_are_refused_and_counted() {
     let _turn = turn();
     let mut rng = TestRng::new("damaged frames");
-    let fleet = beside_an_agent();
+    let fleet = with_agent();
     let misbehaving_peer = MisbehavingPeer::at(fleet.deployment.events);
     let mut host = InventedHost::new("stranger", &mut rng);
     host.open_session(&misbehaving_peer);
@@ -79,7 +79,7 @@ fn damaged_frames_are_refused_and_counted() {
     let told = fleet.aggregator.process().wait_for("messages were not taken");
     assert!(told.contains("unreadable="), "{told}");
     misbehaving_peer.say(&ToAggregator::Goodbye(host.hello.host.id));
-    let spooled = nobody_was_harmed(fleet);
+    let spooled = assert_nobody_was_harmed(fleet);
     measured(
         "damaged frames",
         &[
@@ -94,7 +94,7 @@ fn damaged_frames_are_refused_and_counted() {
 fn invalid_batch_is_quarantined_and_stream_continues() {
     let _turn = turn();
     let mut rng = TestRng::new("wrong batches");
-    let fleet = beside_an_agent();
+    let fleet = with_agent();
     let misbehaving_peer = MisbehavingPeer::at(fleet.deployment.events);
     let mut host = InventedHost::new("stranger", &mut rng);
     host.open_session(&misbehaving_peer);
@@ -129,14 +129,14 @@ fn invalid_batch_is_quarantined_and_stream_continues() {
     assert!(stored["gaps"].as_u64() >= Some(4), "{stored}");
     // An impossible number of events in a batch is not believed.
     assert!(stored["missing"].as_u64() < Some(1_000), "{stored}");
-    nobody_was_harmed(fleet);
+    assert_nobody_was_harmed(fleet);
 }
 
 #[test]
 fn foreign_batches_are_refused_and_repeated_ones_ignored() {
     let _turn = turn();
     let mut rng = TestRng::new("replayed batches");
-    let fleet = beside_an_agent();
+    let fleet = with_agent();
     let (own, other) =
         (MisbehavingPeer::at(fleet.deployment.events), MisbehavingPeer::at(fleet.deployment.events));
     let mut host = InventedHost::new("victim", &mut rng);
@@ -175,14 +175,14 @@ fn foreign_batches_are_refused_and_repeated_ones_ignored() {
         all.then(|| stored.clone())
     });
     assert_eq!((stored["events"].as_u64(), stored["gaps"].as_u64()), (Some(100), Some(0)), "{stored}");
-    nobody_was_harmed(fleet);
+    assert_nobody_was_harmed(fleet);
 }
 
 #[test]
 fn hello_flood_excludes_no_agent() {
     let _turn = turn();
     let mut rng = TestRng::new("hello storm");
-    let fleet = beside_an_agent();
+    let fleet = with_agent();
     let misbehaving_peer = MisbehavingPeer::at(fleet.deployment.events);
     // More hosts than one connection may represent.
     for n in 0..200 {
@@ -214,5 +214,5 @@ fn hello_flood_excludes_no_agent() {
         (!hosts["refused"].as_array()?.is_empty()).then_some(())
     });
     until("refusals are counted", || (counter(&fleet, "peernet_aggregator_refused_hosts") > 0).then_some(()));
-    nobody_was_harmed(fleet);
+    assert_nobody_was_harmed(fleet);
 }

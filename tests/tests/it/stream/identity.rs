@@ -6,7 +6,7 @@ use peernet_tests::fleet::{echo, edge, edge_in, rate};
 use peernet_tests::truth::ask;
 use peernet_tests::{Daemon, Fleet, measured, thousands};
 
-use super::{nothing_lost, turn};
+use super::{assert_nothing_lost, turn};
 
 /// Copies a folder with all its files.
 fn copy(from: &Path, to: &Path) {
@@ -18,7 +18,7 @@ fn copy(from: &Path, to: &Path) {
 }
 
 /// Stops an agent's measurement and waits until everything is delivered.
-fn nothing_waits(fleet: &mut Fleet, agent: usize) {
+fn stop_measuring_and_deliver(fleet: &mut Fleet, agent: usize) {
     fleet.agents[agent].stop();
     let since = fleet.start_without_pipelines(agent);
     fleet
@@ -27,7 +27,7 @@ fn nothing_waits(fleet: &mut Fleet, agent: usize) {
 }
 
 /// Kills the aggregator, and some batches later the agent, so that these batches wait in its spool.
-fn killed_with_batches(fleet: &mut Fleet) {
+fn kill_with_batches(fleet: &mut Fleet) {
     fleet.aggregator.kill();
     let spooled = fleet.agents[0].process().log().matches("spooled batch=").count();
     fleet.agents[0].process().wait_for_nth("spooled batch=", spooled + 5);
@@ -56,7 +56,7 @@ fn restored_database_records_gap_and_continues() {
 
     fleet.restart_aggregator();
     fleet.counts(0, "newer batches are stored", |counts| counts.events > older.iterations() + 1_000);
-    nothing_waits(&mut fleet, 0);
+    stop_measuring_and_deliver(&mut fleet, 0);
     let stored_events = fleet.stop();
     let (host, run) = (&stored_events.hosts["edge"], stored_events.runs.values().next().expect("one run"));
     assert_eq!((host.gaps, host.streams, host.quarantined), (1, 1, 0), "{host:?}");
@@ -86,7 +86,7 @@ fn copied_state_folder_starts_new_stream_after_refusal() {
     fleet.start(0);
     fleet.counts(0, "something is stored", |counts| counts.events > 100);
     // The copied spool contains batches that the first agent delivers before the copy connects.
-    killed_with_batches(&mut fleet);
+    kill_with_batches(&mut fleet);
     let folder = fleet.deployment.folder();
     copy(&folder.join("edge"), &folder.join("copy"));
     fleet.restart_aggregator();
@@ -107,7 +107,7 @@ fn copied_state_folder_starts_new_stream_after_refusal() {
     copy.process().wait_for("new stream");
     fleet.agents.push(copy);
     fleet.counts(1, "what the copy measures is stored", |counts| counts.waiting < 100 && counts.stored > 500);
-    nothing_waits(&mut fleet, 1);
+    stop_measuring_and_deliver(&mut fleet, 1);
     let stored_events = fleet.stop();
     assert_eq!(stored_events.count_missing(fleet.agents[0].spooled()), 0, "{stored_events:?}");
     assert_eq!(stored_events.count_missing(fleet.agents[1].spooled()), 0, "{stored_events:?}");
@@ -124,7 +124,7 @@ fn deleted_spool_causes_new_stream_and_gap() {
     let mut fleet = Fleet::new(&["edge"], &edge("", &echo("loop", &rate(200.0))));
     fleet.start(0);
     fleet.counts(0, "something is stored", |counts| counts.events > 100);
-    killed_with_batches(&mut fleet);
+    kill_with_batches(&mut fleet);
     for entry in std::fs::read_dir(fleet.deployment.folder().join("edge")).expect("the state is there") {
         let path = entry.expect("readable").path();
         if path.file_name().is_some_and(|name| name.to_string_lossy().starts_with("spool.sqlite")) {
@@ -134,7 +134,7 @@ fn deleted_spool_causes_new_stream_and_gap() {
     fleet.restart_aggregator();
     fleet.start(0);
     fleet.counts(0, "a gap", |counts| counts.missing > 0 || counts.events > 300);
-    nothing_waits(&mut fleet, 0);
+    stop_measuring_and_deliver(&mut fleet, 0);
     let mut stored_events = fleet.stop();
     let host = stored_events.hosts.get_mut("edge").expect("stored");
     assert_eq!((host.streams, host.gaps, host.quarantined), (2, 1, 0), "{host:?}");
@@ -160,5 +160,5 @@ fn second_agent_in_state_folder_is_refused() {
     fleet.agents[0].stop();
     fleet.deliver(0).assert_balanced();
     let stored_events = fleet.stop();
-    nothing_lost(&fleet, &stored_events);
+    assert_nothing_lost(&fleet, &stored_events);
 }

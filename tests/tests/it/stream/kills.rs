@@ -5,7 +5,7 @@ use std::time::Duration;
 use peernet_tests::fleet::{echo, edge, rate};
 use peernet_tests::{EventCounts, Fleet, Stopwatch, TestRng, measured, thousands};
 
-use super::{SMALL_SPOOL, nothing_lost, setting, turn};
+use super::{SMALL_SPOOL, assert_nothing_lost, setting, turn};
 
 /// One agent measures as fast as it can, so that its spool is almost always full and losses are reported among all
 /// other events. The other one loses only the ends of its runs, which were in memory when it was killed.
@@ -51,7 +51,7 @@ fn random_kills_lose_and_duplicate_no_spooled_iteration() {
         .collect();
     tally.duplicates += accounts.iter().map(|counts| counts.duplicates).sum::<u64>();
     let stored_events = fleet.stop();
-    let spooled = nothing_lost(&fleet, &stored_events);
+    let spooled = assert_nothing_lost(&fleet, &stored_events);
     for (agent, counts) in fleet.agents.iter().zip(&accounts) {
         counts.assert_balanced();
         let host = &stored_events.hosts[&agent.name];

@@ -40,7 +40,7 @@ const SMALL_SPOOL: &str = "[spool]\nlimit_bytes = 8388608\n";
 
 /// Checks that every batch that the agents reported as spooled is stored, and that all missing iterations of a run
 /// are in gaps. Returns the number of spooled iterations.
-fn nothing_lost(fleet: &Fleet, stored_events: &StoredEvents) -> u64 {
+fn assert_nothing_lost(fleet: &Fleet, stored_events: &StoredEvents) -> u64 {
     let mut spooled = 0;
     for agent in &fleet.agents {
         assert_eq!(

@@ -6,7 +6,7 @@ use peernet_tests::fleet::{echo, edge, rate};
 use peernet_tests::truth::ask;
 use peernet_tests::{EventCounts, Fleet, Stopwatch, measured, thousands, until, until_grown};
 
-use super::{nothing_lost, setting, turn};
+use super::{assert_nothing_lost, setting, turn};
 
 /// Interval of queries of the stored data.
 const LOOK: Duration = Duration::from_millis(100);
@@ -34,7 +34,7 @@ fn day_long_outage_is_delivered_in_order() {
     let agent = &fleet.agents[0];
     // The other pipeline never reaches that number.
     until_grown("the day's iterations are in the spool", iterations, || {
-        agent.spooled_now().iter().map(|line| line.last).max()
+        agent.all_spooled().iter().map(|line| line.last).max()
     });
 
     fleet.restart_aggregator();
@@ -57,7 +57,7 @@ fn day_long_outage_is_delivered_in_order() {
     fleet.agents[0].stop();
     let counts = fleet.deliver(0);
     let stored_events = fleet.stop();
-    nothing_lost(&fleet, &stored_events);
+    assert_nothing_lost(&fleet, &stored_events);
     counts.assert_balanced();
     let day = stored_events.runs.values().find(|run| run.pipeline == "day").expect("it was measured");
     assert_eq!((day.iterations(), day.reason.as_str()), (iterations, "finished"));

@@ -42,7 +42,7 @@ fn host_on_50_kbit_link_loses_nothing() {
     assert!(stored >= 300, "the durable lane stored {stored} events only");
     assert!(stored < ITERATIONS, "the link was not slow");
 
-    host.open_up(HOME);
+    host.remove_limit(HOME);
     let counts = EventCounts::at_rest(&testbed.api, "edge", wall());
     counts.assert_balanced();
     assert_eq!((counts.dropped, counts.gaps, counts.missing, counts.duplicates), (0, 0, 0, 0));

@@ -3,7 +3,7 @@
 use peernet_tests::fleet::{echo, edge};
 use peernet_tests::{Fleet, ProcessEnd, measured, thousands};
 
-use super::{SMALL_SPOOL, nothing_lost, turn};
+use super::{SMALL_SPOOL, assert_nothing_lost, turn};
 
 /// Returns an agent that logs each answer, so that the number of measured iterations is known independently of the
 /// spool.
@@ -17,10 +17,10 @@ fn answers(ended: &ProcessEnd) -> u64 {
 }
 
 /// Checks that every measured iteration is stored or counted in gaps, and that the end of the run is stored.
-fn everything_measured_is_stored(what: &str, mut fleet: Fleet, measured_in_all: u64) {
+fn assert_everything_is_stored(what: &str, mut fleet: Fleet, measured_in_all: u64) {
     fleet.deliver(0).assert_balanced();
     let stored_events = fleet.stop();
-    nothing_lost(&fleet, &stored_events);
+    assert_nothing_lost(&fleet, &stored_events);
     let run = stored_events.runs.values().next().expect("one run");
     assert_eq!((stored_events.runs.len(), run.reason.as_str()), (1, "stopped"), "{stored_events:?}");
     assert_eq!(run.iterations() + run.missing, measured_in_all, "{stored_events:?}");
@@ -44,7 +44,7 @@ fn agent_stopped_without_aggregator_keeps_all_in_spool() {
     fleet.agents[0].process().wait_for_nth("spooled batch=", 8);
     let ended = fleet.agents[0].stop();
     fleet.restart_aggregator();
-    everything_measured_is_stored("SIGTERM, agent alone", fleet, answers(&ended));
+    assert_everything_is_stored("SIGTERM, agent alone", fleet, answers(&ended));
 }
 
 #[test]
@@ -54,7 +54,7 @@ fn agent_stopped_under_load_spooled_or_stored_everything() {
     fleet.start(0);
     fleet.counts(0, "something is stored", |counts| counts.events > 1_000);
     let ended = fleet.agents[0].stop();
-    everything_measured_is_stored("SIGTERM, agent", fleet, answers(&ended));
+    assert_everything_is_stored("SIGTERM, agent", fleet, answers(&ended));
 }
 
 #[test]
@@ -77,7 +77,7 @@ fn aggregator_stopped_under_load_stored_acknowledged_batches() {
         fleet.deliver(agent).assert_balanced();
     }
     let stored_events = fleet.stop();
-    nothing_lost(&fleet, &stored_events);
+    assert_nothing_lost(&fleet, &stored_events);
     assert!(stored_events.iterations() > first.iterations(), "{stored_events:?}");
     let number = |count: u64| thousands(count as f64);
     measured(

@@ -18,7 +18,7 @@ use crate::temp_dirs::TempDirs;
 use crate::{LoadError, Scratch};
 
 /// Initialisers shorter than this number of bytes stay in the model's file.
-const SMALLEST: &str = "1024";
+const MIN_SHARED_BYTES: &str = "1024";
 
 /// Optimised model on disk; dropping it deletes the files.
 pub(super) struct Shared {
@@ -65,7 +65,10 @@ impl Shared {
             .with_optimization_level(GraphOptimizationLevel::All)?
             .with_optimized_model_path(self.file())?
             .with_config_entry("session.optimized_model_external_initializers_file_name", "weights.bin")?
-            .with_config_entry("session.optimized_model_external_initializers_min_size_in_bytes", SMALLEST)?
+            .with_config_entry(
+                "session.optimized_model_external_initializers_min_size_in_bytes",
+                MIN_SHARED_BYTES,
+            )?
             // The library would warn that the result suits this machine only, which is intended.
             .with_log_level(LogLevel::Error)?
             .commit_from_file(&plan.file)

@@ -7,7 +7,7 @@ use peernet_tests::network::WireProperties;
 use super::{Scene, way, wire};
 
 /// Runs a case for this time after the window is full, and checks every interval.
-fn hold(
+fn check_case(
     what: &'static str,
     [up, down]: [WireProperties; 2],
     for_s: i64,
@@ -17,8 +17,8 @@ fn hold(
     let settled = scene.settle();
     scene.reach(settled + Span::from_seconds(for_s));
     let outcome = scene.end();
-    outcome.is_never_wrong();
-    outcome.is_good_at_the_end();
+    outcome.assert_never_wrong();
+    outcome.assert_good_at_the_end();
 }
 
 /// Returns the preparation of a constant drift between the two hosts.
@@ -45,20 +45,20 @@ fn warm_and_cool(shim: &ClockShim, ppm: f64, ppm_per_s: f64, for_s: f64) {
 
 #[test]
 fn intervals_are_right_at_200_ppm() {
-    hold("+200 ppm, 1/1 ms", [way(1, 0, 0); 2], 10, steady(200.0));
+    check_case("+200 ppm, 1/1 ms", [way(1, 0, 0); 2], 10, steady(200.0));
 }
 
 #[test]
 fn intervals_hold_at_200_ppm_on_bad_path() {
     let ways = [way(5, 3, 2), way(40, 3, 2)];
-    hold("-200 ppm, 5/40 ms, 3 ms of jitter, 2 % lost", ways, 10, steady(-200.0));
+    check_case("-200 ppm, 5/40 ms, 3 ms of jitter, 2 % lost", ways, 10, steady(-200.0));
 }
 
 #[test]
 fn intervals_are_right_with_temperature_changes() {
     // A degree per second at 1 ppm/°C: the limit of the rate's change.
     let waves = |[edge, _]: [&ClockShim; 2]| warm_and_cool(edge, 4.0, 0.999, 120.0);
-    hold("rate changes by 1 ppm/s, 2/2 ms", [way(2, 0, 0); 2], 20, waves);
+    check_case("rate changes by 1 ppm/s, 2/2 ms", [way(2, 0, 0); 2], 20, waves);
 }
 
 #[test]
@@ -67,6 +67,6 @@ fn intervals_are_right_for_all_crystals_and_paths() {
     let paths = [("1/1 ms", 1, 1), ("5/40 ms", 5, 40), ("20/20 ms", 20, 20), ("5/300 ms", 5, 300)];
     for (what, up, down) in paths {
         let ways = [way(up, up / 2, 1), way(down, down / 4, 1)];
-        hold(what, ways, 420, |[edge, _]| warm_and_cool(edge, 199.0, 0.999, 1_000.0));
+        check_case(what, ways, 420, |[edge, _]| warm_and_cool(edge, 199.0, 0.999, 1_000.0));
     }
 }

@@ -68,7 +68,7 @@ impl Outcome {
 
     /// Prints how often and for how long intervals were wrong. None of a message that arrived before `violated`, or
     /// was sent later than `allowed` after it, may be wrong.
-    pub(super) fn wrong_for_at_most(&self, allowed: Span, violated: RawTime) {
+    pub(super) fn assert_wrong_for_at_most(&self, allowed: Span, violated: RawTime) {
         let wrong: Vec<&JudgedDelay> = self.delays.iter().filter(|delay| delay.missed > INEXACT).collect();
         let since = |delay: &JudgedDelay| delay.sent - violated;
         let longest = wrong.last().map_or(Span::ZERO, |last| since(last));
@@ -88,8 +88,8 @@ impl Outcome {
     }
 
     /// Checks that no interval misses the truth.
-    pub(super) fn is_never_wrong(&self) {
-        self.wrong_for_at_most(Span::ZERO, self.delays[0].sent - Span::from_seconds(1));
+    pub(super) fn assert_never_wrong(&self) {
+        self.assert_wrong_for_at_most(Span::ZERO, self.delays[0].sent - Span::from_seconds(1));
     }
 
     fn last(&self) -> impl Iterator<Item = &JudgedDelay> {
@@ -98,7 +98,7 @@ impl Outcome {
     }
 
     /// Checks that all delays at the end are good.
-    pub(super) fn is_good_at_the_end(&self) {
+    pub(super) fn assert_good_at_the_end(&self) {
         let bad: Vec<&JudgedDelay> = self.last().filter(|delay| !delay.is_good).collect();
         assert!(
             bad.is_empty(),
@@ -111,13 +111,13 @@ impl Outcome {
     }
 
     /// Checks that no delay at the end is good.
-    pub(super) fn is_withdrawn_at_the_end(&self) {
+    pub(super) fn assert_withdrawn_at_the_end(&self) {
         let believed: Vec<&JudgedDelay> = self.last().filter(|delay| delay.is_good).collect();
         assert!(believed.is_empty(), "{}: {believed:?}", self.what);
     }
 
     /// Checks that an incident contains these words.
-    pub(super) fn tells(&self, words: &str) {
+    pub(super) fn assert_incidents_contain(&self, words: &str) {
         assert!(self.incidents.contains(words), "{}: {words} is not in {}", self.what, self.incidents);
     }
 }

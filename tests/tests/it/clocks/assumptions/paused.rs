@@ -35,8 +35,8 @@ const fn edge(scene: &Scene) -> &Process {
 /// Stops only the process; its clocks keep running.
 fn stopped_process(what: &'static str, length: Span, of: fn(&Scene) -> &Process) {
     let (outcome, ..) = stop(what, length, of, |_| ());
-    outcome.is_never_wrong();
-    outcome.is_good_at_the_end();
+    outcome.assert_never_wrong();
+    outcome.assert_good_at_the_end();
 }
 
 /// Stops process and clocks: when the process is resumed, its clocks are behind by the length of the pause.
@@ -45,8 +45,8 @@ fn paused_machine(what: &'static str, length: Span) {
         let begin = scene.shim().now() + Span::from_millis(200);
         scene.shim().change_at(begin, -length, 150.0, 0.0);
     });
-    outcome.wrong_for_at_most(WINDOW + (resumed - stopped), stopped);
-    outcome.is_good_at_the_end();
+    outcome.assert_wrong_for_at_most(WINDOW + (resumed - stopped), stopped);
+    outcome.assert_good_at_the_end();
 }
 
 #[test]
@@ -88,6 +88,6 @@ fn intervals_are_right_after_cloud_reboot() {
     let rebooted = scene.shim().now();
     scene.reach(rebooted + Span::from_seconds(8));
     let outcome = scene.end();
-    outcome.is_never_wrong();
-    outcome.is_good_at_the_end();
+    outcome.assert_never_wrong();
+    outcome.assert_good_at_the_end();
 }

@@ -22,7 +22,7 @@ fn drift_on_a_long_path(
     let settled = scene.settle();
     scene.reach(settled + Span::from_seconds(for_s));
     let outcome = scene.end();
-    outcome.is_never_wrong();
+    outcome.assert_never_wrong();
     outcome
 }
 
@@ -32,7 +32,7 @@ fn drift_on_a_long_path(
 fn intervals_are_right_with_hidden_drift() {
     let outcome =
         drift_on_a_long_path("drift of 750 ppm of 200, 6/6 ms", [way(6, 0, 0); 2], 200.0, 750.0, 30);
-    outcome.tells("either the path between them changed, or a clock jumped");
+    outcome.assert_incidents_contain("either the path between them changed, or a clock jumped");
 }
 
 #[test]
@@ -40,8 +40,8 @@ fn intervals_are_right_with_hidden_drift() {
 fn drift_of_100_ppm_is_proven_despite_delays() {
     let ways = [way(5, 0, 0), way(40, 0, 0)];
     let outcome = drift_on_a_long_path("drift of 100 ppm of 50, 5/40 ms", ways, 50.0, 100.0, 1_100);
-    outcome.is_withdrawn_at_the_end();
-    outcome.tells("max_drift_ppm");
+    outcome.assert_withdrawn_at_the_end();
+    outcome.assert_incidents_contain("max_drift_ppm");
 }
 
 /// Runs a case in which the edge's clocks change once during the run.
@@ -56,32 +56,32 @@ fn change(
     let violated = scene.shim().change(Span::from_millis(step_ms), ppm, 0.0);
     scene.reach(violated + Span::from_seconds(for_s));
     let outcome = scene.end();
-    outcome.wrong_for_at_most(WINDOW, violated);
+    outcome.assert_wrong_for_at_most(WINDOW, violated);
     outcome
 }
 
 #[test]
 fn drift_beyond_limit_invalidates_all_delays() {
     let outcome = change("drift of 1,000 ppm of 200 begins, a cable", cable, (0, 1_000.0), 15);
-    outcome.is_withdrawn_at_the_end();
-    outcome.tells("max_drift");
+    outcome.assert_withdrawn_at_the_end();
+    outcome.assert_incidents_contain("max_drift");
 }
 
 #[test]
 fn sudden_rate_change_affects_one_window_at_most() {
-    change("rate changes by 150 ppm, a cable", cable, (0, 150.0), 15).is_good_at_the_end();
+    change("rate changes by 150 ppm, a cable", cable, (0, 150.0), 15).assert_good_at_the_end();
 }
 
 #[test]
 fn jittered_rate_change_affects_one_window_at_most() {
     let path = wire(way(2, 2, 1), way(2, 2, 1));
-    change("rate changes by 180 ppm, 2/2 ms, 2 ms of jitter", path, (0, 180.0), 15).is_good_at_the_end();
+    change("rate changes by 180 ppm, 2/2 ms, 2 ms of jitter", path, (0, 180.0), 15).assert_good_at_the_end();
 }
 
 #[test]
 fn common_time_gain_affects_one_window_at_most() {
     let path = wire(way(20, 2, 1), way(20, 2, 1));
-    change("39 ms gained, 20/20 ms, 2 ms of jitter, 1 % lost", path, (39, 0.0), 15).is_good_at_the_end();
+    change("39 ms gained, 20/20 ms, 2 ms of jitter, 1 % lost", path, (39, 0.0), 15).assert_good_at_the_end();
 }
 
 /// Exchanges of a short path would narrow those of a longer path for ever, if the window did not end.
@@ -94,6 +94,6 @@ fn expired_exchange_bounds_no_delay() {
     let violated = scene.shim().change(Span::ZERO, 1_000.0, 0.0);
     scene.reach(violated + WINDOW + Span::from_seconds(8));
     let outcome = scene.end();
-    outcome.wrong_for_at_most(WINDOW, violated);
-    outcome.is_good_at_the_end();
+    outcome.assert_wrong_for_at_most(WINDOW, violated);
+    outcome.assert_good_at_the_end();
 }
