@@ -1,4 +1,4 @@
-//! ARCHITECTURE.md keeps its word: the tests that it names for each promise are there, and so are the files.
+//! Tests that ARCHITECTURE.md is right: the tests that it names for each promise exist, and so do the files.
 
 use std::collections::BTreeSet;
 use std::fs;
@@ -8,7 +8,7 @@ use peernet_tests::{Document, root};
 
 const DOCUMENT: &str = "ARCHITECTURE.md";
 const SECTION: &str = "what-is-promised-and-what-keeps-it";
-/// Where code is; not the folders of what was built.
+/// Folders with code, without those of build results.
 const CODE: [&str; 10] = [
     "configs",
     "daemon",
@@ -22,10 +22,10 @@ const CODE: [&str; 10] = [
     "web",
 ];
 
-/// What the table of libraries names beside crates of the workspace: a crate under another name, and a command.
+/// Names in the table of libraries that are not crates of the workspace: a renamed crate, and a command.
 const OTHER_NAMES: [&str; 2] = ["omq-tokio", "chronyc"];
 
-/// All files and folders below a folder.
+/// Adds all files and folders below a folder to `found`.
 fn below(folder: &Path, found: &mut Vec<PathBuf>) {
     for entry in fs::read_dir(folder).expect("it can be listed") {
         let path = entry.expect("it can be listed").path();
@@ -42,12 +42,12 @@ fn code() -> Vec<PathBuf> {
     found
 }
 
-/// What stands between backquotes, without white space.
+/// Returns the texts between back quotes that contain no white space.
 fn quoted(text: &str) -> impl Iterator<Item = &str> {
     text.lines().flat_map(|line| line.split('`').skip(1).step_by(2)).filter(|code| !code.contains(' '))
 }
 
-/// Names of tests: small letters, digits and several underscores.
+/// Returns names of tests: lower-case letters, digits and at least two underscores.
 fn tests(text: &str) -> impl Iterator<Item = &str> {
     let small = |c: char| c.is_ascii_lowercase() || c.is_ascii_digit() || c == '_';
     quoted(text).filter(move |code| code.matches('_').count() > 1 && code.chars().all(small))
@@ -75,7 +75,7 @@ fn every_promise_names_tests_that_exist() {
 }
 
 #[test]
-fn every_path_leads_to_a_file_or_a_folder() {
+fn every_path_in_architecture_exists() {
     let code = code();
     let plain = |c: char| c.is_ascii_alphanumeric() || "_-./".contains(c);
     let architecture = Document::read(DOCUMENT);
@@ -93,7 +93,7 @@ fn every_path_leads_to_a_file_or_a_folder() {
 }
 
 #[test]
-fn every_library_stands_there_with_its_reason() {
+fn architecture_lists_every_library() {
     let manifest = fs::read_to_string(root().join("Cargo.toml")).expect("it is there");
     let manifest: toml::Table = manifest.parse().expect("it is TOML");
     let libraries = manifest["workspace"]["dependencies"].as_table().expect("it is a table");
