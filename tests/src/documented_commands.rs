@@ -74,6 +74,7 @@ impl DocumentedCommands {
         for name in ["peernet", "peernetd"] {
             link(&format!("bin/{name}"), &program(name));
             link(&format!("target/release/{name}"), &program(name));
+            link(&format!("target/demo/{name}"), &program(name));
         }
         link("bin/PEERNet", &program("peernet"));
         Self { commands, executed: RefCell::default(), folder, network }

@@ -33,7 +33,7 @@ pub fn edge(keys: &str, tables: &str) -> String {
 /// Returns the same configuration with another state folder.
 pub fn edge_in(state: &str, keys: &str, tables: &str) -> String {
     format!(
-        "[log]\nlevel = \"{TELLS_SPOOLED}\"\n\
+        "[log]\nlevel = \"{SPOOL_LOG_LEVEL}\"\n\
          [agent]\nname = \"NAME\"\nstate_dir = \"{state}\"\naggregator = \"tcp://127.0.0.1:{{events}}\"\n{keys}\n\
          [[model]]\nname = \"echo\"\nkind = \"echo\"\n{tables}"
     )

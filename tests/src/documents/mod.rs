@@ -40,7 +40,15 @@ impl Document {
 
     /// Returns the documents for users and contributors.
     pub fn all() -> Vec<Self> {
-        let others = ["ARCHITECTURE.md", "CONTRIBUTING.md", "deploy/README.md", "models/README.md"];
+        let others = [
+            "ARCHITECTURE.md",
+            "CONTRIBUTING.md",
+            "deploy/README.md",
+            "docs/development/dependencies.md",
+            "docs/development/guarantees.md",
+            "docs/development/protocol-versions.md",
+            "models/README.md",
+        ];
         Self::for_users().into_iter().chain(others.map(Self::read)).collect()
     }
 

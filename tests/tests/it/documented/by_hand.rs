@@ -5,11 +5,11 @@ use peernet_tests::truth::ask;
 use peernet_tests::{Api, Document, DocumentedCommands, until};
 
 pub(crate) const COMMANDS: [&str; 6] = [
-    "target/release/peernetd run configs/aggregator.toml",
-    "target/release/peernetd run configs/cloud.toml",
-    "target/release/peernetd run configs/edge.toml",
+    "target/demo/peernetd run configs/aggregator.toml",
+    "target/demo/peernetd run configs/cloud.toml",
+    "target/demo/peernetd run configs/edge.toml",
     "peernetd doctor --config configs/edge.toml",
-    "target/release/peernetd run configs/all-in-one.toml",
+    "target/demo/peernetd run configs/all-in-one.toml",
     "peernetd run configs/python.toml",
 ];
 
@@ -31,10 +31,10 @@ fn killed_aggregator_leaves_no_gap_on_dashboard() {
     machines.copy("configs/aggregator.toml", &[("127.0.0.1:5550", "0.0.0.0:5550")]);
     machines.copy("configs/cloud.toml", &[("tcp://127.0.0.1:5551", "tcp://0.0.0.0:5551")]);
     machines.copy("configs/edge.toml", &[]);
-    let start = || machines.on_cloud("target/release/peernetd run configs/aggregator.toml", &[]);
+    let start = || machines.on_cloud("target/demo/peernetd run configs/aggregator.toml", &[]);
     let aggregator = start();
-    let cloud = machines.on_cloud("target/release/peernetd run configs/cloud.toml", &[]);
-    let edge = machines.on_edge("target/release/peernetd run configs/edge.toml", &[]);
+    let cloud = machines.on_cloud("target/demo/peernetd run configs/cloud.toml", &[]);
+    let edge = machines.on_edge("target/demo/peernetd run configs/edge.toml", &[]);
     for pipeline in ["local", "offload-full", "offload-resized"] {
         answered(machines.cloud(), pipeline, 5);
     }
@@ -65,7 +65,7 @@ fn killed_aggregator_leaves_no_gap_on_dashboard() {
         machines.write(&name, &Document::read(&*name).text);
     }
     let own_code = machines.on_cloud("peernetd run configs/python.toml", &[]);
-    let all = machines.on_edge("target/release/peernetd run configs/all-in-one.toml", &[]);
+    let all = machines.on_edge("target/demo/peernetd run configs/all-in-one.toml", &[]);
     answered(machines.edge(), "over-the-network", 5);
     answered(machines.cloud(), "scan", 5);
     for process in [own_code, all] {

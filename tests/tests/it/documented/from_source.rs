@@ -20,7 +20,7 @@ pub(crate) const COMMANDS: [&str; 12] = [
 
 const PROGRAMS: &str = "install -m 755 target/release/peernetd target/release/peernet /usr/bin/";
 const LIBRARY: &str = "deploy/onnxruntime/fetch.py --dest /usr/lib/peernet";
-const DEMO: &str = "deploy/demo.sh target/release/peernetd FOLDER";
+const DEMO: &str = "deploy/demo.sh target/demo/peernetd FOLDER";
 
 fn assert_success(ended: &ProcessEnd) {
     assert_eq!(ended.code(), 0, "{}", ended.log);

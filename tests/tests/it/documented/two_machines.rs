@@ -1,4 +1,4 @@
-//! The README's two machines with its own files: queries, calibration, maintenance.
+//! The two machines of docs/two-machines.md with its own files: queries, calibration, maintenance.
 
 use peernet_tests::network::Host;
 use peernet_tests::truth::ask;
@@ -36,10 +36,10 @@ const CLEAR: &str = "peernetd clear-host-secret --config /etc/peernet/aggregator
 /// Arguments of a calibration of some seconds.
 const SHORT: &str = "calibrate --sizes 100,1kB,10kB --repeats 20 --quiet";
 
-/// Installs the README's three files on the machines that it names, which share one host name and clock here.
+/// Installs the three files of docs/two-machines.md on the machines that it names, which share one host name and clock here.
 pub(crate) fn install(machines: &DocumentedCommands) {
-    let readme = Document::read("README.md");
-    let files = readme.indented("put-it-on-two-machines", 7);
+    let document = Document::read("docs/two-machines.md");
+    let files = document.indented("put-it-on-two-machines", 7);
     let [aggregator, cloud, robot, ..] = &*files else { panic!("it has three files: {files:#?}") };
     let agent = |name: &str| {
         let state = format!("state_dir = \"/var/lib/peernet/agent\"\nclock_identity = \"{name}\"");
