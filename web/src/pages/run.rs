@@ -279,7 +279,7 @@ fn assemble(
                 .map_or_else(|| NONE.to_owned(), |share| format!("{}{SPACE}%", percent(share))),
         ),
         missed: missed(summary),
-        skipped: skipped(&summary.starts()),
+        skipped: skipped(&Starts::from(summary)),
         clock: ClockCell::of(summary.placement.kind, bounds),
         directions: directions(bounds),
         bar: stack.whole("big"),

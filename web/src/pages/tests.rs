@@ -55,6 +55,18 @@ async fn one_pipeline_that_is_well() {
 }
 
 #[tokio::test]
+async fn miss_rates_are_column_where_a_pipeline_has_a_deadline() {
+    let line = || pipeline("line", 30.0, 1.0, Verdict::Ok, &[]);
+    let of = |lines| picture(vec![host("cam-1", "Orin")], lines);
+    assert!(!overview_of(&of(vec![line()]), Vec::new()).await.contains("missed"));
+    let mut late = line();
+    late.windows[2].miss_rate = Some(0.012);
+    let html = overview_of(&of(vec![late, pipeline("other", 30.0, 1.0, Verdict::Ok, &[])]), Vec::new()).await;
+    assert!(html.contains("data-h=\"missed %\">1.2</td>"), "{html}");
+    assert!(html.contains("title=\"no deadline\">—</span>"), "{html}");
+}
+
+#[tokio::test]
 async fn latencies_that_spread_and_busy_processors_are_to_be_looked_at() {
     let mut line = pipeline("line", 30.0, 1.0, Verdict::Ok, &[]);
     for (_, figures) in line.windows[2].values.iter_mut().filter(|(name, _)| name.as_str() == "total") {

@@ -129,10 +129,34 @@ impl UsersLine {
         }
     }
 
+    /// Returns a configuration from whole runs, each given by its repeat and what its edge got. Repeats that lack an edge are left
+    /// out.
+    pub fn of_whole_runs(labels: Vec<String>, runs: &[(u32, Option<Share>)], totals: Totals) -> Self {
+        let mut repeats: Vec<(u32, Vec<Option<Share>>)> = Vec::new();
+        for (repeat, share) in runs {
+            match repeats.iter_mut().find(|(known, _)| known == repeat) {
+                Some((_, shares)) => shares.push(*share),
+                None => repeats.push((*repeat, vec![*share])),
+            }
+        }
+        let edges = repeats.iter().map(|(_, shares)| shares.len()).max().unwrap_or_default();
+        let whole = repeats.into_iter().filter(|(_, shares)| shares.len() == edges);
+        let shares: Vec<Vec<Share>> =
+            whole.map(|(_, shares)| shares.into_iter().flatten().collect()).collect();
+        Self::new(labels, edges, &shares, totals)
+    }
+
     /// The rates of the edge that got the fewest and of the one that got the most, over all repeats.
     pub fn extremes(&self) -> Option<(f64, f64)> {
         let rates = self.shares.iter().map(|share| (share.rate, share.rate));
         rates.reduce(|(lo, hi), (a, b)| (lo.min(a), hi.max(b)))
+    }
+}
+
+impl Share {
+    /// Returns what an edge got over the whole length of its run, warm-up and all; `None` of a run without length.
+    pub fn of_run(answers: u64, seconds: f64, median: Option<f64>) -> Option<Self> {
+        (seconds > 0.0).then(|| Self { rate: answers as f64 / seconds, median })
     }
 }
 

@@ -112,3 +112,13 @@ fn models_are_not_joined_because_each_had_its_own_number_of_edges() {
     let found = curves(&["model"], &lines);
     assert_eq!(found, [("v2-s".to_owned(), vec![1]), ("v2-m".to_owned(), vec![2])]);
 }
+
+#[test]
+fn repeats_of_whole_runs_that_lack_an_edge_are_left_out() {
+    let share = |answers| Share::of_run(answers, 10.0, None);
+    let runs = [(0, share(100)), (0, share(300)), (1, share(500)), (2, share(100)), (2, share(100))];
+    let line = UsersLine::of_whole_runs(Vec::new(), &runs, Totals::default());
+    assert_eq!((line.edges, line.shares.len(), line.rate), (2, 4, Some(30.0)));
+    assert_eq!(line.fairness, Some((0.8 + 1.0) / 2.0));
+    assert_eq!(Share::of_run(3, 0.0, None), None);
+}

@@ -70,7 +70,7 @@ fn collect(run: &RunDetail, known: &RunStatistics, courses: &[StageCourse]) -> T
         starts: Starts {
             hz: configured.and_then(|configured| configured.load.hz),
             made_hz: made_hz(run, &counts),
-            ..run.summary.starts()
+            ..Starts::from(&run.summary)
         },
         missing: run
             .gaps
@@ -121,10 +121,10 @@ struct Configured {
     load: Load,
 }
 
-impl RunSummary {
-    /// Returns what became of the starts that were ordered; the rates are not known.
-    pub fn starts(&self) -> Starts {
-        Starts { kept: self.counts.total(), skipped: self.skipped_starts, ..Starts::default() }
+/// The rates are not known.
+impl From<&RunSummary> for Starts {
+    fn from(run: &RunSummary) -> Self {
+        Self { kept: run.counts.total(), skipped: run.skipped_starts, ..Self::default() }
     }
 }
 

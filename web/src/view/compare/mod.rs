@@ -122,7 +122,7 @@ impl Configuration {
 
     /// What became of the starts that an open loop ordered.
     pub(crate) fn starts(&self) -> Starts {
-        let of_runs = self.runs.iter().map(RunSummary::starts);
+        let of_runs = self.runs.iter().map(Starts::from);
         of_runs.fold(Starts::default(), |all, run| Starts {
             kept: all.kept + run.kept,
             skipped: all.skipped + run.skipped,

@@ -43,19 +43,10 @@ pub(crate) fn users(comparison: &Comparison) -> Option<(Scatter, Vec<UsersRow>)>
     Some((plot(&curves), rows.collect()))
 }
 
-/// What each user of a configuration got. Repeats that lack a user are left out.
+/// What each user of a configuration got.
 fn line(one: &Configuration) -> UsersLine {
-    let mut repeats: Vec<(u32, Vec<&RunSummary>)> = Vec::new();
-    for run in &one.runs {
-        let repeat = run.experiment.as_ref().map_or(0, |place| place.repeat);
-        match repeats.iter_mut().find(|(known, _)| *known == repeat) {
-            Some((_, users)) => users.push(run),
-            None => repeats.push((repeat, vec![run])),
-        }
-    }
-    let users = repeats.iter().map(|(_, users)| users.len()).max().unwrap_or_default();
-    let whole = repeats.iter().filter(|(_, runs)| runs.len() == users);
-    let shares = whole.map(|(_, runs)| runs.iter().filter_map(|run| share(run)).collect::<Vec<_>>());
+    let repeat = |run: &RunSummary| run.experiment.as_ref().map_or(0, |place| place.repeat);
+    let runs: Vec<(u32, Option<Share>)> = one.runs.iter().map(|run| (repeat(run), share(run))).collect();
     let totals = one.total().map_or_else(Totals::default, |total| Totals {
         count: usize::try_from(total.count).unwrap_or(usize::MAX),
         mean: Some(total.mean),
@@ -63,14 +54,12 @@ fn line(one: &Configuration) -> UsersLine {
         p95: total.p95,
         p99: total.p99,
     });
-    UsersLine::new(one.values.clone(), users, &shares.collect::<Vec<_>>(), totals)
+    UsersLine::of_whole_runs(one.values.clone(), &runs, totals)
 }
 
-/// Answers per second over a run's whole length, warm-up and all.
 fn share(run: &RunSummary) -> Option<Share> {
     let seconds = (runs::end(run)? - run.started).seconds();
-    let answers = (run.counts.ok + run.warm_up) as f64;
-    (seconds > 0.0).then(|| Share { rate: answers / seconds, median: run.total.map(|total| total.p50) })
+    Share::of_run(run.counts.ok + run.warm_up, seconds, run.total.map(|total| total.p50))
 }
 
 fn plot(curves: &[Vec<(&UsersLine, &Configuration)>]) -> Scatter {
