@@ -290,6 +290,7 @@ fn grow(
     allowance: &Allowance,
 ) -> Result<(), Violation> {
     reserve(reserved, finished_bytes.saturating_add(capacity + FRAME_OVERHEAD_BYTES), allowance)?;
+    // The length is a peer's choice, so a failed allocation must end the connection and not the process.
     buffer.try_reserve_exact(capacity - buffer.len()).map_err(|error| {
         (Rejection::NoMemory, format!("no memory for {capacity} bytes of an unfinished frame: {error}"))
     })
