@@ -1,4 +1,4 @@
-# make demo   builds a release and runs the factory line on loopback: three processes, until Ctrl-C
+# make demo   builds the programs and runs the factory line on loopback: three processes, until Ctrl-C
 # make rehearsal  the same with the edge's clock wrong on purpose: the delays do not move
 # make test   everything that must hold; installs what it needs
 # make interop  programs of other projects as peers: ROS 1, ROS 2, libzmq
@@ -6,6 +6,7 @@
 # make bench  the measured tables, ratios side by side in one run
 # make soak   hundreds of kills, a day's outage, full disks, with release builds; takes its time
 # make deb    the Debian package, in target/debian/
+# make hooks  checks the subjects of commits in this checkout
 # make setup  ONNX Runtime's library, checked by hash, into onnxruntime/
 
 SHELL := /bin/bash
@@ -13,20 +14,23 @@ SHELL := /bin/bash
 .ONESHELL:
 CARGO ?= cargo
 
-.PHONY: help demo rehearsal setup build test check format lint linted-tests tests configs units deny browser api package deb interop bench soak clean
+.PHONY: help hooks demo rehearsal setup build test check format lint linted-tests tests configs units deny browser api package deb interop bench soak clean
 help:
-	@sed -n 's/^# //p' $(firstword $(MAKEFILE_LIST)) | head -9
+	@sed -n 's/^# //p' $(firstword $(MAKEFILE_LIST)) | head -10
 
 demo: setup
-	$(CARGO) build --release --locked --package peernetd
-	deploy/demo.sh target/release/peernetd
+	$(CARGO) build --profile demo --locked --package peernetd
+	deploy/demo.sh target/demo/peernetd
 
 rehearsal: setup
-	$(CARGO) build --release --locked --package peernetd
+	$(CARGO) build --profile demo --locked --package peernetd
 	mkdir -p data/rehearsal
 	cp configs/aggregator.toml configs/cloud.toml configs/edge.toml data/rehearsal/
 	printf '\n[rehearsal]\noffset_ms = 1200.0\ndrift_ppm = 25.0\n' >> data/rehearsal/edge.toml
-	deploy/demo.sh target/release/peernetd data/rehearsal data/rehearsal/logs
+	deploy/demo.sh target/demo/peernetd data/rehearsal data/rehearsal/logs
+
+hooks:
+	git config core.hooksPath deploy/hooks
 
 setup:
 	@python3 deploy/onnxruntime/fetch.py

@@ -1,4 +1,4 @@
-//! A ROS 1 node for tests: a camera, or a node that answers after a known time.
+//! ROS 1 node for tests: a camera, or a node that answers after a known time.
 //!
 //! ```text
 //! ros1-node camera NAME TOPIC HZ              publishes stamped messages
@@ -6,7 +6,7 @@
 //! ros1-node restamp NAME IN OUT DELAY_MS      as relay; keeps the sequence number and stamps each message with the present time
 //! ros1-node talk NAME TOPIC                   publishes texts, which have no header
 //! ```
-//! A relay prints the median of what it really took, in microseconds, after each 20 messages.
+//! A relay prints the median of its actual delay, in microseconds, after each 20 messages.
 #![expect(clippy::print_stdout, reason = "the tests read what it prints")]
 
 use std::sync::Arc;
@@ -18,16 +18,16 @@ use peernet_clock::{ClockIdentity, SharedClock, SystemClock};
 use peernet_ros::messages::{CompressedImage, Header, Message, StringMessage, Time, WireForm};
 use peernet_ros::ros1::{Environment, Node, PublisherOptions, SubscriberOptions, TopicType};
 
-/// Messages after which a relay says how long it took.
+/// Number of messages after which a relay prints its delay.
 const REPORT: usize = 20;
 
-/// What a relay does with the messages that it receives.
+/// Treatment of the messages that a relay receives.
 struct Relay {
-    /// How long it waits before it publishes a message.
+    /// Time before a message is published.
     delay: Duration,
-    /// Each message of this number is not published; 0: all are.
+    /// Every message whose number is a multiple of this is not published; 0: all are.
     drop: usize,
-    /// Whether it sets `header.stamp` to the time at which it publishes.
+    /// `true` to set `header.stamp` to the time of publishing.
     restamps: bool,
 }
 
@@ -68,7 +68,7 @@ async fn relay(
         if drop > 0 && number % drop == 0 {
             continue;
         }
-        // Timers of tokio are rounded up to whole milliseconds.
+        // Timers of tokio would round up to whole milliseconds.
         std::thread::sleep(delay);
         if restamps {
             let mut picture = CompressedImage::decode(WireForm::Ros1, message.bytes)?;

@@ -1,10 +1,10 @@
-//! The REST API, asked as a program would.
+//! Client of the REST API.
 
 use serde_json::Value;
 
 use crate::process::until;
 
-/// A client of one aggregator.
+/// Client of the REST API of one aggregator.
 #[derive(Clone, Debug)]
 pub struct Api {
     base: String,
@@ -12,23 +12,23 @@ pub struct Api {
 }
 
 impl Api {
-    /// A client for the aggregator's web port on this machine.
+    /// Creates a client for an aggregator's web port on this machine.
     pub fn at(port: u16) -> Self {
         let agent = ureq::Agent::config_builder().http_status_as_error(false).build().into();
         Self { base: format!("http://127.0.0.1:{port}"), agent }
     }
 
-    /// Status and text of a page; `None` when nobody answers.
+    /// Returns status and text of a page; `None` without an answer.
     pub fn get(&self, path: &str) -> Option<(u16, String)> {
         let mut response = self.agent.get(format!("{}{path}", self.base)).call().ok()?;
         let text = response.body_mut().read_to_string().ok()?;
         Some((response.status().as_u16(), text))
     }
 
-    /// The document at a path.
+    /// Returns the JSON document at a path.
     ///
     /// # Panics
-    /// When it cannot be had.
+    /// If there is no answer, another status than 200, or no JSON.
     pub fn json(&self, path: &str) -> Value {
         let (status, text) =
             self.get(path).unwrap_or_else(|| panic!("nobody answers at {}{path}", self.base));
@@ -36,10 +36,10 @@ impl Api {
         serde_json::from_str(&text).unwrap_or_else(|error| panic!("{path} is no JSON ({error}): {text}"))
     }
 
-    /// Asks for a document until `holds` finds in it what it looks for.
+    /// Requests a document repeatedly until `holds` returns a value.
     ///
     /// # Panics
-    /// When that takes longer than [`crate::PATIENCE`].
+    /// If that takes longer than [`crate::PATIENCE`].
     pub fn until<T>(&self, path: &str, mut holds: impl FnMut(&Value) -> Option<T>) -> T {
         until(path, || {
             let (status, text) = self.get(path)?;
@@ -50,7 +50,7 @@ impl Api {
         })
     }
 
-    /// The number of the newest run, once it has ended by itself.
+    /// Waits until the newest run has ended by itself; returns its number.
     ///
     /// # Panics
     /// As [`until`](Self::until).
@@ -61,30 +61,30 @@ impl Api {
         })
     }
 
-    /// The figures of a stage or value of a run; `None` when it has none of that name.
+    /// Returns the statistics of a stage or value of a run; `None` if it has none of that name.
     ///
     /// # Panics
-    /// When they cannot be had.
+    /// If they cannot be read.
     pub fn figures(&self, run: i64, name: &str) -> Option<Value> {
         let stages = self.json(&format!("/api/v1/runs/{run}/stages"));
         stages["stages"].as_array()?.iter().find(|stage| stage["name"] == name).cloned()
     }
 
-    /// The mean of a stage or value of a run.
+    /// Returns the mean of a stage or value of a run.
     ///
     /// # Panics
-    /// When it has none of that name.
+    /// If it has none of that name.
     pub fn mean(&self, run: i64, name: &str) -> f64 {
         let figures = self.figures(run, name);
         let mean = figures.and_then(|figures| figures["mean"].as_f64());
         mean.unwrap_or_else(|| panic!("run {run} has no mean of {name}"))
     }
 
-    /// Checks that these stages and what is unattributed are the total, nothing missing and nothing twice.
+    /// Checks that these stages and the unattributed time add up to the total.
     ///
     /// # Panics
-    /// When they are not.
-    pub fn stages_are_the_total(&self, run: i64, stages: &[&str]) {
+    /// If they do not.
+    pub fn assert_stages_sum_to_total(&self, run: i64, stages: &[&str]) {
         let all = stages.iter().chain(&["unattributed"]);
         let sum: f64 = all.map(|name| self.mean(run, name)).sum();
         let total = self.mean(run, "total");

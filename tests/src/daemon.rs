@@ -1,53 +1,53 @@
-//! A `peernetd` that lives more than once.
+//! A `peernetd` that is started several times.
 
 use peernet_clock::Span;
 use rustix::process::Signal;
 
-use crate::{Ended, FalseTime, Process, Site, Spooled};
+use crate::{FalseTime, LoopbackDeployment, Process, ProcessEnd, SpooledIterations};
 
-/// One configuration file and the process that runs it at the moment; what its earlier lives said is kept.
+/// A configuration file with the process that runs it. Data from the logs of earlier processes is kept.
 #[derive(Debug)]
 pub struct Daemon {
-    /// Its name; the file is `NAME.toml`.
+    /// Name of the daemon; the file is `NAME.toml`.
     pub name: String,
     configuration: String,
     process: Option<Process>,
-    /// What it is shown as the time; the kernel's when there is none.
+    /// Time that the process is shown; `None` for the kernel's.
     time: Option<FalseTime>,
-    spooled: Vec<Spooled>,
+    spooled: Vec<SpooledIterations>,
 }
 
 impl Daemon {
-    /// Writes the configuration; starts nothing.
-    pub fn new(site: &Site, name: &str, configuration: &str) -> Self {
+    /// Writes the configuration without starting the process.
+    pub fn new(deployment: &LoopbackDeployment, name: &str, configuration: &str) -> Self {
         let (name, spooled) = (name.to_owned(), Vec::new());
         let mut daemon = Self { name, configuration: String::new(), process: None, time: None, spooled };
-        daemon.configure(site, configuration);
+        daemon.configure(deployment, configuration);
         daemon
     }
 
-    /// The same, started.
-    pub fn started(site: &Site, name: &str, configuration: &str) -> Self {
-        let mut daemon = Self::new(site, name, configuration);
-        daemon.start(site);
+    /// Writes the configuration and starts the process.
+    pub fn started(deployment: &LoopbackDeployment, name: &str, configuration: &str) -> Self {
+        let mut daemon = Self::new(deployment, name, configuration);
+        daemon.start(deployment);
         daemon
     }
 
-    /// Writes another configuration for the next life.
-    pub fn configure(&mut self, site: &Site, configuration: &str) {
+    /// Writes another configuration for the next start.
+    pub fn configure(&mut self, deployment: &LoopbackDeployment, configuration: &str) {
         self.configuration = configuration.replace("NAME", &self.name);
-        site.write(&self.file(), &self.configuration);
+        deployment.write(&self.file(), &self.configuration);
     }
 
     /// Starts it without its pipelines: an agent that measures nothing.
     ///
     /// # Panics
-    /// When it runs already.
-    pub fn start_idle(&mut self, site: &Site) {
+    /// If it runs already.
+    pub fn start_idle(&mut self, deployment: &LoopbackDeployment) {
         let (idle, _) = self.configuration.split_once("[[pipeline]]").unwrap_or((&self.configuration, ""));
         let file = format!("{}-idle.toml", self.name);
-        site.write(&file, idle);
-        self.start_from(site, &file);
+        deployment.write(&file, idle);
+        self.start_from(deployment, &file);
     }
 
     fn file(&self) -> String {
@@ -57,58 +57,59 @@ impl Daemon {
     /// Starts it.
     ///
     /// # Panics
-    /// When it runs already.
-    pub fn start(&mut self, site: &Site) {
-        self.start_from(site, &self.file());
+    /// If it runs already.
+    pub fn start(&mut self, deployment: &LoopbackDeployment) {
+        self.start_from(deployment, &self.file());
     }
 
-    fn start_from(&mut self, site: &Site, file: &str) {
+    fn start_from(&mut self, deployment: &LoopbackDeployment, file: &str) {
         assert!(self.process.is_none(), "{} runs already", self.name);
         let time = self.time.as_ref().map(FalseTime::environment);
-        self.process = Some(site.start_with(file, time.as_ref().map_or(&[], |time| &time[..])));
+        self.process = Some(deployment.start_with(file, time.as_ref().map_or(&[], |time| &time[..])));
     }
 
     /// Shows it another time than the kernel's, from its next start on.
-    pub fn show_time(&mut self, site: &Site, ahead: Span) {
+    pub fn show_time(&mut self, deployment: &LoopbackDeployment, ahead: Span) {
         match &self.time {
             Some(time) => time.show(ahead),
             None => {
-                self.time = Some(FalseTime::new(&site.folder().join(format!("{}-time", self.name)), ahead));
+                self.time =
+                    Some(FalseTime::new(&deployment.folder().join(format!("{}-time", self.name)), ahead));
             }
         }
     }
 
-    /// Waits until it is ready. One that ends instead, because of something in its surroundings that `mend` sets right, is
-    /// started again, as a service manager does. Returns how often that was.
-    pub fn is_ready(&mut self, site: &Site, mut mend: impl FnMut()) -> u32 {
+    /// Waits until it is ready. If it ends instead, because of a condition that `repair` corrects, it is started again,
+    /// as a service manager does. Returns the number of restarts.
+    pub fn wait_until_ready(&mut self, deployment: &LoopbackDeployment, mut repair: impl FnMut()) -> u32 {
         let mut ended = 0;
-        while !self.process().says("ready") {
+        while !self.process().logs_before_end("ready") {
             let process = self.take().ended();
             let failed = process.status.code().is_some_and(|code| code != 0);
             assert!(failed, "{} ended with {}:\n{}", self.name, process.status, process.log);
             self.keep(&process);
-            mend();
-            self.start(site);
+            repair();
+            self.start(deployment);
             ended += 1;
         }
         ended
     }
 
-    /// Whether it was started and neither stopped nor killed.
-    pub fn runs(&self) -> bool {
+    /// Returns whether it was started and neither stopped nor killed.
+    pub fn is_running(&self) -> bool {
         self.process.is_some()
     }
 
-    /// The process.
+    /// Returns the process.
     ///
     /// # Panics
-    /// When it does not run.
+    /// If it does not run.
     pub fn process(&self) -> &Process {
         self.process.as_ref().unwrap_or_else(|| panic!("{} does not run", self.name))
     }
 
-    /// Kills it (-9) and waits for its end.
-    pub fn kill(&mut self) -> Ended {
+    /// Kills it (SIGKILL) and waits for its end.
+    pub fn kill(&mut self) -> ProcessEnd {
         let ended = self.take().kill();
         assert_eq!(
             std::os::unix::process::ExitStatusExt::signal(&ended.status),
@@ -121,12 +122,12 @@ impl Daemon {
         ended
     }
 
-    /// Stops it with SIGTERM. It must end well.
+    /// Stops it with SIGTERM.
     ///
     /// # Panics
-    /// When its exit code is not 0.
-    pub fn stop(&mut self) -> Ended {
-        // Before that it has not taken over the signals.
+    /// If its exit code is not 0.
+    pub fn stop(&mut self) -> ProcessEnd {
+        // The process handles signals only after it is ready.
         self.process().wait_for("ready");
         let ended = self.take().stop();
         assert_eq!(ended.code(), 0, "{}:\n{}", self.name, ended.log);
@@ -138,18 +139,19 @@ impl Daemon {
         self.process.take().unwrap_or_else(|| panic!("{} does not run", self.name))
     }
 
-    fn keep(&mut self, ended: &Ended) {
-        self.spooled.extend(Spooled::all(&ended.log));
+    fn keep(&mut self, ended: &ProcessEnd) {
+        self.spooled.extend(SpooledIterations::all(&ended.log));
     }
 
-    /// What it said is in its spool, in all lives that are over.
-    pub fn spooled(&self) -> &[Spooled] {
+    /// Returns the batches that it reported as spooled, in all processes that have ended.
+    pub fn spooled(&self) -> &[SpooledIterations] {
         &self.spooled
     }
 
-    /// What it said so far, with the life under way.
-    pub fn spooled_now(&self) -> Vec<Spooled> {
-        let now = self.process.as_ref().map(|process| Spooled::all(&process.log())).unwrap_or_default();
+    /// Returns the batches that it reported as spooled so far, including the running process.
+    pub fn all_spooled(&self) -> Vec<SpooledIterations> {
+        let now =
+            self.process.as_ref().map(|process| SpooledIterations::all(&process.log())).unwrap_or_default();
         self.spooled.iter().cloned().chain(now).collect()
     }
 }

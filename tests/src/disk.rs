@@ -1,4 +1,4 @@
-//! Disks of a test's own: one that is small enough to be filled, one that can be unmounted and set read-only.
+//! Disks for tests: a small one that can be filled, and one that can be unmounted and made read-only.
 
 use std::fs::File;
 use std::path::{Path, PathBuf};
@@ -10,17 +10,17 @@ use rustix::io::Errno;
 use rustix::mount::{MountFlags, UnmountFlags, mount, unmount};
 use rustix::process::geteuid;
 
-/// A file system in memory. Unmounted when dropped; one that a killed test left behind goes with the next.
+/// File system in memory. It is unmounted when dropped; the disk of a killed test is removed by the next test.
 #[derive(Debug)]
 pub struct SmallDisk {
     folder: PathBuf,
 }
 
 impl SmallDisk {
-    /// Mounts a disk of so many bytes in a folder of its own.
+    /// Mounts a disk of this size, bytes.
     ///
     /// # Panics
-    /// When not run as root.
+    /// If the test does not run as root.
     pub fn new(bytes: u64) -> Self {
         let folder = mount_point();
         let options = std::ffi::CString::new(format!("size={bytes},mode=755")).expect("no zero byte");
@@ -29,41 +29,41 @@ impl SmallDisk {
         Self { folder }
     }
 
-    /// Where it is mounted.
+    /// Returns the mount point.
     pub fn folder(&self) -> &Path {
         &self.folder
     }
 
-    /// Takes all the room that is left.
+    /// Fills the disk.
     pub fn fill(&self) {
         fill(&self.folder);
     }
 
-    /// Gives that room back.
+    /// Frees the space that [`fill`](Self::fill) took.
     pub fn free(&self) {
         free(&self.folder);
     }
 }
 
-/// An ext4 file system in a file, on a loop device. Unmounted when dropped; one that a killed test left behind goes with
-/// the next.
+/// ext4 file system in a file, on a loop device. It is unmounted when dropped; the disk of a killed test is removed
+/// by the next test.
 #[derive(Debug)]
 pub struct ImageDisk {
     folder: PathBuf,
     image: PathBuf,
 }
 
-/// A disk's folder that is mounted in a second place.
+/// Second mount point of a disk.
 #[derive(Debug)]
 pub struct SecondMount {
     folder: PathBuf,
 }
 
 impl ImageDisk {
-    /// Makes and mounts a disk of so many bytes.
+    /// Creates and mounts a disk of this size, bytes.
     ///
     /// # Panics
-    /// When not run as root, or the kernel has no loop devices.
+    /// If the test does not run as root, or if the kernel has no loop devices.
     pub fn new(bytes: u64) -> Self {
         let folder = mount_point();
         let image = folder.with_extension("img");
@@ -75,56 +75,55 @@ impl ImageDisk {
         disk
     }
 
-    /// Where it is mounted.
+    /// Returns the mount point.
     pub fn folder(&self) -> &Path {
         &self.folder
     }
 
-    /// Mounts it.
+    /// Mounts the disk.
     pub fn mount(&self) {
         run("mount", &["-o", "loop", &text(&self.image), &text(&self.folder)]);
     }
 
-    /// Unmounts it from its folder at once; what has files open keeps it in use.
+    /// Detaches the disk from its folder at once. Open files keep it in use.
     ///
     /// # Panics
-    /// When it is not mounted.
+    /// If it is not mounted.
     pub fn unmount(&self) {
         unmount(&self.folder, UnmountFlags::DETACH).expect("it is mounted");
     }
 
-    /// Takes all the room that is left.
+    /// Fills the disk.
     pub fn fill(&self) {
         fill(&self.folder);
     }
 
-    /// Gives that room back.
+    /// Frees the space that [`fill`](Self::fill) took.
     pub fn free(&self) {
         free(&self.folder);
     }
 
-    /// Whether its device still has a file system on it that is in use.
+    /// Returns whether the file system on its device is still in use.
     pub fn is_in_use(&self) -> bool {
         !run("losetup", &["--associated", &text(&self.image)]).trim().is_empty()
     }
 
-    /// Mounts it anew with an option, such as `ro`.
+    /// Remounts the disk with an option, such as `ro`.
     ///
     /// # Panics
-    /// When that is refused: a file is open for writing.
+    /// If the system refuses because a file is open for writing.
     pub fn remount(&self, option: &str) {
         run("mount", &["-o", &format!("remount,{option}"), &text(&self.folder)]);
     }
 
-    /// Refuses or allows all writing to those of some files that exist, also through descriptors that are open, and
-    /// for root.
+    /// Forbids or permits writing to the existing ones of these files, also through open descriptors and for root.
     pub fn set_immutable(&self, files: &[PathBuf], immutable: bool) {
         for file in files.iter().filter(|file| file.exists()) {
             run("chattr", &[if immutable { "+i" } else { "-i" }, &text(file)]);
         }
     }
 
-    /// Mounts it in a second place.
+    /// Mounts the disk at a second place.
     pub fn mounted_elsewhere(&self) -> SecondMount {
         let second = SecondMount { folder: mount_point() };
         run("mount", &["--bind", &text(&self.folder), &text(&second.folder)]);
@@ -133,13 +132,13 @@ impl ImageDisk {
 }
 
 impl SecondMount {
-    /// The second place.
+    /// Returns the second mount point.
     pub fn folder(&self) -> &Path {
         &self.folder
     }
 }
 
-/// Takes all the room of the disk that a folder is on.
+/// Takes all free space of a folder's disk.
 fn fill(folder: &Path) {
     let file = File::options().create(true).append(true).open(ballast(folder));
     let file = file.expect("an empty file needs no room");
@@ -153,7 +152,7 @@ fn fill(folder: &Path) {
     }
 }
 
-/// Gives that room back.
+/// Frees that space.
 fn free(folder: &Path) {
     std::fs::remove_file(ballast(folder)).expect("the disk was filled");
 }
@@ -162,7 +161,7 @@ fn ballast(folder: &Path) -> PathBuf {
     folder.join("ballast")
 }
 
-/// An empty folder to mount something in.
+/// Creates an empty folder as mount point.
 fn mount_point() -> PathBuf {
     static DISKS: AtomicU32 = AtomicU32::new(0);
     assert!(
@@ -171,14 +170,14 @@ fn mount_point() -> PathBuf {
     );
     let all = std::env::temp_dir().join("peernet-tests").join("disks");
     std::fs::create_dir_all(&all).expect("the temporary folder is writable");
-    sweep(&all);
+    remove_remains(&all);
     let number = DISKS.fetch_add(1, Ordering::Relaxed);
     let folder = all.join(format!("{}-{number}", std::process::id()));
     std::fs::create_dir(&folder).expect("the temporary folder is writable");
     folder
 }
 
-/// What a command of the system prints.
+/// Runs a command of the system; returns its output.
 fn run(command: &str, arguments: &[&str]) -> String {
     let output = Command::new(command).args(arguments).output();
     let output = output.unwrap_or_else(|error| panic!("cannot start {command}: {error}"));
@@ -191,8 +190,8 @@ fn text(path: &Path) -> String {
     path.display().to_string()
 }
 
-/// Removes the disks of test processes that are gone.
-fn sweep(all: &Path) {
+/// Removes the disks of test processes that have ended.
+fn remove_remains(all: &Path) {
     let folders = std::fs::read_dir(all).into_iter().flatten().flatten();
     for folder in folders.map(|entry| entry.path()) {
         let name = folder.file_name().and_then(|name| name.to_str()).unwrap_or_default();
@@ -204,7 +203,7 @@ fn sweep(all: &Path) {
 }
 
 fn remove(folder: &Path) {
-    // Detached: a process that still has a file open does not keep it mounted.
+    // Detached, so that a process with an open file does not keep it mounted.
     let _ = unmount(folder, UnmountFlags::DETACH);
     let _ = std::fs::remove_dir(folder);
     let _ = std::fs::remove_file(folder.with_extension("img"));

@@ -1,10 +1,10 @@
-//! A wall clock that a process is shown in place of the kernel's, by libfaketime.
+//! Wall clock that libfaketime shows to a process in place of the kernel's.
 
 use std::path::{Path, PathBuf};
 
 use peernet_clock::Span;
 
-/// The time that processes are shown which were started with its environment.
+/// Time that is shown to processes started with its environment.
 #[derive(Debug)]
 pub struct FalseTime {
     library: String,
@@ -12,12 +12,12 @@ pub struct FalseTime {
 }
 
 impl FalseTime {
-    /// A time that is ahead of the kernel's; a file in the folder says by how much.
+    /// Creates a time that is ahead of the kernel's; a file in the folder holds the difference.
     ///
     /// # Panics
-    /// When libfaketime is not installed.
+    /// If libfaketime is not installed.
     pub fn new(folder: &Path, ahead: Span) -> Self {
-        // Debian keeps it in a folder of its own, one per architecture.
+        // Debian installs it in a folder per architecture.
         let folders = std::fs::read_dir("/usr/lib").expect("every Linux has /usr/lib").flatten();
         let mut found = folders
             .map(|folder| folder.path().join("faketime/libfaketimeMT.so.1"))
@@ -29,20 +29,20 @@ impl FalseTime {
         time
     }
 
-    /// Shows another time from within a second on.
+    /// Shows another time, which processes see within a second.
     ///
     /// # Panics
-    /// When the file cannot be written.
+    /// If the file cannot be written.
     pub fn show(&self, ahead: Span) {
         let new = self.file.with_extension("new");
         std::fs::write(&new, format!("{:+}s\n", ahead.seconds())).expect("the folder is writable");
         std::fs::rename(new, &self.file).expect("the folder is writable");
     }
 
-    /// What a process is started with that is to see it.
+    /// Returns the environment variables for a process that should see this time.
     ///
     /// # Panics
-    /// When the folder's name is not Unicode.
+    /// If the folder's name is not Unicode.
     pub fn environment(&self) -> [(&str, &str); 4] {
         [
             ("LD_PRELOAD", &self.library),

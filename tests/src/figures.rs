@@ -1,20 +1,20 @@
-//! What a test measured, for people: always shown, also of a test that passes.
+//! Output of measured values, which is shown for passing tests as well.
 
 use std::io::Write;
 
-/// The variable that names a file for the figures, as rows of a Markdown table.
+/// Environment variable with the file to which values are appended as rows of a Markdown table.
 const FIGURES: &str = "PEERNET_FIGURES";
 
-/// Writes a line to standard error, past the test runner, which shows the output of failed tests only.
+/// Writes a line to standard error, bypassing the test runner, which shows the output of failed tests only.
 pub fn say(line: &str) {
     // A closed standard error is no reason to fail.
     let _ = writeln!(std::io::stderr().lock(), "{line}");
 }
 
-/// Says what was measured; `make soak` collects it.
+/// Prints measured values; `make soak` collects them.
 ///
 /// # Panics
-/// When the file that `PEERNET_FIGURES` names cannot be written.
+/// If the file named by `PEERNET_FIGURES` cannot be written.
 pub fn measured(what: &str, figures: &[(&str, String)]) {
     let list: Vec<String> = figures.iter().map(|(name, value)| format!("{name} {value}")).collect();
     say(&format!("{what}: {}", list.join(", ")));
@@ -26,7 +26,7 @@ pub fn measured(what: &str, figures: &[(&str, String)]) {
         .unwrap_or_else(|error| panic!("cannot write {}: {error}", path.display()));
 }
 
-/// `1234567.8` as `1,234,568`.
+/// Formats a number with commas: `1234567.8` as `1,234,568`.
 pub fn thousands(number: f64) -> String {
     let digits = format!("{number:.0}");
     let mut text = String::new();
@@ -44,7 +44,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn digits_stand_in_groups_of_three() {
+    fn digits_are_grouped_by_three() {
         assert_eq!([0.0, 999.4, 1_000.0, 1_234_567.8].map(thousands), ["0", "999", "1,000", "1,234,568"]);
     }
 }

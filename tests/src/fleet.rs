@@ -1,18 +1,18 @@
-//! An aggregator and agents that measure on their own, all of which can be stopped, killed and started again.
+//! An aggregator and agents, all of which can be stopped, killed and restarted.
 
 use std::path::{Path, PathBuf};
 
 use peernet_clock::WallTime;
 
-use crate::spooled::TELLS_SPOOLED;
-use crate::{Account, Api, Daemon, Ledger, Site, until, wall};
+use crate::spooled_iterations::SPOOL_LOG_LEVEL;
+use crate::{Api, Daemon, EventCounts, LoopbackDeployment, StoredEvents, until, wall};
 
-/// One site's daemons.
+/// Daemons of one test: an aggregator and agents that measure independently.
 #[derive(Debug)]
 pub struct Fleet {
-    /// Their files and ports.
-    pub site: Site,
-    /// The dashboard.
+    /// Files and ports of the test.
+    pub deployment: LoopbackDeployment,
+    /// Client of the REST API.
     pub api: Api,
     /// The aggregator.
     pub aggregator: Daemon,
@@ -21,25 +21,26 @@ pub struct Fleet {
     database: PathBuf,
 }
 
-/// The usual place of the database, as [`Site::write`] takes it.
+/// Default path of the database, as a template for [`LoopbackDeployment::write`].
 const DATABASE: &str = "{folder}/store/aggregator.sqlite";
 
-/// The configuration of an agent that says what it spooled: further keys of `[agent]`, and further tables.
+/// Returns the configuration of an agent that logs its spooled batches, with additional keys of `[agent]` and
+/// additional tables.
 pub fn edge(keys: &str, tables: &str) -> String {
     edge_in("{folder}/NAME", keys, tables)
 }
 
-/// The same with another folder for its state.
+/// Returns the same configuration with another state folder.
 pub fn edge_in(state: &str, keys: &str, tables: &str) -> String {
     format!(
-        "[log]\nlevel = \"{TELLS_SPOOLED}\"\n\
+        "[log]\nlevel = \"{SPOOL_LOG_LEVEL}\"\n\
          [agent]\nname = \"NAME\"\nstate_dir = \"{state}\"\naggregator = \"tcp://127.0.0.1:{{events}}\"\n{keys}\n\
          [[model]]\nname = \"echo\"\nkind = \"echo\"\n{tables}"
     )
 }
 
-/// A pipeline that echoes small payloads on its own host; `more` are further keys, such as the load. Without one it
-/// goes as fast as it can.
+/// Returns a pipeline that echoes small payloads on its own host; `more` are additional keys, such as the load.
+/// Without a load it runs as fast as it can.
 pub fn echo(name: &str, more: &str) -> String {
     format!(
         "[[pipeline]]\nname = \"{name}\"\nsensor = {{ kind = \"synthetic\", size_bytes = 64 }}\n\
@@ -47,55 +48,56 @@ pub fn echo(name: &str, more: &str) -> String {
     )
 }
 
-/// Keys of a pipeline that begins so many iterations a second.
+/// Returns the keys of a pipeline with this number of iterations per second.
 pub fn rate(hz: f64) -> String {
     format!("load = {{ mode = \"rate\", hz = {hz:?} }}")
 }
 
 impl Fleet {
-    /// An aggregator that runs, and agents that do not yet, with one configuration.
+    /// Starts an aggregator and writes one configuration for all agents, which are not started.
     pub fn new(agents: &[&str], configuration: &str) -> Self {
         Self::storing_in(DATABASE, agents, configuration)
     }
 
-    /// The same with the database in another folder.
+    /// Creates the fleet with the database at another path.
     pub fn storing_in(database: &str, agents: &[&str], configuration: &str) -> Self {
         Self::with(database, "", agents, configuration)
     }
 
-    /// The same with further keys of `[aggregator]`.
+    /// Creates the fleet with additional keys of `[aggregator]`.
     pub fn aggregating(keys: &str, agents: &[&str], configuration: &str) -> Self {
         Self::with(DATABASE, keys, agents, configuration)
     }
 
     fn with(database: &str, keys: &str, agents: &[&str], configuration: &str) -> Self {
-        let site = Site::new();
+        let deployment = LoopbackDeployment::new();
         let tables = format!(
             "[aggregator]\nname = \"aggregator\"\nlisten = \"tcp://127.0.0.1:{{events}}\"\n\
              database = \"{database}\"\n{keys}\n[web]\nlisten = \"127.0.0.1:{{http}}\"\n"
         );
-        let aggregator = Daemon::started(&site, "aggregator", &tables);
-        let agents = agents.iter().map(|name| Daemon::new(&site, name, configuration)).collect();
-        let database = database.replace("{folder}", &site.folder().display().to_string());
-        let fleet = Self { api: Api::at(site.http), site, aggregator, agents, database: database.into() };
-        fleet.answers();
+        let aggregator = Daemon::started(&deployment, "aggregator", &tables);
+        let agents = agents.iter().map(|name| Daemon::new(&deployment, name, configuration)).collect();
+        let database = database.replace("{folder}", &deployment.folder().display().to_string());
+        let fleet =
+            Self { api: Api::at(deployment.http), deployment, aggregator, agents, database: database.into() };
+        fleet.wait_until_ready();
         fleet
     }
 
     /// Waits until the aggregator answers.
-    pub fn answers(&self) {
+    pub fn wait_until_ready(&self) {
         until("the dashboard", || self.api.get("/healthz").filter(|(status, _)| *status == 200));
     }
 
     /// Starts the aggregator again and waits until it answers.
-    pub fn aggregator_returns(&mut self) {
-        self.aggregator.start(&self.site);
-        self.answers();
+    pub fn restart_aggregator(&mut self) {
+        self.aggregator.start(&self.deployment);
+        self.wait_until_ready();
     }
 
     /// Starts an agent.
     pub fn start(&mut self, agent: usize) {
-        self.agents[agent].start(&self.site);
+        self.agents[agent].start(&self.deployment);
     }
 
     /// Starts all agents.
@@ -103,43 +105,45 @@ impl Fleet {
         (0..self.agents.len()).for_each(|agent| self.start(agent));
     }
 
-    /// Waits until the account of an agent is as `holds` says.
-    pub fn account(&self, agent: usize, what: &str, holds: impl FnMut(&Account) -> bool) -> Account {
-        Account::until(&self.api, &self.agents[agent].name, what, holds)
+    /// Waits until the counts of an agent fulfil `holds`.
+    pub fn counts(&self, agent: usize, what: &str, holds: impl FnMut(&EventCounts) -> bool) -> EventCounts {
+        EventCounts::until(&self.api, &self.agents[agent].name, what, holds)
     }
 
-    /// Starts an agent without its pipelines and waits until the aggregator has taken it in. Returns when that was: the
-    /// picture may still show its last life.
-    pub fn idle(&mut self, agent: usize) -> WallTime {
-        self.agents[agent].start_idle(&self.site);
+    /// Starts an agent without its pipelines and waits until it is connected to the aggregator. Returns the time of
+    /// that: until then the live state may describe its previous process.
+    pub fn start_without_pipelines(&mut self, agent: usize) -> WallTime {
+        self.agents[agent].start_idle(&self.deployment);
         self.agents[agent].process().wait_for("connected to the aggregator");
         wall()
     }
 
-    /// The same, and waits until what its spool held is stored. It keeps running.
-    pub fn deliver(&mut self, agent: usize) -> Account {
-        let since = self.idle(agent);
-        Account::at_rest(&self.api, &self.agents[agent].name, since)
+    /// Starts an agent without its pipelines, and waits until the contents of its spool are stored. The agent keeps
+    /// running.
+    pub fn deliver(&mut self, agent: usize) -> EventCounts {
+        let since = self.start_without_pipelines(agent);
+        EventCounts::at_rest(&self.api, &self.agents[agent].name, since)
     }
 
-    /// The database's file.
+    /// Returns the path of the database.
     pub fn database(&self) -> &Path {
         &self.database
     }
 
-    /// What is stored now; checked to agree with itself. Best asked when the aggregator has stopped.
-    pub fn ledger(&self) -> Ledger {
-        let ledger = Ledger::of(&self.database);
-        ledger.agrees();
-        ledger
+    /// Returns the stored data after a check of its consistency. To be called when the aggregator has stopped, if
+    /// possible.
+    pub fn stored_events(&self) -> StoredEvents {
+        let stored_events = StoredEvents::of(&self.database);
+        stored_events.assert_consistent();
+        stored_events
     }
 
-    /// Stops what runs; every process must end well. Returns what is stored.
-    pub fn stop(&mut self) -> Ledger {
-        for agent in self.agents.iter_mut().filter(|agent| agent.runs()) {
+    /// Stops all running processes, each of which must exit with 0. Returns the stored data.
+    pub fn stop(&mut self) -> StoredEvents {
+        for agent in self.agents.iter_mut().filter(|agent| agent.is_running()) {
             agent.stop();
         }
         self.aggregator.stop();
-        self.ledger()
+        self.stored_events()
     }
 }

@@ -1,4 +1,4 @@
-//! A program that a test started: its log is read as it comes, and it never outlives the test.
+//! A program that a test starts. Its log is read continuously, and it ends with the test.
 
 use std::ffi::OsStr;
 use std::io::{BufRead, BufReader, Read};
@@ -12,14 +12,14 @@ use rustix::process::{Pid, Signal, kill_process};
 
 use crate::PATIENCE;
 
-/// So much of its log is shown of a program that ran when a test failed.
+/// Number of lines of the log that are shown of a program that ran when a test failed.
 const LAST_LINES: usize = 200;
 
-/// Signals that a program minds unless whoever started the tests ignored them: `nohup` does so with the first, a script's
-/// `&` with the two after it, and what runs in between passes that on.
-const MINDED: &str = "--default-signal=HUP,INT,QUIT,TERM";
+/// Option of `env` that restores the default action of signals. They may be ignored: `nohup` ignores the first, `&`
+/// in a script the next two, and child processes inherit that.
+const DEFAULT_SIGNALS: &str = "--default-signal=HUP,INT,QUIT,TERM";
 
-/// A running program.
+/// Running program.
 #[derive(Debug)]
 pub struct Process {
     name: String,
@@ -28,12 +28,12 @@ pub struct Process {
     readers: Vec<JoinHandle<()>>,
 }
 
-/// What a program left behind.
+/// Result of a program that has ended.
 #[derive(Debug)]
-pub struct Ended {
-    /// How it ended.
+pub struct ProcessEnd {
+    /// Exit status.
     pub status: ExitStatus,
-    /// All it wrote, standard output and standard error.
+    /// Everything that it wrote to standard output and standard error.
     pub log: String,
 }
 
@@ -44,19 +44,20 @@ struct Log {
 }
 
 impl Process {
-    /// Starts a program in a folder with extra environment variables. It minds all signals, whatever the tests were told.
+    /// Starts a program in a folder with additional environment variables. It handles all signals, even if the tests
+    /// ignore them.
     ///
     /// # Panics
-    /// When no program can be started. Of one that is not there the log says so.
+    /// If `env` cannot be started. A missing program is reported in the log.
     pub fn start<A: AsRef<OsStr>>(
         program: &Path,
         arguments: &[A],
         folder: &Path,
         environment: &[(&str, &str)],
     ) -> Self {
-        // In the place of this one, so that signals reach the program.
+        // `env` is replaced by the program, so that signals reach the program.
         let mut child = Command::new("env")
-            .arg(MINDED)
+            .arg(DEFAULT_SIGNALS)
             .arg(program)
             .args(arguments)
             .current_dir(folder)
@@ -74,28 +75,28 @@ impl Process {
         Self { name, child, log, readers: out.into_iter().chain(err).collect() }
     }
 
-    /// The process id.
+    /// Returns the process id.
     pub fn pid(&self) -> u32 {
         self.child.id()
     }
 
-    /// All that was written so far.
+    /// Returns everything that was written so far.
     pub fn log(&self) -> String {
         self.log.lines.lock().expect("no reader panics").0.join("\n")
     }
 
-    /// Waits until a line holds `text`, and returns that line.
+    /// Waits until a line contains `text`, and returns that line.
     ///
     /// # Panics
-    /// When the program ends or [`PATIENCE`] passes before.
+    /// If the program ends or [`PATIENCE`] passes before.
     pub fn wait_for(&self, text: &str) -> String {
         self.wait_for_nth(text, 1)
     }
 
-    /// Waits until `n` lines hold `text`, and returns the last of them.
+    /// Waits until `n` lines contain `text`, and returns the last of them.
     ///
     /// # Panics
-    /// When the program ends or [`PATIENCE`] passes before.
+    /// If the program ends or [`PATIENCE`] passes before.
     pub fn wait_for_nth(&self, text: &str, n: usize) -> String {
         let guard = self.log.lines.lock().expect("no reader panics");
         let (guard, _) = self
@@ -106,18 +107,19 @@ impl Process {
             })
             .expect("no reader panics");
         let line = guard.0.iter().filter(|line| line.contains(text)).nth(n - 1).cloned();
-        // A panic that holds the lock would end the tests in the middle of another, without cleaning up.
+        // The lock is released before the panic, because a poisoned lock would abort the tests while another panic
+        // unwinds.
         drop(guard);
         line.unwrap_or_else(|| {
             panic!("{} never said {text:?} ({n}. time); it said:\n{}", self.name, self.log())
         })
     }
 
-    /// Waits until a line holds `text` or the program ends; returns which.
+    /// Waits until a line contains `text` or the program ends; returns whether there is such a line.
     ///
     /// # Panics
-    /// When [`PATIENCE`] passes before.
-    pub fn says(&self, text: &str) -> bool {
+    /// If [`PATIENCE`] passes before.
+    pub fn logs_before_end(&self, text: &str) -> bool {
         let said = |lines: &[String]| lines.iter().any(|line| line.contains(text));
         let guard = self.log.lines.lock().expect("no reader panics");
         let (guard, timeout) = self
@@ -125,10 +127,10 @@ impl Process {
             .changed
             .wait_timeout_while(guard, PATIENCE, |(lines, ended)| !said(lines) && *ended < self.readers.len())
             .expect("no reader panics");
-        let says = said(&guard.0);
+        let logs_before_end = said(&guard.0);
         drop(guard);
         assert!(!timeout.timed_out(), "{} neither ended nor said {text:?}:\n{}", self.name, self.log());
-        says
+        logs_before_end
     }
 
     /// Sends SIGTERM.
@@ -137,13 +139,13 @@ impl Process {
     }
 
     /// Sends SIGKILL and waits for the end.
-    pub fn kill(mut self) -> Ended {
+    pub fn kill(mut self) -> ProcessEnd {
         self.signal(Signal::KILL);
         self.wait()
     }
 
     /// Sends SIGTERM and waits for the end.
-    pub fn stop(mut self) -> Ended {
+    pub fn stop(mut self) -> ProcessEnd {
         self.terminate();
         self.wait()
     }
@@ -157,8 +159,8 @@ impl Process {
     /// Waits for the end.
     ///
     /// # Panics
-    /// When it does not end within [`PATIENCE`].
-    pub fn wait(&mut self) -> Ended {
+    /// If the program does not end within [`PATIENCE`].
+    pub fn wait(&mut self) -> ProcessEnd {
         let guard = self.log.lines.lock().expect("no reader panics");
         let (guard, timeout) = self
             .log
@@ -168,11 +170,11 @@ impl Process {
         drop(guard);
         assert!(!timeout.timed_out(), "{} does not end; it said:\n{}", self.name, self.log());
         let status = self.child.wait().expect("the child is ours");
-        Ended { status, log: self.log() }
+        ProcessEnd { status, log: self.log() }
     }
 
-    /// Waits for the end, of a program that is meant to end by itself.
-    pub fn ended(mut self) -> Ended {
+    /// Waits for the end of a program that ends by itself.
+    pub fn ended(mut self) -> ProcessEnd {
         self.wait()
     }
 }
@@ -208,23 +210,23 @@ impl Drop for Process {
     }
 }
 
-impl Ended {
-    /// The exit code; -1 when a signal ended it.
+impl ProcessEnd {
+    /// Returns the exit code; -1 if a signal ended the program.
     pub fn code(&self) -> i32 {
         self.status.code().unwrap_or(-1)
     }
 }
 
-/// Asks `question` until it has an answer: for state that is only visible by asking, such as a REST resource.
+/// Calls `question` until it returns a value, for state that can only be polled, such as a REST resource.
 ///
 /// # Panics
-/// When [`PATIENCE`] passes before.
+/// If [`PATIENCE`] passes before.
 pub fn until<T>(what: &str, question: impl FnMut() -> Option<T>) -> T {
-    patiently(question).unwrap_or_else(|| panic!("waited {PATIENCE:?} in vain for {what}"))
+    poll(question).unwrap_or_else(|| panic!("waited {PATIENCE:?} in vain for {what}"))
 }
 
-/// The same; `None` when [`PATIENCE`] passes before.
-pub(crate) fn patiently<T>(mut question: impl FnMut() -> Option<T>) -> Option<T> {
+/// Calls `question` until it returns a value; returns `None` if [`PATIENCE`] passes before.
+pub(crate) fn poll<T>(mut question: impl FnMut() -> Option<T>) -> Option<T> {
     let pause = Duration::from_millis(50);
     for _ in 0..PATIENCE.as_millis() / pause.as_millis() {
         if let Some(answer) = question() {
@@ -235,10 +237,10 @@ pub(crate) fn patiently<T>(mut question: impl FnMut() -> Option<T>) -> Option<T>
     None
 }
 
-/// Asks for a figure until it has reached `enough`, however long that takes, as long as it grows.
+/// Polls a number until it has reached `enough`, for as long as it grows.
 ///
 /// # Panics
-/// When it has not grown for [`PATIENCE`].
+/// If it does not grow for [`PATIENCE`].
 pub fn until_grown(what: &str, enough: u64, mut figure: impl FnMut() -> Option<u64>) {
     let mut before = None;
     while before < Some(enough) {

@@ -1,12 +1,12 @@
-//! The Python that tests of users' objects run.
+//! The Python interpreter for tests of users' objects.
 
 use std::path::PathBuf;
 use std::process::Command;
 
-/// A Python that has numpy and PIL, as users have them.
+/// Returns a Python interpreter with numpy and PIL.
 ///
 /// # Panics
-/// When there is none.
+/// If it does not exist.
 pub fn python() -> PathBuf {
     let has_both = |python: &PathBuf| {
         let run = Command::new(python).args(["-c", "import numpy, PIL"]).output();

@@ -1,16 +1,16 @@
-//! Where things are in the checkout.
+//! Paths in the checkout.
 
 use std::path::{Path, PathBuf};
 
-/// The root of the checkout.
+/// Returns the root of the checkout.
 pub fn root() -> &'static Path {
     Path::new(env!("CARGO_MANIFEST_DIR")).parent().expect("tests/ stands in the checkout's root")
 }
 
-/// A program that was built from this workspace, beside the test that runs.
+/// Returns a program that was built from this workspace into the folder of the running test.
 ///
 /// # Panics
-/// When it has not been built.
+/// If it has not been built.
 pub fn program(name: &str) -> PathBuf {
     let test = std::env::current_exe().expect("a running test has a path");
     // target/debug/deps/it-… → target/debug/NAME
@@ -19,20 +19,20 @@ pub fn program(name: &str) -> PathBuf {
     path
 }
 
-/// The folder with ONNX Runtime's library.
+/// Returns the folder with ONNX Runtime's library.
 ///
 /// # Panics
-/// When `make setup` has not been run.
+/// If `make setup` has not been run.
 pub fn onnxruntime() -> PathBuf {
     let folder = root().join("onnxruntime/lib");
     assert!(folder.is_dir(), "{} is not there: run `make setup`", folder.display());
     folder
 }
 
-/// A program of chrony: of the package that was unpacked for the tests, or the system's own.
+/// Returns a program of chrony: from the package that was unpacked for the tests, or the system's.
 ///
 /// # Panics
-/// When `deploy/install-tools.sh test` has not been run.
+/// If `deploy/install-tools.sh test` has not been run.
 pub fn chrony(name: &str) -> PathBuf {
     let tools = root().join(".venv-tools/chrony/usr");
     let places = [tools.join("sbin"), tools.join("bin"), "/usr/sbin".into(), "/usr/bin".into()];

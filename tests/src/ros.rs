@@ -1,11 +1,11 @@
-//! A ROS 1 system of real processes: a master, and nodes that take a known time.
+//! A ROS 1 system of real processes: a master, and nodes with a known delay.
 
 use std::net::TcpStream;
 use std::path::Path;
 
-use crate::{Process, Site, free_port, program, root, until};
+use crate::{LoopbackDeployment, Process, free_port, program, root, until};
 
-/// A ROS 1 system on loopback.
+/// ROS 1 system on the loopback interface.
 #[derive(Debug)]
 pub struct Ros1System {
     port: u16,
@@ -35,22 +35,22 @@ impl Ros1System {
         until("the ROS master", || TcpStream::connect(("127.0.0.1", self.port)).ok());
     }
 
-    /// Kills the master, which forgets everything.
+    /// Kills the master, which loses its state.
     pub fn kill_master(&mut self) {
         self.master.take().map(Process::kill);
     }
 
-    /// Where the master is.
+    /// Returns the URI of the master.
     pub fn uri(&self) -> String {
         format!("http://127.0.0.1:{}", self.port)
     }
 
-    /// The master's port.
+    /// Returns the port of the master.
     pub const fn port(&self) -> u16 {
         self.port
     }
 
-    /// The environment variables of programs that take part in the system.
+    /// Returns the environment variables of programs that belong to the system.
     pub fn environment(&self) -> [(&'static str, String); 2] {
         [("ROS_MASTER_URI", self.uri()), ("ROS_IP", "127.0.0.1".to_owned())]
     }
@@ -65,13 +65,14 @@ impl Ros1System {
         node
     }
 
-    /// Writes an agent and starts it as a part of the system; `tables` follow its table `[agent]`.
-    pub fn agent(&self, site: &Site, name: &str, tables: &str) -> Process {
+    /// Writes the configuration of an agent and starts it as a part of the system; `tables` follow its table
+    /// `[agent]`.
+    pub fn agent(&self, deployment: &LoopbackDeployment, name: &str, tables: &str) -> Process {
         let file = format!("{name}.toml");
-        site.write(&file, &(crate::site::agent(name, "127.0.0.1") + tables));
+        deployment.write(&file, &(crate::loopback_deployment::agent(name, "127.0.0.1") + tables));
         let environment = self.environment();
         let environment: Vec<(&str, &str)> =
             environment.iter().map(|(name, value)| (*name, value.as_str())).collect();
-        site.start_with(&file, &environment)
+        deployment.start_with(&file, &environment)
     }
 }

@@ -8,22 +8,22 @@ fn clock() -> SystemClock {
     SystemClock::new(ClockIdentity::new("tests", "system"))
 }
 
-/// Now, on the wall.
+/// Returns the time of the wall clock.
 pub fn wall() -> WallTime {
     clock().wall()
 }
 
-/// A moment that durations are counted from.
+/// Point in time from which durations are measured.
 #[derive(Clone, Copy, Debug)]
-pub struct Since(MonoTime);
+pub struct Stopwatch(MonoTime);
 
-impl Since {
-    /// This one.
+impl Stopwatch {
+    /// Returns the present time.
     pub fn now() -> Self {
         Self(clock().mono())
     }
 
-    /// How long ago it was.
+    /// Returns the time since then.
     pub fn elapsed(self) -> Duration {
         (clock().mono() - self.0).to_duration()
     }

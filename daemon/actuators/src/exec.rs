@@ -1,4 +1,4 @@
-//! `exec`: hands each answer to a program of the user's own.
+//! Actuator kind `exec`, which passes each answer to a program of the user.
 
 use peernet_clock::SharedClock;
 pub use peernet_external::exec::ExecConfig;
@@ -9,7 +9,7 @@ use peernet_sample::Sample;
 
 use crate::{Actuator, ActuatorError, ActuatorKind};
 
-/// A program that is told each answer, and says when it has acted.
+/// Program that receives each answer and replies after it has acted.
 struct Exec {
     command: String,
     program: Program,
@@ -41,7 +41,7 @@ impl ActuatorKind for ExecConfig {
     }
 
     fn check(&self) -> Result<(), ActuatorError> {
-        // The program's own check, which does not run it.
+        // This check does not run the program.
         Self::check(self).map_err(ActuatorError::Command)
     }
 }
@@ -82,7 +82,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_answer_reaches_the_program_and_its_failure_is_ours() {
+    fn program_gets_answer_and_its_failure_is_returned() {
         let folder = tempfile::tempdir().expect("can be made");
         let file = folder.path().join("answers");
         let script = format!(
@@ -106,7 +106,7 @@ mod tests {
     }
 
     #[test]
-    fn the_wait_for_a_program_that_was_started_anew_is_told() {
+    fn restart_of_program_is_recorded() {
         let script = "sleep 0.3; while read -r word bytes rest; do \
                       case $(head -c \"$bytes\") in die) exit 4;; esac; echo done; done";
         let config = ActuatorConfig::Exec(ExecConfig::of(CommandLine::Shell(script.to_owned())));
@@ -124,7 +124,7 @@ mod tests {
     }
 
     #[test]
-    fn a_program_and_its_script_are_told_with_their_hashes() {
+    fn program_and_script_are_recorded_with_hashes() {
         let folder = tempfile::tempdir().expect("a folder");
         std::fs::write(folder.path().join("my arm.sh"), "abc").expect("writable");
         let command = CommandLine::Shell("sh 'my arm.sh'".to_owned());
@@ -136,7 +136,7 @@ mod tests {
     }
 
     #[test]
-    fn a_command_that_is_not_there_is_found_without_running_it() {
+    fn missing_command_is_found_by_check() {
         let config = ExecConfig::of(CommandLine::Words(vec!["no-such-program-anywhere".to_owned()]));
         let error = ActuatorConfig::Exec(config).check().expect_err("is not there").to_string();
         assert!(error.contains("no-such-program-anywhere"), "{error}");

@@ -1,7 +1,7 @@
-//! What a pipeline does with an answer.
+//! Actuators, which act on a model's answers.
 //!
-//! `none` does nothing, `log` writes answers to the log, `exec` hands them to a program of the user's own, `ros` publishes them.
-//! A new kind is one file here, registered in [`ActuatorConfig`].
+//! `none` does nothing, `log` writes answers to the log, `exec` passes them to a program of the user, `ros` publishes
+//! them. A new kind is one file here, registered in [`ActuatorConfig`].
 
 mod error;
 pub mod exec;
@@ -18,65 +18,66 @@ use peernet_logger::Recorder;
 use peernet_sample::Sample;
 use serde::{Deserialize, Serialize};
 
-/// Acts on the answer of a model.
+/// Acts on the answers of a model.
 pub trait Actuator: Send {
-    /// Acts on `answer`, given for the sample that came from `source`.
+    /// Acts on `answer`, which belongs to the sample with the origin `source`.
     ///
     /// # Errors
-    /// When the action failed; the iteration is recorded as failed.
+    /// If the action fails; the iteration is recorded as failed.
     fn act(&mut self, source: &str, answer: &Sample, log: &mut Recorder) -> Result<(), ActuatorError>;
 
-    /// Whether `act` may block, and so must not run on an I/O thread.
+    /// Returns whether `act` may block, so that it must not run on an I/O thread.
     fn blocks(&self) -> bool {
         false
     }
 }
 
-/// A kind of actuator, implemented by its configuration.
+/// Kind of actuator, implemented by its configuration.
 #[enum_dispatch]
 pub trait ActuatorKind {
-    /// Builds the actuator; `clock` is what its deadlines are taken from.
+    /// Builds the actuator; `clock` is the clock of its deadlines.
     ///
     /// # Errors
-    /// When its program cannot be started.
+    /// If its program cannot be started.
     fn build(&self, clock: &SharedClock) -> Result<Box<dyn Actuator>, ActuatorError>;
 
-    /// Whether answers are acted upon at all.
+    /// Returns whether answers are acted on at all.
     fn acts(&self) -> bool {
         true
     }
 
-    /// What it is, in words, for the run's page, as of a sensor; nothing where answers are not acted upon. Reads its files.
+    /// Returns facts for the run's page, as a sensor does; none if answers are not acted on. Reads its files.
     fn facts(&self) -> Vec<(String, String)>;
 
-    /// Whether it runs a program of the user's own, whose arguments are told by their fingerprint alone.
+    /// Returns whether this kind runs a program of the user, whose arguments are published as a fingerprint only.
     fn is_program(&self) -> bool {
         false
     }
 
-    /// What tells programs with different arguments apart, as a fact; the arguments themselves may be secret.
+    /// Returns the fact that distinguishes programs with different arguments; the arguments themselves may be secret.
     fn arguments(&self, _key: &FingerprintKey) -> Option<(String, String)> {
         None
     }
 
-    /// Takes out what may not be published: the values of `env`.
+    /// Removes what must not be published: the values of `env`.
     fn hide_secrets(&mut self) {}
 
-    /// Checks what can be checked without running a user's program.
+    /// Checks everything that can be checked without running a user's program.
     ///
     /// # Errors
-    /// When the configuration contradicts itself, or what it names is not there.
+    /// If the configuration contradicts itself, or if something that it names does not exist.
     fn check(&self) -> Result<(), ActuatorError> {
         Ok(())
     }
 
-    /// What is not wrong, but keeps answers from being acted upon now, for people. May ask other hosts for some seconds.
+    /// Returns conditions that are not errors but prevent actions now, as texts. May ask other hosts for some
+    /// seconds.
     fn remarks(&self) -> Vec<String> {
         Vec::new()
     }
 }
 
-/// `actuator` in the configuration of a pipeline. A new kind is registered here.
+/// The key `actuator` in the configuration of a pipeline. New kinds are registered here.
 #[enum_dispatch(ActuatorKind)]
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(tag = "kind", rename_all = "kebab-case")]
@@ -85,8 +86,8 @@ pub enum ActuatorConfig {
     None(none::NoneConfig),
     /// Writes each answer to the log.
     Log(log::LogActuatorConfig),
-    /// Hands each answer to a program of your own: docs/external-programs.md.
+    /// Passes each answer to a program of the user; see docs/external-programs.md.
     Exec(exec::ExecConfig),
-    /// Publishes each answer on a topic of ROS 1 or ROS 2: docs/ros.md.
+    /// Publishes each answer on a topic of ROS 1 or ROS 2; see docs/ros.md.
     Ros(ros::RosActuatorConfig),
 }

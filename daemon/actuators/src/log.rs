@@ -1,4 +1,4 @@
-//! `log`: writes each answer to the log.
+//! Actuator kind `log`, which writes each answer to the log.
 
 use peernet_clock::SharedClock;
 use peernet_logger::Recorder;
@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::{Actuator, ActuatorError, ActuatorKind};
 
-/// `{ kind = "log" }`
+/// Configuration of the actuator: `{ kind = "log" }`.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct LogActuatorConfig {}
@@ -22,10 +22,10 @@ impl ActuatorKind for LogActuatorConfig {
     }
 }
 
-/// One line per answer: a classification with its label and score, anything else by its size.
+/// Actuator that writes one line per answer: label and score of a classification, otherwise the size.
 struct Log;
 
-/// What is read of a classifier's answer.
+/// Part of a classifier's answer that is logged.
 #[derive(Debug, PartialEq, Deserialize)]
 struct Classification {
     label: String,
@@ -42,7 +42,7 @@ impl Actuator for Log {
     }
 }
 
-/// An answer that is JSON need not be a classification.
+/// Reads an answer as a classification; returns `None` for other answers, which may be JSON as well.
 fn classification(answer: &Sample) -> Option<Classification> {
     let part = answer.parts.first()?;
     if part.description.media != MediaType::Json {
@@ -93,7 +93,7 @@ mod tests {
     }
 
     #[test]
-    fn a_classification_is_logged_with_label_and_score_anything_else_with_its_size() {
+    fn classification_logs_label_and_other_answers_size() {
         let json =
             |text: &'static str| Sample::of(Description::unshaped(MediaType::Json), text.as_bytes().into());
         let line =

@@ -1,4 +1,4 @@
-//! `none`: does nothing.
+//! Actuator kind `none`, which does nothing.
 
 use peernet_clock::SharedClock;
 use peernet_logger::Recorder;
@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::{Actuator, ActuatorConfig, ActuatorError, ActuatorKind};
 
-/// `{ kind = "none" }`, the default.
+/// Configuration of the actuator: `{ kind = "none" }`, the default.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct NoneConfig {}

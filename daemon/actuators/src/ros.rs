@@ -1,4 +1,4 @@
-//! `ros`: publishes each answer on a topic of ROS 1 or ROS 2.
+//! Actuator kind `ros`, which publishes each answer on a topic of ROS 1 or ROS 2.
 
 use peernet_clock::SharedClock;
 use peernet_logger::{Name, Recorder, Unit};
@@ -11,29 +11,29 @@ use serde::{Deserialize, Serialize};
 
 use crate::{Actuator, ActuatorError, ActuatorKind};
 
-/// Subscribers that did not get an answer, because they are too slow and their queues are full.
+/// Number of subscribers that did not get the answer, because they are too slow and their queues are full.
 const DROPPED_ANSWERS: Name = Name::from_static("dropped-answers");
 
-/// `{ kind = "ros", … }`: each part of an answer is published as a message.
+/// Configuration of the actuator: `{ kind = "ros", … }`. Each part of an answer is published as a message.
 ///
-/// The master of ROS 1 and the domain of ROS 2 are those of the environment, as of every ROS node.
+/// The master of ROS 1 and the domain of ROS 2 are those of the environment, as for every ROS node.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct RosActuatorConfig {
-    /// Name of the topic; a relative one is below `ROS_NAMESPACE` in ROS 1.
+    /// Name of the topic; a relative name is below `ROS_NAMESPACE` in ROS 1.
     pub topic: String,
-    /// Type of the messages.
+    /// Type of the messages. Default: `std_msgs/String`.
     #[serde(default, rename = "type")]
     pub message_type: AnswerType,
-    /// 1 or 2. Default: that of `ROS_VERSION`, else that of `ROS_DISTRO`.
+    /// ROS version, 1 or 2. Default: that of `ROS_VERSION`, else that of `ROS_DISTRO`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub ros_version: Option<RosVersion>,
 }
 
-/// The message types that answers are published as.
+/// Message type of published answers.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub enum AnswerType {
-    /// The text or JSON document of the answer. An answer that is no text fails.
+    /// The text or JSON document of the answer. An answer that is not text is an error.
     #[default]
     #[serde(rename = "std_msgs/String")]
     Text,
@@ -67,8 +67,8 @@ impl RosActuatorConfig {
 }
 
 impl ActuatorKind for RosActuatorConfig {
-    /// Publishes the topic now, so that subscribers are there when the first answer comes. A master that does not answer is
-    /// asked again with each answer.
+    /// Publishes the topic now, so that subscribers are connected when the first answer comes. If the master does not
+    /// answer, each answer tries again.
     fn build(&self, clock: &SharedClock) -> Result<Box<dyn Actuator>, ActuatorError> {
         let (version, _) = self.checked()?;
         let mut ros = Ros { config: self.clone(), version, clock: SharedClock::clone(clock), writer: None };
@@ -98,12 +98,12 @@ impl ActuatorKind for RosActuatorConfig {
     }
 }
 
-/// A topic that answers are published to.
+/// Topic on which answers are published.
 struct Ros {
     config: RosActuatorConfig,
     version: RosVersion,
     clock: SharedClock,
-    /// `None` while no master answers, and after the node has ended.
+    /// The publisher; `None` while no master answers, and after its node has ended.
     writer: Option<TopicWriter>,
 }
 

@@ -252,8 +252,8 @@ fn watch_outbox(tasks: &mut Tasks, outbox: &Outbox) {
 /// `peernet` created.
 fn close_to_others(config: &AgentConfig) {
     let folder = &config.agent.state_dir;
-    let mut changed = peernet_permissions::close_folder(folder, &["host-id", "lock"]);
-    changed.extend(peernet_permissions::close_database(&config.spool.path(folder)));
+    let mut changed = peernet_permissions::restrict_folder(folder, &["host-id", "lock"]);
+    changed.extend(peernet_permissions::restrict_database(&config.spool.path(folder)));
     peernet_permissions::log_changes(&changed);
 }
 

@@ -78,7 +78,7 @@ impl Aggregator {
             std::fs::create_dir_all(folder).map_err(no_folder)?;
         }
         // Before the database is opened: files of earlier releases may be readable by other users.
-        peernet_permissions::log_changes(&peernet_permissions::close_database(&config.database));
+        peernet_permissions::log_changes(&peernet_permissions::restrict_database(&config.database));
         let integrity = Integrity::of(&config.database);
         let (database, state) = OpenDatabase::open(&config.database, config.retention, &integrity).await?;
         let StoredState { streams, runs, unknown, hosts, known } = state;

@@ -1,4 +1,4 @@
-//! What a call of an external program costs, all in all: the program, in C, answers with what it got.
+//! Benchmark of calls of an external program: a program in C that answers with the received bytes.
 //!
 //!     cargo bench -p peernet-external --bench exec -- [--json] [ROUNDS]
 
@@ -7,7 +7,7 @@ use std::process::Command;
 use std::sync::Arc;
 
 use peernet_clock::{ClockIdentity, SharedClock, SystemClock};
-use peernet_external::exec::{CommandLine, ExecConfig, Program, Request, Role, Said};
+use peernet_external::exec::{CommandLine, ExecConfig, Program, ReplyOutcome, Request, Role};
 use peernet_sample::{Description, Sample};
 
 const SIZES: [usize; 3] = [1_000, 150_000, 1_200_000];
@@ -51,7 +51,7 @@ fn main() {
     }
 }
 
-/// From request to reply: p50 and p99, in seconds.
+/// Measures the time from request to reply; returns its p50 and p99 in seconds.
 fn call(config: &ExecConfig, size: usize, rounds: usize) -> [f64; 2] {
     let clock: SharedClock = Arc::new(SystemClock::new(ClockIdentity::new("bench", ClockIdentity::SYSTEM)));
     let mut program = Program::start(config, Role::Model, "bench", &clock).expect("it starts");
@@ -59,7 +59,7 @@ fn call(config: &ExecConfig, size: usize, rounds: usize) -> [f64; 2] {
     let mut taken: Vec<f64> = (0..rounds + rounds / 10)
         .map(|_| {
             let exchange = program.ask(Request::Sample(&sample)).expect("it answers");
-            assert!(matches!(&exchange.said, Said::Parts(parts) if *parts == sample.parts));
+            assert!(matches!(&exchange.outcome, ReplyOutcome::Parts(parts) if *parts == sample.parts));
             exchange.whole().seconds()
         })
         .skip(rounds / 10)

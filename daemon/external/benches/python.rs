@@ -1,16 +1,16 @@
-//! What a call of a Python object costs beyond the user's code, beside the same bytes through bare pipes.
+//! Benchmark of calls of a Python object without the user's code, compared with the same bytes through bare pipes.
 //!
 //!     cargo bench -p peernet-external --bench python -- [--json] [ROUNDS]
 //!
-//! *bytes* and *array* go to an object that answers with what it got; *cat* is the same process frame around `cat`, the
-//! least that two pipes and two changes of process cost.
+//! *bytes* and *array* are passed to an object that returns its argument. *cat* is the same process harness around
+//! `cat`: the least that two pipes and two process switches cost.
 
 use std::fs;
 use std::sync::Arc;
 
 use bytes::Bytes;
 use peernet_clock::{ClockIdentity, SharedClock, Span, SystemClock};
-use peernet_external::process::{Launch, Process, Voice};
+use peernet_external::process::{Launch, Process, StderrLog};
 use peernet_external::python::{PythonConfig, PythonObject, Role};
 use peernet_sample::{Description, ElementType, MediaType, Part};
 
@@ -51,7 +51,7 @@ fn main() {
     }
 }
 
-/// The border's share of each call: p50 and p99, in seconds.
+/// Measures the time of each call outside the user's code; returns its p50 and p99 in seconds.
 fn echo(part: &Part, rounds: usize, clock: &SharedClock) -> [f64; 2] {
     let folder = tempfile::tempdir().expect("there is room for a folder");
     fs::write(folder.path().join("echo.py"), ECHO).expect("it can be written");
@@ -64,7 +64,7 @@ fn echo(part: &Part, rounds: usize, clock: &SharedClock) -> [f64; 2] {
         let called = object.call(parts);
         assert_eq!(called.result.expect("it answers").as_deref(), Some(parts));
         if round >= rounds / 10 {
-            taken.push(called.times.border().seconds());
+            taken.push(called.times.overhead().seconds());
         }
     }
     quantiles(taken)
@@ -73,7 +73,7 @@ fn echo(part: &Part, rounds: usize, clock: &SharedClock) -> [f64; 2] {
 fn cat(content: &Bytes, rounds: usize, clock: &SharedClock) -> [f64; 2] {
     let launch = Launch {
         name: "cat".to_owned(),
-        voice: Voice::Exec,
+        stderr_log: StderrLog::Exec,
         program: "cat".into(),
         arguments: Vec::new(),
         folder: None,

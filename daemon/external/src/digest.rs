@@ -1,4 +1,4 @@
-//! SHA-256 of files, by which others recognise that they have the same.
+//! SHA-256 of files, by which two runs can be recognised as using the same files.
 
 use std::fs::{File, Metadata};
 use std::io::{self, Read};
@@ -9,13 +9,13 @@ use sha2::{Digest, Sha256};
 
 use peernet_sample::printable_line;
 
-/// Bytes of the largest file of a user's code that is hashed: 256 MiB.
-const LARGEST: u64 = 256 << 20;
+/// Size of the largest file of users' code that is hashed, bytes (256 MiB).
+const MAX_HASHED_BYTES: u64 = 256 << 20;
 
-/// SHA-256 (FIPS 180-4) of all that is read, in hexadecimal.
+/// Returns the SHA-256 (FIPS 180-4) of everything that `from` yields, in hexadecimal.
 ///
 /// # Errors
-/// When reading fails.
+/// If reading fails.
 pub fn sha256(mut from: impl Read) -> io::Result<String> {
     let mut hasher = Sha256::new();
     let mut buffer = vec![0; 1 << 16];
@@ -30,37 +30,39 @@ pub fn sha256(mut from: impl Read) -> io::Result<String> {
     Ok(hasher.finalize().iter().map(|byte| format!("{byte:02x}")).collect())
 }
 
-/// The fact (`Sensor files`, `camera.py SHA-256 …`) of some files; `None` of none.
-pub(crate) fn fact(role: &str, files: &[PathBuf]) -> Option<(String, String)> {
-    let words: Vec<String> = files.iter().map(|file| identified(file)).collect();
+/// Returns the name and value of a run's fact about files (`Sensor files`, `camera.py SHA-256 …`); `None` without
+/// files.
+pub(crate) fn files_fact(role: &str, files: &[PathBuf]) -> Option<(String, String)> {
+    let words: Vec<String> = files.iter().map(|file| describe_with_hash(file)).collect();
     (!words.is_empty()).then(|| (format!("{role} files"), words.join(", ")))
 }
 
-/// A file with its hash, in words: `camera.py SHA-256 …`, or why it has none.
-pub fn identified(file: &Path) -> String {
+/// Returns a file's name with its hash (`camera.py SHA-256 …`) or with the reason that it has none.
+pub fn describe_with_hash(file: &Path) -> String {
     let name = file.display().to_string();
     let name = printable_line(&name);
-    match hashed(file) {
+    match hash_file(file) {
         Ok(words) => format!("{name} {words}"),
         Err(error) => format!("{name} (cannot be read: {error})"),
     }
 }
 
-fn hashed(file: &Path) -> io::Result<String> {
-    // Both before it is opened, since to open a device may do something, and after, since another may have taken its place.
+fn hash_file(file: &Path) -> io::Result<String> {
+    // The type is checked before opening, because opening a device may have effects, and after it, because the file
+    // may have been replaced.
     let regular = |about: Metadata| match about.is_file() {
         true => Ok(about.len()),
         false => Err(io::Error::other("it is not a regular file")),
     };
     regular(file.metadata()?)?;
-    // To open a pipe would wait for its writer.
+    // Opening a named pipe would otherwise wait for a writer.
     let flags = OFlags::RDONLY | OFlags::NONBLOCK | OFlags::CLOEXEC;
     let opened = File::from(rustix::fs::open(file, flags, Mode::empty())?);
     let length = regular(opened.metadata()?)?;
-    if length > LARGEST {
+    if length > MAX_HASHED_BYTES {
         return Ok(format!("of {length} bytes, not hashed"));
     }
-    // To read more than there was may wait for ever, as of files of the kernel's, whose length is 0.
+    // No more than the length is read, because files of the kernel have length 0 and reading them may block for ever.
     sha256(opened.take(length)).map(|hash| format!("SHA-256 {hash}"))
 }
 
@@ -73,13 +75,13 @@ mod tests {
         let folder = tempfile::tempdir().expect("a folder");
         let (file, large) = (folder.path().join("own.py"), folder.path().join("weights"));
         std::fs::write(&file, "abc").expect("writable");
-        File::create(&large).and_then(|file| file.set_len(LARGEST + 1)).expect("writable");
+        File::create(&large).and_then(|file| file.set_len(MAX_HASHED_BYTES + 1)).expect("writable");
         let missing = folder.path().join("none");
         let files = [file.clone(), large.clone(), missing.clone()];
-        let (name, told) = fact("Sensor", &files).expect("there are some");
+        let (name, told) = files_fact("Sensor", &files).expect("there are some");
         assert_eq!(name, "Sensor files");
         let parts: Vec<&str> = told.split(", ").collect();
-        // FIPS 180-4's own example.
+        // Example in FIPS 180-4.
         let known = "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad";
         assert_eq!(parts[0], format!("{} SHA-256 {known}", file.display()));
         assert_eq!(
@@ -91,21 +93,22 @@ mod tests {
                     .as_str(),
             ]
         );
-        assert_eq!(fact("Sensor", &[]), None);
+        assert_eq!(files_fact("Sensor", &[]), None);
     }
 
     #[test]
-    fn nothing_is_read_that_may_have_no_end() {
+    fn irregular_files_are_not_hashed() {
         let folder = tempfile::tempdir().expect("a folder");
         let pipe = folder.path().join("pipe");
         rustix::fs::mkfifoat(rustix::fs::CWD, &pipe, Mode::RWXU).expect("can be made");
         let refused = format!("{} (cannot be read: it is not a regular file)", pipe.display());
-        assert_eq!(identified(&pipe), refused);
-        // Of length 0, though there is something to read; to read the kernel's messages waits for the next.
+        assert_eq!(describe_with_hash(&pipe), refused);
+        // The length of this file is 0 although it has contents. Reading the kernel's messages would wait for the
+        // next one.
         let nothing = sha256(io::empty()).expect("reads");
-        let told = identified(Path::new("/proc/self/status"));
+        let told = describe_with_hash(Path::new("/proc/self/status"));
         assert_eq!(told, format!("/proc/self/status SHA-256 {nothing}"));
-        let messages = identified(Path::new("/proc/kmsg"));
+        let messages = describe_with_hash(Path::new("/proc/kmsg"));
         assert!(messages.ends_with(&nothing) || messages.contains("cannot be read"), "{messages}");
     }
 }

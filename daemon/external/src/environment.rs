@@ -1,11 +1,12 @@
-//! Environment variables: those that decide what code finds and how fast it computes, and those that users set.
+//! Environment variables that influence users' code, and the protection of variables that users set.
 
 use std::collections::BTreeMap;
 use std::env;
 
 use peernet_sample::printable_line;
 
-/// Ours, those of Python, of the loader, of thread pools and of GPUs. Others may be secret and are nobody's business.
+/// Variables of PEERNet, Python, the dynamic loader, thread pools and GPUs. Others are not recorded, because they may
+/// be secret.
 const NAMES: [&str; 26] = [
     "PEERNET_PYTHON",
     "PEERNET_MODELS",
@@ -34,21 +35,23 @@ const NAMES: [&str; 26] = [
     "NVIDIA_TF32_OVERRIDE",
     "PYTORCH_CUDA_ALLOC_CONF",
 ];
-/// Characters of the longest value that is told.
-const LONGEST: usize = 1000;
-/// What stands in the place of a value that a user set.
-const NOT_TOLD: &str = "(not told)";
+/// Longest recorded value, characters.
+const MAX_VALUE_CHARS: usize = 1000;
+/// Text that replaces a value that a user set.
+const HIDDEN_VALUE: &str = "(not told)";
 
-/// Those that this program has, with their values, which users' processes inherit.
+/// Returns the variables of this program that influence the results of users' code, with their values; users'
+/// processes inherit them.
 pub fn environment() -> BTreeMap<String, String> {
-    let told = |name: &&str| {
-        let value = env::var_os(name)?.to_string_lossy().chars().take(LONGEST).collect::<String>();
+    let recorded = |name: &&str| {
+        let value = env::var_os(name)?.to_string_lossy().chars().take(MAX_VALUE_CHARS).collect::<String>();
         Some(((*name).to_owned(), printable_line(&value).into_owned()))
     };
-    NAMES.iter().filter_map(told).collect()
+    NAMES.iter().filter_map(recorded).collect()
 }
 
-/// Leaves the names of what users set (`env`), for a configuration that is published: the values may be secret.
+/// Replaces the values of variables that users set (`env`), for a configuration that is published: they may be
+/// secret.
 pub fn hide_values(variables: &mut BTreeMap<String, String>) {
-    variables.values_mut().for_each(|value| NOT_TOLD.clone_into(value));
+    variables.values_mut().for_each(|value| HIDDEN_VALUE.clone_into(value));
 }

@@ -1,8 +1,8 @@
-//! Users' own code beside the daemon: a process behind two pipes, started anew when it dies.
+//! Users' own code, run in separate processes that are connected by pipes and restarted when they die.
 //!
-//! [`process`] starts, feeds, watches and ends a process and knows nothing of what it says. [`python`] runs a Python
-//! object (`module::object`) in such a process. What may be run is named by the host's own configuration or command
-//! line, never by a peer.
+//! [`process`] starts, writes to, watches and ends a process; it does not interpret the bytes. [`python`] calls a
+//! Python object (`module::object`) in such a process, [`exec`] any program. Only the host's own configuration or
+//! command line names the code to be run, never a peer.
 
 pub mod exec;
 pub mod process;
@@ -12,5 +12,5 @@ mod digest;
 mod environment;
 mod text;
 
-pub use digest::{identified, sha256};
+pub use digest::{describe_with_hash, sha256};
 pub use environment::{environment, hide_values};

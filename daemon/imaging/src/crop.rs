@@ -1,25 +1,25 @@
-//! Rectangles of a picture.
+//! Cropping of pictures.
 
 use crate::size::check_size;
 use crate::{ImageError, Picture};
 
-/// A rectangle to be cut out.
+/// Rectangle to be cut out of a picture.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Crop {
-    /// Pixels.
+    /// Width, pixels.
     pub width: u32,
-    /// Pixels.
+    /// Height, pixels.
     pub height: u32,
-    /// Left edge in pixels; centred, rounded to the left, when not given.
+    /// Left edge, pixels; `None` for the centre, rounded to the left.
     pub x: Option<u32>,
-    /// Upper edge in pixels; centred, rounded upwards, when not given.
+    /// Upper edge, pixels; `None` for the centre, rounded upwards.
     pub y: Option<u32>,
 }
 
-/// Makes `target` the rectangle `crop` of `picture`.
+/// Copies the rectangle `crop` of `picture` to `target`.
 ///
 /// # Errors
-/// When the rectangle is empty or reaches beyond the picture.
+/// If the rectangle is empty or reaches beyond the picture.
 pub fn crop(picture: &Picture, crop: Crop, target: &mut Picture) -> Result<(), ImageError> {
     let Crop { width, height, x, y } = crop;
     check_size(u64::from(width), u64::from(height))?;
@@ -54,7 +54,7 @@ mod tests {
     }
 
     #[test]
-    fn the_rectangle_is_where_it_was_asked_for_or_in_the_centre() {
+    fn rectangle_is_at_position_or_centre() {
         let mut target = Picture::default();
         crop(&numbered(5, 4), Crop { width: 2, height: 2, x: Some(3), y: Some(0) }, &mut target)
             .expect("fits");
@@ -65,7 +65,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn a_rectangle_is_cut_or_refused(w in 0u32..9, h in 0u32..9, x: Option<u32>, y in proptest::option::of(0u32..9)) {
+        fn rectangle_is_cropped_or_refused(w in 0u32..9, h in 0u32..9, x: Option<u32>, y in proptest::option::of(0u32..9)) {
             let mut target = Picture::default();
             match crop(&numbered(7, 6), Crop { width: w, height: h, x, y }, &mut target) {
                 Ok(()) => prop_assert_eq!((target.width(), target.height(), target.pixels().len()), (w, h, (w * h) as usize)),

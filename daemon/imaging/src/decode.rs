@@ -1,7 +1,8 @@
-//! From files to pixels.
+//! Decoding of files to pixels.
 //!
-//! JPEG is decoded whole, by a SIMD decoder. Decoding at a half, a quarter or an eighth of the size, as the format
-//! allows, was measured and left out: entropy decoding takes most of the time and stays the same.
+//! JPEG is decoded at full size, by a SIMD decoder. Decoding at a half, a quarter or an eighth of the size, which the
+//! format allows, was measured and is not used: entropy decoding takes most of the time and stays the same, and the
+//! pixels change.
 
 use std::io::Cursor;
 
@@ -21,7 +22,7 @@ use crate::{ImageError, Picture};
 const JPEG: &[u8] = &[0xff, 0xd8, 0xff];
 const PNG: &[u8] = b"\x89PNG\r\n\x1a\n";
 
-/// The format of a file by its first bytes, whatever its name or description says.
+/// Returns the format of a file by its first bytes, regardless of its name and description.
 pub(crate) fn recognise(file: &[u8]) -> Result<MediaType, ImageError> {
     match file {
         file if file.starts_with(JPEG) => Ok(MediaType::Jpeg),
@@ -30,12 +31,13 @@ pub(crate) fn recognise(file: &[u8]) -> Result<MediaType, ImageError> {
     }
 }
 
-/// Decodes a JPEG or PNG file into `picture`, in the wanted order of channels.
+/// Decodes a JPEG or PNG file into `picture`, in the given order of channels.
 ///
-/// Transparency is dropped; colour profiles and the orientation tag are ignored, as most training code does.
+/// Transparency is dropped; colour profiles and the orientation tag are ignored, as in most training code.
 ///
 /// # Errors
-/// When it is neither, damaged or cut off, or too large; `picture` then holds something undefined.
+/// If the file has another format, is damaged or truncated, or is too large. The contents of `picture` are undefined
+/// then.
 pub fn decode(file: &[u8], format: PixelFormat, picture: &mut Picture) -> Result<(), ImageError> {
     if recognise(file)? == MediaType::Jpeg {
         decode_jpeg(file, format, picture)
@@ -44,10 +46,10 @@ pub fn decode(file: &[u8], format: PixelFormat, picture: &mut Picture) -> Result
     }
 }
 
-/// Makes `picture` the picture in a payload part: a file is decoded, pixels are copied.
+/// Reads the picture in a payload part into `picture`: a file is decoded, pixels are copied.
 ///
 /// # Errors
-/// As [`decode`], and when the part is something else.
+/// As [`decode`], and if the part is not a picture.
 pub fn read_part(part: &Part, format: PixelFormat, picture: &mut Picture) -> Result<(), ImageError> {
     match &part.description.media {
         MediaType::Jpeg | MediaType::Png => decode(&part.bytes, format, picture),
@@ -61,7 +63,7 @@ pub fn read_part(part: &Part, format: PixelFormat, picture: &mut Picture) -> Res
 }
 
 fn decode_jpeg(file: &[u8], format: PixelFormat, picture: &mut Picture) -> Result<(), ImageError> {
-    let Opened { mut decoder, width, height } = open_jpeg(file, format)?;
+    let OpenedImage { mut decoder, width, height } = open_jpeg(file, format)?;
     let target = picture.reshape(format, width, height);
     if decoder.output_buffer_size() != Some(target.len()) {
         return Err(damaged_jpeg("its colours are of a kind that cannot be converted"));
@@ -69,8 +71,8 @@ fn decode_jpeg(file: &[u8], format: PixelFormat, picture: &mut Picture) -> Resul
     decoder.decode_into(target).map_err(|error| jpeg_error(&error))
 }
 
-/// A decoder that has read the header, and the size in it, which is a possible one.
-pub(crate) struct Opened<D> {
+/// Decoder that has read the header, with the size from the header after its check.
+pub(crate) struct OpenedImage<D> {
     decoder: D,
     pub(crate) width: u32,
     pub(crate) height: u32,
@@ -79,16 +81,16 @@ pub(crate) struct Opened<D> {
 pub(crate) fn open_jpeg(
     file: &[u8],
     format: PixelFormat,
-) -> Result<Opened<JpegDecoder<ZCursor<&[u8]>>>, ImageError> {
+) -> Result<OpenedImage<JpegDecoder<ZCursor<&[u8]>>>, ImageError> {
     let mut decoder = JpegDecoder::new_with_options(ZCursor::new(file), jpeg_options(format));
     decoder.decode_headers().map_err(|error| jpeg_error(&error))?;
     let info = decoder.info().ok_or_else(|| damaged_jpeg("its header gives no size"))?;
     let (width, height) = (u32::from(info.width), u32::from(info.height));
     check_size(u64::from(width), u64::from(height))?;
-    Ok(Opened { decoder, width, height })
+    Ok(OpenedImage { decoder, width, height })
 }
 
-/// Strict: a picture whose data end early is an error, not a picture that is grey below.
+/// Returns strict options: truncated data are an error instead of a picture with a grey lower part.
 fn jpeg_options(format: PixelFormat) -> DecoderOptions {
     let colours = match format {
         PixelFormat::Rgb8 => ColorSpace::RGB,
@@ -102,16 +104,16 @@ fn jpeg_options(format: PixelFormat) -> DecoderOptions {
 }
 
 fn jpeg_error(error: &DecodeErrors) -> ImageError {
-    damaged_jpeg(&tidy(&error.to_string()))
+    damaged_jpeg(&single_line(&error.to_string()))
 }
 
 fn damaged_jpeg(reason: &str) -> ImageError {
     ImageError::Damaged { format: "jpeg", reason: reason.to_owned() }
 }
 
-/// Bit depths, palettes and transparency are all brought to eight bits per channel.
+/// Decodes a PNG file. Bit depths, palettes and transparency are converted to eight bits per channel.
 fn decode_png(file: &[u8], format: PixelFormat, picture: &mut Picture) -> Result<(), ImageError> {
-    let Opened { decoder, width, height } = open_png(file)?;
+    let OpenedImage { decoder, width, height } = open_png(file)?;
     let as_wanted = matches!(
         (decoder.color_type(), format),
         (image::ColorType::Rgb8, PixelFormat::Rgb8) | (image::ColorType::L8, PixelFormat::Grey8)
@@ -125,18 +127,18 @@ fn decode_png(file: &[u8], format: PixelFormat, picture: &mut Picture) -> Result
     Ok(())
 }
 
-pub(crate) fn open_png(file: &[u8]) -> Result<Opened<PngDecoder<Cursor<&[u8]>>>, ImageError> {
+pub(crate) fn open_png(file: &[u8]) -> Result<OpenedImage<PngDecoder<Cursor<&[u8]>>>, ImageError> {
     let decoder = PngDecoder::new(Cursor::new(file)).map_err(|error| png_error(&error))?;
     let (width, height) = decoder.dimensions();
     check_size(u64::from(width), u64::from(height))?;
-    Ok(Opened { decoder, width, height })
+    Ok(OpenedImage { decoder, width, height })
 }
 
 fn png_error(error: &image::ImageError) -> ImageError {
-    ImageError::Damaged { format: "png", reason: tidy(&error.to_string()) }
+    ImageError::Damaged { format: "png", reason: single_line(&error.to_string()) }
 }
 
-/// Error texts of other libraries on one line, without full stop.
-fn tidy(text: &str) -> String {
+/// Returns the error text of another library in one line, without full stop.
+fn single_line(text: &str) -> String {
     printable_line(text).split_whitespace().collect::<Vec<_>>().join(" ").trim_end_matches('.').to_owned()
 }

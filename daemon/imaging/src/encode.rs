@@ -1,4 +1,4 @@
-//! From pixels to files.
+//! Encoding of pixels to files.
 
 use bytes::Bytes;
 use image::ImageEncoder;
@@ -7,23 +7,23 @@ use peernet_sample::{Description, MediaType, Part, PixelFormat};
 
 use crate::{ImageError, Picture};
 
-/// Into what a picture is compressed.
+/// File format of an encoded picture.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Encoding {
     /// Baseline JPEG.
     Jpeg {
-        /// 1 (small) to 100 (good), on libjpeg's scale; values outside are brought inside. Colour is kept at full
-        /// resolution from 90 on and at half of it in both directions below, as is usual.
+        /// Quality on libjpeg's scale, 1 (small) to 100 (good); values outside are clamped. Colour has full
+        /// resolution from 90 on, and half of it in both directions below, as is usual.
         quality: u8,
     },
-    /// PNG, lossless, at the fastest compression that is worth it.
+    /// PNG, lossless, with fast compression.
     Png,
 }
 
 /// Compresses a picture into a payload part.
 ///
 /// # Errors
-/// When the picture is empty, or larger than the format allows.
+/// If the picture is empty, or larger than the format allows.
 pub fn encode(picture: &Picture, encoding: Encoding) -> Result<Part, ImageError> {
     let mut file = Vec::with_capacity(picture.pixels().len() / 8 + 1024);
     let media = match encoding {
@@ -47,7 +47,7 @@ fn write_jpeg(picture: &Picture, quality: u8, file: &mut Vec<u8>) -> Result<(), 
         PixelFormat::Grey8 => jpeg_encoder::ColorType::Luma,
     };
     let mut encoder = jpeg_encoder::Encoder::new(file, quality);
-    // As libjpeg, and so as the pictures that most models were trained on.
+    // As libjpeg does, which compressed the pictures that most models were trained on.
     encoder.set_chroma_subsampling_method(jpeg_encoder::ChromaSubsamplingMethod::Average);
     encoder
         .encode(picture.pixels(), side(picture.width())?, side(picture.height())?, colours)

@@ -1,82 +1,82 @@
-//! Why something is not a picture, or cannot become one.
+//! Errors of reading, changing and writing pictures.
 
 use peernet_sample::MediaType;
 
 use crate::limits::{MAX_PIXELS, MAX_SIDE};
 
-/// Why a picture could not be read, changed or written.
+/// Reason that a picture cannot be read, changed or written.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum ImageError {
-    /// The bytes do not begin as a JPEG or PNG file does.
+    /// The bytes do not begin like a JPEG or PNG file.
     #[error("it is neither a jpeg nor a png file")]
     UnknownFormat,
-    /// A payload that holds no picture.
+    /// The payload is not a picture.
     #[error("it is {}, not a picture", described(.0))]
     NotAPicture(MediaType),
-    /// The file is damaged, cut off or of a kind that is not supported.
+    /// The file is damaged, truncated or of an unsupported kind.
     #[error("the {format} file cannot be read: {reason}")]
     Damaged {
-        /// `jpeg` or `png`.
+        /// Format: `jpeg` or `png`.
         format: &'static str,
-        /// What the decoder said.
+        /// Message of the decoder.
         reason: String,
     },
-    /// The picture has no pixels or more than this program takes.
+    /// The picture has no pixels, or more than this program accepts.
     #[error(
         "{width} × {height} pixels are not possible: sides go from 1 to {MAX_SIDE}, \
          and no picture has more than {MAX_PIXELS} pixels"
     )]
     Size {
-        /// Pixels.
+        /// Width, pixels.
         width: u64,
-        /// Pixels.
+        /// Height, pixels.
         height: u64,
     },
-    /// Decoded pixels whose description does not fit their bytes.
+    /// The description of decoded pixels does not fit their bytes.
     #[error("{width} × {height} pixels of {channels} bytes need {expected} bytes, there are {actual}")]
     Length {
-        /// Pixels.
+        /// Width, pixels.
         width: u32,
-        /// Pixels.
+        /// Height, pixels.
         height: u32,
         /// Bytes per pixel.
         channels: u32,
-        /// Bytes that follow from the description.
+        /// Number of bytes according to the description.
         expected: u64,
-        /// Bytes that are there.
+        /// Number of bytes in the payload.
         actual: u64,
     },
     /// The description of decoded pixels lacks their shape.
     #[error("its description gives the shape {0:?} instead of height, width and channels")]
     Shape(Vec<u32>),
-    /// A rectangle that reaches beyond the picture.
+    /// The rectangle reaches beyond the picture.
     #[error(
         "a rectangle of {width} × {height} at {x}, {y} does not lie within {of_width} × {of_height} pixels"
     )]
     Outside {
-        /// Pixels.
+        /// Width of the rectangle, pixels.
         width: u32,
-        /// Pixels.
+        /// Height of the rectangle, pixels.
         height: u32,
         /// Left edge, pixels.
         x: u32,
         /// Upper edge, pixels.
         y: u32,
-        /// Width of the picture.
+        /// Width of the picture, pixels.
         of_width: u32,
-        /// Height of the picture.
+        /// Height of the picture, pixels.
         of_height: u32,
     },
-    /// The picture could not be written.
+    /// The picture cannot be encoded.
     #[error("cannot write a {format} file of {width} × {height} pixels: {reason}")]
     Unwritable {
-        /// `jpeg` or `png`.
+        /// Format: `jpeg` or `png`.
         format: &'static str,
-        /// Pixels.
+        /// Width, pixels.
         width: u32,
-        /// Pixels.
+        /// Height, pixels.
         height: u32,
-        /// What the encoder said.
+        /// Message of the encoder.
         reason: String,
     },
 }

@@ -1,7 +1,8 @@
 //! Limits of the size of a picture.
 
-/// The most pixels a picture may have: 8192 × 8192, 192 MiB in colour. A file of a few bytes can claim more.
+/// Largest number of pixels of a picture: 8192 × 8192, which is 192 MiB in colour. The limit is needed because a file
+/// of a few bytes can announce any size.
 pub const MAX_PIXELS: u64 = 1 << 26;
 
-/// The longest side a picture may have.
+/// Longest side of a picture, pixels.
 pub const MAX_SIDE: u64 = 1 << 15;

@@ -8,7 +8,7 @@ use crate::size::{check_length, length};
 
 /// Decoded pixels, rows from top to bottom, without padding, one byte per channel.
 ///
-/// Also the buffer that decoding, resizing and cropping write into; a default one is empty, 0 × 0.
+/// Also the buffer that decoding, resizing and cropping write into; the default is empty, 0 × 0.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Picture {
     format: PixelFormat,
@@ -24,49 +24,49 @@ impl Default for Picture {
 }
 
 impl Picture {
-    /// A picture of given pixels.
+    /// Creates a picture of given pixels.
     ///
     /// # Errors
-    /// When the size is not possible, or does not fit the number of bytes.
+    /// If the size is not permitted, or does not fit the number of bytes.
     pub fn new(format: PixelFormat, width: u32, height: u32, pixels: Vec<u8>) -> Result<Self, ImageError> {
         check_length(format, width, height, pixels.len())?;
         Ok(Self { format, width, height, pixels })
     }
 
-    /// Order of the channels.
+    /// Returns the order of the channels.
     pub fn format(&self) -> PixelFormat {
         self.format
     }
 
-    /// Pixels per row.
+    /// Returns the number of pixels per row.
     pub fn width(&self) -> u32 {
         self.width
     }
 
-    /// Rows.
+    /// Returns the number of rows.
     pub fn height(&self) -> u32 {
         self.height
     }
 
-    /// The pixels: height × width × channels bytes.
+    /// Returns the pixels: height × width × channels bytes.
     pub fn pixels(&self) -> &[u8] {
         &self.pixels
     }
 
-    /// The picture as a payload part; the pixels are moved, not copied.
+    /// Converts the picture to a payload part; the pixels are moved, not copied.
     pub fn into_part(self) -> Part {
         let description = Description::pixels(self.format, self.width, self.height);
         Part { description, bytes: Bytes::from(self.pixels) }
     }
 
-    /// Makes this a picture of that format and size, contents undefined, and gives its pixels to be written.
+    /// Changes format and size, and returns the pixels to be written; their contents are undefined.
     pub(crate) fn reshape(&mut self, format: PixelFormat, width: u32, height: u32) -> &mut [u8] {
         (self.format, self.width, self.height) = (format, width, height);
         self.pixels.resize(length(format, width, height) as usize, 0);
         &mut self.pixels
     }
 
-    /// Makes this a copy of `pixels` in another order of channels.
+    /// Copies `pixels` into this picture, converted to another order of channels.
     pub(crate) fn assign(
         &mut self,
         from: PixelFormat,
@@ -94,7 +94,7 @@ impl Picture {
     }
 }
 
-/// Brightness by ITU-R BT.601, the weights that JPEG itself uses, in 16-bit fixed point.
+/// Returns the brightness by ITU-R BT.601, the weights of JPEG, in 16-bit fixed point.
 fn luma([r, g, b]: [u8; 3]) -> u8 {
     let sum = 19_595 * u32::from(r) + 38_470 * u32::from(g) + 7_471 * u32::from(b);
     ((sum + 0x8000) >> 16) as u8
@@ -105,7 +105,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_size_that_lies_about_its_bytes_is_refused() {
+    fn size_that_contradicts_bytes_is_refused() {
         assert!(Picture::new(PixelFormat::Grey8, 2, 3, vec![0; 6]).is_ok());
         assert!(matches!(
             Picture::new(PixelFormat::Rgb8, 2, 3, vec![0; 6]),

@@ -1,4 +1,4 @@
-//! Format and size of a picture from its header alone.
+//! Format and size of a picture, read from its header.
 
 use peernet_sample::{MediaType, Part, PixelFormat};
 
@@ -6,21 +6,22 @@ use crate::ImageError;
 use crate::decode::{open_jpeg, open_png, recognise};
 use crate::size::pixels_size;
 
-/// What a picture's header says.
+/// Format and size of a picture.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Header {
-    /// [`MediaType::Jpeg`], [`MediaType::Png`] or decoded pixels.
+    /// Format: [`MediaType::Jpeg`], [`MediaType::Png`] or decoded pixels.
     pub media: MediaType,
-    /// Pixels.
+    /// Width, pixels.
     pub width: u32,
-    /// Pixels.
+    /// Height, pixels.
     pub height: u32,
 }
 
-/// Format and size of a JPEG or PNG file, without decoding it.
+/// Returns format and size of a JPEG or PNG file, without decoding it.
 ///
 /// # Errors
-/// When it is neither, when its header is damaged, or when its size is beyond [`MAX_PIXELS`](crate::MAX_PIXELS) or [`MAX_SIDE`](crate::MAX_SIDE).
+/// If the file has another format, if its header is damaged, or if its size is beyond
+/// [`MAX_PIXELS`](crate::MAX_PIXELS) or [`MAX_SIDE`](crate::MAX_SIDE).
 pub fn probe(file: &[u8]) -> Result<Header, ImageError> {
     let media = recognise(file)?;
     let (width, height) = if media == MediaType::Jpeg {
@@ -33,10 +34,10 @@ pub fn probe(file: &[u8]) -> Result<Header, ImageError> {
     Ok(Header { media, width, height })
 }
 
-/// Format and size of a payload part, a file or decoded pixels, without decoding it.
+/// Returns format and size of a payload part, a file or decoded pixels, without decoding it.
 ///
 /// # Errors
-/// When it is no picture, or a damaged one.
+/// If the part is not a picture, or is damaged.
 pub fn probe_part(part: &Part) -> Result<Header, ImageError> {
     match &part.description.media {
         MediaType::Jpeg | MediaType::Png => probe(&part.bytes),

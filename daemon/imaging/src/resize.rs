@@ -1,4 +1,4 @@
-//! Scaling, by a SIMD library.
+//! Scaling of pictures, by a SIMD library.
 
 use std::fmt;
 
@@ -9,12 +9,12 @@ use serde::{Deserialize, Serialize};
 use crate::size::check_size;
 use crate::{ImageError, Picture};
 
-/// How pixels are combined when a picture is scaled. Scaling down, all but `nearest` average over every pixel that
-/// they merge (as Pillow does, and "antialias" elsewhere), so that nothing is skipped.
+/// Filter that combines pixels when a picture is scaled. When the picture becomes smaller, all filters but `nearest`
+/// average over every source pixel (as Pillow does; "antialias" elsewhere).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Filter {
-    /// The one nearest pixel: fast, coarse.
+    /// The nearest pixel: fast and coarse.
     Nearest,
     /// The mean of a box.
     Box,
@@ -23,17 +23,17 @@ pub enum Filter {
     Bilinear,
     /// Cubic (Catmull-Rom, a = −0.5): sharper.
     Bicubic,
-    /// Lanczos with three lobes: sharpest, slowest.
+    /// Lanczos with three lobes: sharpest and slowest.
     Lanczos,
 }
 
-/// A filter, and whether it widens when a picture is scaled down.
+/// Filter, and whether it widens when a picture becomes smaller.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Scaling {
-    /// How pixels are combined.
+    /// Filter that combines pixels.
     pub filter: Filter,
-    /// Whether all pixels that are merged count; otherwise only the nearest ones do, as many as the filter takes when it
-    /// scales up. Some models were trained so.
+    /// `true` to average over all source pixels when the picture becomes smaller. Otherwise only the nearest pixels
+    /// count, as many as when it becomes larger; some models were trained with such pictures.
     pub antialias: bool,
 }
 
@@ -60,20 +60,20 @@ impl Scaling {
     }
 }
 
-/// Scales pictures; keeps its working memory from one to the next.
+/// Scales pictures; its working memory is reused for the next picture.
 #[derive(Default)]
 pub struct Resizer(fir::Resizer);
 
 impl Resizer {
-    /// A resizer without working memory yet.
+    /// Creates a resizer without working memory.
     pub fn new() -> Self {
         Self::default()
     }
 
-    /// Makes `target` the picture scaled to exactly `width` × `height`, whatever its proportions.
+    /// Scales `picture` to exactly `width` × `height`, without regard to its proportions, into `target`.
     ///
     /// # Errors
-    /// When the picture is empty or the wanted size not possible.
+    /// If the picture is empty or the requested size is not permitted.
     pub fn resize(
         &mut self,
         picture: &Picture,
@@ -88,7 +88,7 @@ impl Resizer {
             PixelFormat::Rgb8 => fir::PixelType::U8x3,
             PixelFormat::Grey8 => fir::PixelType::U8,
         };
-        // Both sizes were checked and both buffers have the length that follows, so that no step can fail.
+        // Both sizes were checked and both buffers have the resulting length, so that no step can fail.
         let impossible = || ImageError::Size { width: u64::from(width), height: u64::from(height) };
         let from = fir::images::ImageRef::new(picture.width(), picture.height(), picture.pixels(), kind)
             .map_err(|_| impossible())?;
@@ -127,7 +127,8 @@ mod tests {
 
     #[test]
     fn without_antialiasing_only_the_nearest_pixels_count() {
-        // Pixel 0 of 8 of 64 lies at 3.5: halfway between a black and a white one, whatever lies beside them.
+        // Pixel 0 of 8 in a row of 64 is at 3.5: halfway between a white and a black pixel, regardless of the pixels
+        // beside them.
         let mut lone = vec![0; 64];
         lone[3] = 200;
         let row = Picture::new(PixelFormat::Grey8, 64, 1, lone).expect("fits");
@@ -142,7 +143,7 @@ mod tests {
     }
 
     #[test]
-    fn a_plain_picture_stays_plain_at_any_size() {
+    fn uniform_picture_stays_uniform_when_resized() {
         let plain = Picture::new(PixelFormat::Rgb8, 7, 5, [10, 200, 30].repeat(35)).expect("fits");
         let (mut resizer, mut target) = (Resizer::new(), Picture::default());
         for (width, height) in [(1, 1), (3, 9), (20, 2), (7, 5)] {

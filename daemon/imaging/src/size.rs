@@ -1,16 +1,17 @@
-//! Sizes of pictures, checked before memory is taken for them.
+//! Checks of the sizes of pictures before memory is allocated for them.
 
 use peernet_sample::{Part, PixelFormat};
 
 use crate::ImageError;
 use crate::limits::{MAX_PIXELS, MAX_SIDE};
 
-/// Bytes of decoded pixels of a size that passed [`check_size`]: others may be more than a `u64` holds.
+/// Returns the number of bytes of decoded pixels. The size must have passed [`check_size`]: otherwise the product may
+/// overflow.
 pub(crate) fn length(format: PixelFormat, width: u32, height: u32) -> u64 {
     u64::from(width) * u64::from(height) * u64::from(format.channels())
 }
 
-/// Checks that a description of decoded pixels is possible and fits their bytes.
+/// Checks that a description of decoded pixels is permitted and fits their bytes.
 pub(crate) fn check_length(
     format: PixelFormat,
     width: u32,
@@ -25,7 +26,7 @@ pub(crate) fn check_length(
     Ok(())
 }
 
-/// Width and height of decoded pixels, checked against their bytes.
+/// Returns width and height of decoded pixels, after a check against their bytes.
 pub(crate) fn pixels_size(part: &Part, format: PixelFormat) -> Result<(u32, u32), ImageError> {
     let shape = &part.description.shape;
     let &[height, width, channels] = shape.as_slice() else {
@@ -38,7 +39,7 @@ pub(crate) fn pixels_size(part: &Part, format: PixelFormat) -> Result<(u32, u32)
     Ok((width, height))
 }
 
-/// Refuses sizes that no picture has or that would take too much memory.
+/// Refuses sizes that are empty or would take too much memory.
 pub(crate) fn check_size(width: u64, height: u64) -> Result<(), ImageError> {
     let sides = 1..=MAX_SIDE;
     if sides.contains(&width) && sides.contains(&height) && width * height <= MAX_PIXELS {

@@ -1,8 +1,8 @@
-//! What one picture costs, stage by stage, through the same pool that serves an agent.
+//! Benchmark of one picture, stage by stage, through the pool that serves an agent.
 //!
 //!     cargo bench -p peernet-inference --bench preprocess -- MODEL_FOLDER PICTURE [ROUNDS]
 //!
-//! `preprocess.py` beside this file does the same work with Pillow, numpy and Python's onnxruntime.
+//! `preprocess.py` in this folder does the same work with Pillow, numpy and Python's onnxruntime.
 
 use std::path::PathBuf;
 use std::sync::Arc;

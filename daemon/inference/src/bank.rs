@@ -1,9 +1,9 @@
-//! The models that a host offers: those of its configuration, and those in its folders.
+//! The models that a host offers: those of its configuration and those in its model folders.
 
+mod cache_entry;
 mod config;
 mod folders;
-mod shelf;
-mod stock;
+mod model_cache;
 
 pub use config::BankConfig;
 pub use folders::{INSTALLED, ModelFolders, ModelOnDisk};
@@ -18,23 +18,23 @@ use peernet_clock::{SharedClock, Span};
 use peernet_external::exec::FingerprintKey;
 use peernet_logger::Slug;
 
-use crate::litter::Litter;
 use crate::model::LoadContext;
 use crate::pool::Sizes;
+use crate::temp_dirs::TempDirs;
 use crate::{LoadError, ModelConfig, OnnxRuntimeConfig, Pool};
 
-use shelf::Shelf;
-use stock::Stock;
+use cache_entry::CacheEntry;
+use model_cache::ModelCache;
 
-/// The models that a host offers, loaded when they are first asked for and shared from then on.
+/// Models that a host offers. Each is loaded when it is first requested, and shared afterwards.
 pub struct Bank {
-    /// The configured models, which stay.
-    shelves: Vec<Arc<Shelf>>,
-    /// The name of one of them that is nobody's first choice.
+    /// The configured models, which stay loaded.
+    entries: Vec<Arc<CacheEntry>>,
+    /// Name of a model in `entries` that is used only if it is requested by name.
     built_in: Option<Slug>,
-    /// The models of the folders, which come and go.
-    stock: Option<Stock>,
-    litter: Litter,
+    /// The models of the folders, which are loaded and unloaded.
+    cache: Option<ModelCache>,
+    temp_dirs: TempDirs,
     runtime: OnnxRuntimeConfig,
     clock: SharedClock,
     on_load: Option<Observer>,
@@ -44,14 +44,14 @@ pub struct Bank {
 type Observer = Box<dyn Fn(&Pool) + Send + Sync>;
 
 impl Bank {
-    /// A bank of these models; nothing is loaded yet.
+    /// Creates a bank of these models; loads none of them.
     pub fn new(models: Vec<ModelConfig>, runtime: OnnxRuntimeConfig, clock: SharedClock) -> Self {
-        let shelves = models.into_iter().map(|config| Shelf::new(config, None)).collect();
+        let entries = models.into_iter().map(|config| CacheEntry::new(config, None)).collect();
         Self {
-            shelves,
+            entries,
             built_in: None,
-            stock: None,
-            litter: Litter::default(),
+            cache: None,
+            temp_dirs: TempDirs::default(),
             runtime,
             clock,
             on_load: None,
@@ -59,50 +59,50 @@ impl Bank {
         }
     }
 
-    /// Facts tell programs with different arguments apart, by fingerprints made with this key.
+    /// Adds a key, with which facts identify programs' arguments by fingerprints.
     #[must_use]
     pub fn with_fingerprints(mut self, key: FingerprintKey) -> Self {
         self.fingerprints = Some(key);
         self
     }
 
-    /// One more model, which only those get who ask for it by name.
+    /// Adds a model that is used only if it is requested by name.
     #[must_use]
     pub fn with_built_in(mut self, model: ModelConfig) -> Self {
         self.built_in = Some(model.name().clone());
-        self.shelves.push(Shelf::new(model, None));
+        self.entries.push(CacheEntry::new(model, None));
         self
     }
 
-    /// The models of these folders as well. A configured one of the same name goes first.
+    /// Adds the models of these folders. A configured model takes precedence over one of the same name.
     #[must_use]
     pub fn with_folders(mut self, config: BankConfig) -> Self {
-        self.stock = Some(Stock::new(config));
+        self.cache = Some(ModelCache::new(config));
         self
     }
 
-    /// Calls `observer` with each pool right after it was loaded; [`Pool::loaded_in`] tells how long it took.
+    /// Calls `observer` with each pool after it was loaded; [`Pool::loaded_in`] is the duration.
     #[must_use]
     pub fn on_load(mut self, observer: impl Fn(&Pool) + Send + Sync + 'static) -> Self {
         self.on_load = Some(Box::new(observer));
         self
     }
 
-    /// The names of the configured models, in the order of the configuration.
+    /// Returns the names of the configured models, in the order of the configuration.
     pub fn names(&self) -> Vec<Slug> {
         self.models().map(|model| model.name().clone()).collect()
     }
 
-    /// The configuration of each configured model, in order.
+    /// Returns the configurations of the models, in order.
     pub fn models(&self) -> impl Iterator<Item = &ModelConfig> {
-        self.shelves.iter().map(|shelf| &shelf.config)
+        self.entries.iter().map(|entry| &entry.config)
     }
 
-    /// The names of all models that can be asked for but the built-in one: the configured ones, then those of the folders
-    /// as they are now. Reads the folders.
+    /// Returns the names of all models that can be requested except the built-in one: the configured ones, then those
+    /// that are in the folders now. Reads the folders.
     pub fn offered(&self) -> Vec<Slug> {
         let mut names = self.configured();
-        for name in self.stock.iter().flat_map(Stock::names) {
+        for name in self.cache.iter().flat_map(ModelCache::names) {
             if !names.contains(&name) {
                 names.push(name);
             }
@@ -110,11 +110,11 @@ impl Bank {
         names
     }
 
-    /// The model for those who name none: the only configured one or, if there is none, the only one of the folders. The
-    /// built-in one does not count.
+    /// Returns the model for requests without a name: the only configured model or, if none is configured, the only
+    /// model of the folders. The built-in model does not count.
     ///
     /// # Errors
-    /// When there are several, or none at all.
+    /// If there are several such models, or none.
     pub fn only(&self) -> Result<Slug, LoadError> {
         let configured = self.configured();
         let names = if configured.is_empty() { self.offered() } else { configured };
@@ -128,24 +128,25 @@ impl Bank {
         self.names().into_iter().filter(|name| self.built_in.as_ref() != Some(name)).collect()
     }
 
-    /// The pool of a model, loading it if nobody did yet. `device` is what the asker insists on, `None` for
-    /// whatever is configured. A model of the folders stays in memory for as long as somebody keeps its pool.
+    /// Returns the pool of a model; loads the model if it is not loaded.
     ///
-    /// Blocks while the model loads, which may take seconds: not for an I/O thread.
+    /// `device` is the requested device; `None` stands for the configured one. A model of the folders stays loaded
+    /// while its pool is in use. Blocks while the model loads, which may take seconds, so that this must not be
+    /// called on an I/O thread.
     ///
     /// # Errors
-    /// When there is no such model, or not on that device, or when it cannot be loaded, or when too many models of the
-    /// folders are in use; the next call tries again.
+    /// If the model does not exist, is not offered on that device or cannot be loaded, or if too many models of the
+    /// folders are in use. The next call tries again.
     pub fn load(&self, name: &Slug, device: Option<&str>) -> Result<Arc<Pool>, LoadError> {
-        let Some(shelf) = self.shelves.iter().find(|shelf| shelf.config.name() == name) else {
+        let Some(entry) = self.entries.iter().find(|entry| entry.config.name() == name) else {
             return self.load_from_folders(name, device);
         };
-        let offered = shelf.config.device();
+        let offered = entry.config.device();
         if let Some(asked) = device.filter(|asked| *asked != offered) {
             let (model, asked, offered) = (name.to_string(), asked.to_owned(), offered.to_owned());
             return Err(LoadError::OtherDevice { model, asked, offered });
         }
-        self.fill(shelf)
+        self.load_entry(entry)
     }
 
     fn load_from_folders(&self, name: &Slug, device: Option<&str>) -> Result<Arc<Pool>, LoadError> {
@@ -153,29 +154,29 @@ impl Bank {
             let known = self.offered().iter().map(Slug::to_string).collect();
             LoadError::UnknownModel { name: name.to_string(), known }
         };
-        let stock = self.stock.as_ref().ok_or_else(unknown)?;
-        let shelf = stock.shelf(name, device).map_err(|error| match error {
-            // A peer is told what there is, not where.
+        let cache = self.cache.as_ref().ok_or_else(unknown)?;
+        let entry = cache.entry(name, device).map_err(|error| match error {
+            // A peer is informed which models exist, but not in which folders.
             LoadError::NotFound { .. } => unknown(),
             error => error,
         })?;
-        let pool = self.fill(&shelf);
+        let pool = self.load_entry(&entry);
         if pool.is_err() {
-            stock.discard(&shelf);
+            cache.discard(&entry);
         }
         pool
     }
 
-    fn fill(&self, shelf: &Shelf) -> Result<Arc<Pool>, LoadError> {
-        let (pool, new) = shelf.pool(|| self.start(&shelf.config))?;
+    fn load_entry(&self, entry: &CacheEntry) -> Result<Arc<Pool>, LoadError> {
+        let (pool, new) = entry.pool(|| self.start(&entry.config))?;
         if let Some(observer) = self.on_load.as_ref().filter(|_| new) {
             observer(&pool);
         }
         Ok(pool)
     }
 
-    /// Everything that can be found wrong without loading a model: names, files, cards, devices, the library;
-    /// each with the position of its model in the configuration.
+    /// Checks everything that can be checked without loading a model: names, files, cards, devices, the library.
+    /// Returns each error with the position of its model in the configuration.
     pub fn check(&self) -> Vec<(usize, LoadError)> {
         let mut errors = Vec::new();
         let mut seen = HashSet::new();
@@ -193,38 +194,41 @@ impl Bank {
         errors
     }
 
-    /// The same for the folders; each with its key in `[bank]`. What is wrong with single models there is not told: they
-    /// are not offered.
+    /// Checks the table `[bank]`; returns each error with its key. Errors of single models in the folders are not
+    /// included, because such models are not offered.
     pub fn check_folders(&self) -> Vec<(&'static str, LoadError)> {
-        self.stock.as_ref().map(Stock::check).unwrap_or_default()
+        self.cache.as_ref().map(ModelCache::check).unwrap_or_default()
     }
 
-    /// Ends the threads of all models that were loaded; see [`Pool::shutdown`]. Blocks.
+    /// Ends the threads of all loaded models; see [`Pool::shutdown`]. Blocks.
     pub fn shutdown(&self) {
-        for shelf in self.all() {
-            shelf.clear();
+        for entry in self.all() {
+            entry.clear();
         }
     }
 
-    fn all(&self) -> Vec<Arc<Shelf>> {
-        self.shelves.iter().cloned().chain(self.stock.iter().flat_map(Stock::shelves)).collect()
+    fn all(&self) -> Vec<Arc<CacheEntry>> {
+        self.entries.iter().cloned().chain(self.cache.iter().flat_map(ModelCache::entries)).collect()
     }
 
-    /// The same, but waits no longer than `patience`. Returns the models that were not waited for, because they
-    /// load or compute: their threads are left to themselves, and their temporary files are removed. Blocks.
+    /// Ends the threads of all loaded models, but waits no longer than `patience`. Blocks.
+    ///
+    /// Returns the models that are still loading or computing: their threads are left running, and their temporary
+    /// files are removed.
     pub fn shutdown_within(&self, patience: Duration) -> Vec<Slug> {
+        // Loading or computing may take minutes, for which the end of the process must not wait.
         let deadline =
             self.clock.mono() + Span::from_nanos(i64::try_from(patience.as_nanos()).unwrap_or(i64::MAX));
-        let shelves = self.all();
-        let (done, ended) = mpsc::sync_channel(shelves.len());
+        let entries = self.all();
+        let (done, ended) = mpsc::sync_channel(entries.len());
         let mut left: Vec<(usize, Slug)> =
-            shelves.iter().enumerate().map(|(index, shelf)| (index, shelf.config.name().clone())).collect();
-        for (index, shelf) in shelves.into_iter().enumerate() {
+            entries.iter().enumerate().map(|(index, entry)| (index, entry.config.name().clone())).collect();
+        for (index, entry) in entries.into_iter().enumerate() {
             let done = done.clone();
-            let thread = thread::Builder::new().name(format!("end-{}", shelf.config.name()));
+            let thread = thread::Builder::new().name(format!("end-{}", entry.config.name()));
             let ending = thread.spawn(move || {
-                shelf.clear();
-                // Nobody listens any more when this took too long.
+                entry.clear();
+                // The receiver is gone if ending this model took too long.
                 let _ = done.send(index);
             });
             if let Err(error) = ending {
@@ -240,13 +244,13 @@ impl Bank {
             }
         }
         if !left.is_empty() {
-            self.litter.sweep();
+            self.temp_dirs.delete_all();
         }
         left.into_iter().map(|(_, name)| name).collect()
     }
 
     fn context(&self) -> LoadContext<'_> {
-        LoadContext { runtime: &self.runtime, litter: &self.litter, clock: &self.clock }
+        LoadContext { runtime: &self.runtime, temp_dirs: &self.temp_dirs, clock: &self.clock }
     }
 
     fn start(&self, config: &ModelConfig) -> Result<Pool, LoadError> {
@@ -255,7 +259,7 @@ impl Bank {
         let model = config.load(&self.context())?;
         let sizes = Sizes { workers: config.workers(), queue: config.queue() };
         let pool = Pool::start(config.name().clone(), model, sizes, &self.clock, begun)?;
-        Ok(pool.telling(config.facts(self.fingerprints.as_ref())))
+        Ok(pool.with_facts(config.facts(self.fingerprints.as_ref())))
     }
 }
 

@@ -1,71 +1,71 @@
-//! Why a model could not be loaded or a sample not be computed on.
+//! Errors of loading a model and of computing a sample.
 
 use std::path::PathBuf;
 
 use peernet_external::exec::ExchangeError;
 use peernet_external::python::PythonError;
 
-/// Most names that are listed.
-const LISTED: usize = 30;
+/// Largest number of names in a message.
+const MAX_LISTED: usize = 30;
 
-/// Why a model is not there.
+/// Reason that a model cannot be loaded.
 #[derive(Debug, thiserror::Error)]
 pub enum LoadError {
-    /// No model of that name is configured.
+    /// No model of that name is offered.
     #[error("no model named {name}; {}", offered(.known))]
     UnknownModel {
-        /// What was asked for.
+        /// The requested name.
         name: String,
-        /// What this host offers.
+        /// The models that this host offers.
         known: Vec<String>,
     },
     /// No folder has a model of that name.
     #[error(
         "no model named {name} in {}; {}; name another folder, give a path with a slash, or export the model \
          (models/export_torchvision.py)",
-        listed(.looked), there_is(.known)
+        listed(.searched), there_is(.known)
     )]
     NotFound {
-        /// What was asked for.
+        /// The requested name.
         name: String,
         /// The folders that were searched.
-        looked: Vec<PathBuf>,
+        searched: Vec<PathBuf>,
         /// The models in them.
         known: Vec<String>,
     },
-    /// Nobody said which of several models is wanted.
+    /// The request names no model although several are offered.
     #[error("no model was named; {}; name one", offered(.known))]
     Unnamed {
-        /// What this host offers.
+        /// The models that this host offers.
         known: Vec<String>,
     },
-    /// The files of a model in use are not those that were loaded.
+    /// The files of a model in use differ from those that were loaded.
     #[error("model {0} was changed on disk while others use it; ask again when their sessions are over")]
     Changed(String),
-    /// No more models of the bank's folders may be in memory.
+    /// The largest number of loaded models is reached, and all are in use.
     #[error(
         "no room for model {model}: {most} models of the bank may be loaded and all are in use ({}); ask again later, or \
          raise [bank] most_loaded on the serving host", .in_use.join(", ")
     )]
     BankFull {
-        /// The model.
+        /// The requested model.
         model: String,
-        /// How many may be in memory.
+        /// Largest number of loaded models.
         most: usize,
-        /// Those that are.
+        /// The loaded models.
         in_use: Vec<String>,
     },
-    /// Two models have one name.
+    /// Two models have the same name.
     #[error("two models are named {0}; give each its own name")]
     Duplicate(String),
-    /// A value is beyond its upper limit.
+    /// A value is above its upper limit.
     #[error("{value} is too much; at most {most}")]
     TooMuch {
-        /// The key in the model's table.
+        /// Key in the model's table.
         key: &'static str,
-        /// What was given.
+        /// Configured value.
         value: u64,
-        /// The limit.
+        /// Upper limit.
         most: u64,
     },
     /// The model is configured for another device.
@@ -73,20 +73,20 @@ pub enum LoadError {
     OtherDevice {
         /// The model.
         model: String,
-        /// The device that was asked for.
+        /// The requested device.
         asked: String,
-        /// The device it is configured for.
+        /// The configured device.
         offered: String,
     },
-    /// A device that no model can run on.
+    /// The name is not that of a device.
     #[error(
         "{0:?} is not a device; use cpu, cuda:N, tensorrt:N or openvino:DEVICE (N from 0, DEVICE such as CPU or GPU.0)"
     )]
     NoSuchDevice(String),
-    /// ONNX Runtime could not be loaded.
+    /// ONNX Runtime cannot be loaded.
     #[error(transparent)]
     Library(#[from] LibraryError),
-    /// The library was built without what the device needs.
+    /// The library was built without the execution provider that the device needs.
     #[error(
         "model {model} cannot run on {device}: {} has no {provider} (it has {}); the plain wheel of PyPI is CPU only: \
          install a build of ONNX Runtime for this device (README, \"GPUs\") and name it with [onnxruntime] library \
@@ -96,34 +96,34 @@ pub enum LoadError {
     NoProvider {
         /// The model.
         model: String,
-        /// The device that was asked for.
+        /// The requested device.
         device: String,
         /// The execution provider that the device needs.
         provider: &'static str,
         /// The library in use.
         library: PathBuf,
-        /// The execution providers it has, of those this program knows.
+        /// The library's execution providers, of those that this program knows.
         available: Vec<&'static str>,
     },
-    /// A program could not be started.
+    /// A program cannot be started.
     #[error("model {model}, the program {command}: {error}")]
     Program {
         /// The model.
         model: String,
         /// The program without its arguments, which may be secret.
         command: String,
-        /// What went wrong.
+        /// The error.
         error: ExchangeError,
     },
-    /// A Python object could not be had.
+    /// A Python object cannot be created.
     #[error(transparent)]
     Python(#[from] PythonError),
-    /// A file of the model is missing, unreadable or wrong.
+    /// A file of the model is missing, unreadable or invalid.
     #[error("cannot use {}: {reason}", .file.display())]
     File {
         /// The file.
         file: PathBuf,
-        /// What is wrong with it.
+        /// Defect of the file.
         reason: String,
     },
     /// ONNX Runtime refused the model.
@@ -133,21 +133,22 @@ pub enum LoadError {
         file: PathBuf,
         /// The device.
         device: String,
-        /// What ONNX Runtime said.
+        /// Message of ONNX Runtime.
         reason: String,
     },
-    /// The system gave no thread.
+    /// A thread cannot be started.
     #[error("cannot start a thread for model {model}: {reason}")]
     Thread {
         /// The model.
         model: String,
-        /// What the system said.
+        /// Error of the operating system.
         reason: String,
     },
 }
 
 impl LoadError {
-    /// Whether something that was named is not there: a model, its file, a program, a module, a Python.
+    /// Returns whether something that was named does not exist: a model, its file, a program, a module or a Python
+    /// interpreter.
     pub const fn is_missing(&self) -> bool {
         matches!(
             self,
@@ -163,12 +164,13 @@ impl LoadError {
 }
 
 impl LoadError {
-    /// Whether what was named cannot be the name of anything.
+    /// Returns whether the given name is not a valid name of an object.
     pub const fn is_misnamed(&self) -> bool {
         matches!(self, Self::Python(PythonError::Name(_)))
     }
 
-    /// What a peer that asked for the model is told: what it can ask for instead, and nothing of this host's files.
+    /// Returns the text for a peer that requested the model. It says what can be requested instead, and reveals
+    /// nothing of this host's files.
     pub fn to_peer(&self, model: &str) -> String {
         match self {
             Self::NotFound { .. }
@@ -199,21 +201,21 @@ impl LoadError {
     }
 }
 
-/// Why ONNX Runtime itself is not there.
+/// Reason that ONNX Runtime cannot be loaded.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum LibraryError {
-    /// Nowhere to be found.
+    /// No library was found.
     #[error(
         "ONNX Runtime was not found; looked for {}; fetch it with `make setup` in a checkout or \
          `python3 deploy/onnxruntime/fetch.py`, or name a library of your own with [onnxruntime] library or \
          ORT_DYLIB_PATH",
-        .looked.join(", ")
+        .searched.join(", ")
     )]
     NotFound {
-        /// Each place that was searched, in order, and what was found there.
-        looked: Vec<String>,
+        /// Each place that was searched, in order, with the result.
+        searched: Vec<String>,
     },
-    /// Found, but it cannot be used.
+    /// The library was found and cannot be used.
     #[error(
         "ONNX Runtime at {} ({origin}) cannot be used: {reason}; fetch the tested one with `make setup` in a \
          checkout or `python3 deploy/onnxruntime/fetch.py`",
@@ -222,35 +224,35 @@ pub enum LibraryError {
     Unusable {
         /// The file.
         library: PathBuf,
-        /// Why this file: which step of the search named it.
+        /// Step of the search that led to this file.
         origin: &'static str,
-        /// What is wrong with it.
+        /// Defect of the file.
         reason: String,
     },
-    /// A process can load one such library only.
+    /// The process has loaded another library; it can load one only.
     #[error(
         "ONNX Runtime is loaded from {} already; a process can use one library only, not {} as well",
         .loaded.display(), .wanted.display()
     )]
     AnotherLoaded {
-        /// In use.
+        /// The loaded library.
         loaded: PathBuf,
-        /// Asked for.
+        /// The requested library.
         wanted: PathBuf,
     },
 }
 
-/// Why one sample got no answer.
+/// Reason that a sample was not answered.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum InferenceError {
-    /// The model cannot take this input.
+    /// The model cannot use this input.
     #[error("model {model} cannot use sample {sample:?}: {reason}")]
     Input {
         /// The model.
         model: String,
-        /// Where the sample came from; may be empty.
+        /// Origin of the sample; may be empty.
         sample: String,
-        /// What is wrong with it.
+        /// Defect of the sample.
         reason: String,
     },
     /// The model failed.
@@ -258,25 +260,25 @@ pub enum InferenceError {
     Failed {
         /// The model.
         model: String,
-        /// What it said.
+        /// Message of the model.
         reason: String,
     },
-    /// The worker panicked; it was rebuilt.
+    /// The worker panicked. The next sample gets a new worker.
     #[error("model {model} panicked: {message}")]
     Panicked {
         /// The model.
         model: String,
-        /// The panic's message.
+        /// Message of the panic.
         message: String,
     },
-    /// More samples wait than the queue holds.
+    /// The queue is full.
     #[error(
         "the queue of model {model} is full ({capacity} waiting); send less, or raise workers or queue in its [[model]]"
     )]
     QueueFull {
         /// The model.
         model: String,
-        /// How many may wait.
+        /// Capacity of the queue.
         capacity: usize,
     },
     /// The model is shutting down.
@@ -291,11 +293,11 @@ fn listed(folders: &[PathBuf]) -> String {
     folders.iter().map(|folder| folder.display().to_string()).collect::<Vec<_>>().join(", ")
 }
 
-/// The first names of a list that may be long: an answer to a peer is not.
+/// Lists the first names of a list. The list may be long, but an answer to a peer must not be.
 fn first(names: &[String]) -> String {
-    match names.get(..LISTED) {
-        Some(first) if names.len() > LISTED => {
-            format!("{} and {} more", first.join(", "), names.len() - LISTED)
+    match names.get(..MAX_LISTED) {
+        Some(first) if names.len() > MAX_LISTED => {
+            format!("{} and {} more", first.join(", "), names.len() - MAX_LISTED)
         }
         _ => names.join(", "),
     }

@@ -1,4 +1,4 @@
-//! What goes into a pool and what comes out.
+//! Jobs of a pool and their results.
 
 use std::fmt;
 
@@ -8,30 +8,30 @@ use peernet_sample::Sample;
 
 use crate::InferenceError;
 
-/// One sample to compute on.
+/// Sample to be computed, with its recorder and receiver.
 pub struct Job {
     /// The input.
     pub sample: Sample,
-    /// Where the stages are recorded; it comes back in [`Done`].
+    /// Recorder of the stages; it is returned in [`Done`].
     pub log: Recorder,
-    /// When the sample was received here: the stage `queue` begins at this moment.
+    /// Time at which this host received the sample: the beginning of the stage `queue`.
     pub received: MonoTime,
-    /// Called once with the result, on the thread that computed it: it must not block.
+    /// Callback for the result. It is called once, on the thread that computed the result, and must not block.
     pub reply: Reply,
 }
 
-/// What is called with a result.
+/// Callback for the result of a job.
 pub(crate) type Reply = Box<dyn FnOnce(Done) + Send>;
 
-/// A finished job.
+/// Finished job.
 pub struct Done {
     /// The recorder of the job, with the stages of the model.
     pub log: Recorder,
-    /// The answer, or why there is none.
+    /// The answer, or the error.
     pub result: Result<Sample, InferenceError>,
 }
 
-/// A job that a pool did not take; its `reply` was not called.
+/// Job that a pool did not accept; its `reply` was not called.
 pub struct Refused {
     /// The job as it was submitted.
     pub job: Box<Job>,

@@ -1,18 +1,19 @@
-//! Models ([`model::ModelConfig`] lists the kinds): loaded once, run by their own threads behind a bounded queue.
+//! Models ([`model::ModelConfig`] lists the kinds): each is loaded once and run by its own threads, which take
+//! samples from a bounded queue.
 //!
-//! [`Bank`] is the list of models that a host offers and the only way to one. Asked for a model it loads it,
-//! once, and hands out its [`Pool`]: jobs go in by [`Pool::submit`], each comes back through its own `reply`.
+//! [`Bank`] holds the models that a host offers. It loads a requested model once and returns its [`Pool`];
+//! [`Pool::submit`] accepts jobs, and each job's `reply` receives the result.
 //!
 //! A new kind is one file or folder in [`model`], registered in the `mod.rs` there.
 
 pub mod bank;
 mod error;
 mod job;
-mod litter;
 pub mod model;
 mod pool;
 mod queue;
 mod scratch;
+mod temp_dirs;
 mod thread;
 
 pub use bank::{Bank, BankConfig};
@@ -26,32 +27,32 @@ pub use scratch::Scratch;
 use peernet_logger::Recorder;
 use peernet_sample::Sample;
 
-/// One thread's use of a loaded model.
+/// A loaded model, as used by one thread.
 pub trait Worker: Send {
-    /// Computes the answer, recording `preprocessing`, `inference` and `postprocessing` as it goes
-    /// (only the stages it really has).
+    /// Computes the answer, and records those of the stages `preprocessing`, `inference` and `postprocessing` that
+    /// the model has.
     ///
     /// # Errors
-    /// When this sample cannot be computed on; the next may well be.
+    /// If this sample cannot be computed. The next sample may succeed.
     fn infer(&mut self, sample: &Sample, log: &mut Recorder) -> Result<Sample, InferenceError>;
 }
 
-/// A model that was loaded and can be run.
+/// A loaded model.
 pub trait Model: Send + Sync {
-    /// A worker of its own for one more thread; all share the loaded model.
+    /// Creates a worker for one more thread; all workers share the loaded model.
     ///
     /// # Errors
-    /// When the device has no room for another.
+    /// If the device has no room for another worker.
     fn worker(&self) -> Result<Box<dyn Worker>, LoadError>;
 
-    /// Whether `infer` may block or compute for long, and so must not run on an I/O thread.
+    /// Returns whether `infer` may block or compute for long, so that it must not run on an I/O thread.
     fn blocks(&self) -> bool {
         true
     }
 
-    /// The device it really runs on, such as `cpu` or `cuda:0`.
+    /// Returns the device on which the model runs, such as `cpu` or `cuda:0`.
     fn device(&self) -> String;
 
-    /// What it is, in words, for the run's page: pairs such as (`Model`, `quality-control 1`).
+    /// Returns facts for the run's page: pairs such as (`Model`, `quality-control 1`).
     fn facts(&self) -> Vec<(String, String)>;
 }

@@ -8,33 +8,33 @@ use peernet_clock::{MonoTime, SharedClock, Span};
 use peernet_logger::Slug;
 
 use crate::queue::{Queue, Rejection};
-use crate::thread::{Station, deliver};
+use crate::thread::{WorkerSlot, deliver};
 use crate::{Done, InferenceError, Job, LoadError, Model, Refused};
 
-/// A loaded model with its workers, shared by all who use it.
+/// Loaded model with its workers, shared by all its users.
 ///
-/// Dropping the last handle, or [`shutdown`](Self::shutdown), ends the threads: each finishes the sample it is
-/// at; whoever still waits gets [`InferenceError::Stopped`].
+/// Dropping the last handle, or [`shutdown`](Self::shutdown), ends the threads: each finishes its current sample;
+/// waiting jobs get [`InferenceError::Stopped`].
 pub struct Pool {
     name: Slug,
     model: Arc<dyn Model>,
     loaded_in: Span,
     workers: usize,
-    means: Means,
-    /// What is told of it beside what the model tells.
-    beside: Vec<(String, String)>,
+    execution: Execution,
+    /// Facts in addition to those of the model.
+    further_facts: Vec<(String, String)>,
 }
 
-/// How jobs are run.
-enum Means {
-    /// On threads of its own, behind a queue.
+/// Way in which jobs are run.
+enum Execution {
+    /// On threads of the pool, which take jobs from a queue.
     Threads { queue: Arc<Queue<Job>>, handles: Mutex<Vec<JoinHandle<()>>> },
-    /// On the thread of whoever submits: for models that neither block nor compute for long.
-    Inline(Mutex<Station>),
+    /// On the thread of the caller: for models that neither block nor compute for long.
+    Inline(Mutex<WorkerSlot>),
 }
 
 impl Pool {
-    /// Builds the workers and starts their threads; `begun` is when the loading of the model began.
+    /// Creates the workers and starts their threads; `begun` is the time at which loading the model began.
     pub(crate) fn start(
         name: Slug,
         model: Arc<dyn Model>,
@@ -42,42 +42,49 @@ impl Pool {
         clock: &SharedClock,
         begun: MonoTime,
     ) -> Result<Self, LoadError> {
-        let station = |_| {
+        let slot = |_| {
             let worker = Some(model.worker()?);
-            Ok(Station { name: name.clone(), model: Arc::clone(&model), clock: Arc::clone(clock), worker })
+            Ok(WorkerSlot { name: name.clone(), model: Arc::clone(&model), clock: Arc::clone(clock), worker })
         };
         let workers = if model.blocks() { sizes.workers } else { 1 };
-        let mut stations = (0..workers).map(station).collect::<Result<Vec<_>, LoadError>>()?;
-        let means = match stations.pop() {
-            Some(station) if !model.blocks() => Means::Inline(Mutex::new(station)),
+        let mut slots = (0..workers).map(slot).collect::<Result<Vec<_>, LoadError>>()?;
+        let execution = match slots.pop() {
+            Some(slot) if !model.blocks() => Execution::Inline(Mutex::new(slot)),
             last => {
-                stations.extend(last);
-                Means::threads(&name, stations, sizes.queue)?
+                slots.extend(last);
+                Execution::threads(&name, slots, sizes.queue)?
             }
         };
-        Ok(Self { loaded_in: clock.mono() - begun, name, model, workers, means, beside: Vec::new() })
+        Ok(Self {
+            loaded_in: clock.mono() - begun,
+            name,
+            model,
+            workers,
+            execution,
+            further_facts: Vec::new(),
+        })
     }
 
-    /// The same, with more to tell.
-    pub(crate) fn telling(mut self, facts: Vec<(String, String)>) -> Self {
-        self.beside = facts;
+    /// Adds facts to those of the model.
+    pub(crate) fn with_facts(mut self, facts: Vec<(String, String)>) -> Self {
+        self.further_facts = facts;
         self
     }
 
-    /// Hands a job over and returns at once; for a model that does not [block](Model::blocks) the reply has
-    /// been called by then, on this thread.
+    /// Submits a job and returns at once. For a model that does not [block](Model::blocks) the reply has been called
+    /// by then, on this thread.
     ///
     /// # Errors
-    /// Gives the job back when the queue is full or the pool is shut down.
+    /// Returns the job if the queue is full or the pool is shut down.
     pub fn submit(&self, job: Job) -> Result<(), Refused> {
-        match &self.means {
-            Means::Inline(station) => {
-                // Not under the lock: the reply may well submit the next job.
-                let (reply, done) = station.lock().unwrap_or_else(PoisonError::into_inner).compute(job);
+        match &self.execution {
+            Execution::Inline(slot) => {
+                // The reply is called without the lock, because it may submit the next job.
+                let (reply, done) = slot.lock().unwrap_or_else(PoisonError::into_inner).compute(job);
                 deliver(&self.name, reply, done);
                 Ok(())
             }
-            Means::Threads { queue, .. } => queue.push(job).map_err(|(job, why)| {
+            Execution::Threads { queue, .. } => queue.push(job).map_err(|(job, why)| {
                 let model = self.name.to_string();
                 let reason = match why {
                     Rejection::Full => InferenceError::QueueFull { model, capacity: queue.capacity() },
@@ -88,58 +95,59 @@ impl Pool {
         }
     }
 
-    /// Ends the threads and waits for the samples they are at; answers all that wait with
-    /// [`InferenceError::Stopped`]. Blocks: not for an I/O thread.
+    /// Ends the threads after their current samples, and answers all waiting jobs with [`InferenceError::Stopped`].
+    /// Blocks: not for an I/O thread.
     pub fn shutdown(&self) {
-        let Means::Threads { queue, handles } = &self.means else { return };
+        let Execution::Threads { queue, handles } = &self.execution else { return };
         for Job { log, reply, .. } in queue.close() {
             let result = Err(InferenceError::Stopped { model: self.name.to_string() });
             deliver(&self.name, reply, Done { log, result });
         }
         let handles = std::mem::take(&mut *handles.lock().unwrap_or_else(PoisonError::into_inner));
         for handle in handles {
-            // The last handle of a pool may be dropped by a reply, on one of the pool's own threads.
+            // A reply may drop the last handle of the pool on one of the pool's own threads, which cannot join
+            // itself.
             if handle.thread().id() != thread::current().id() && handle.join().is_err() {
                 tracing::error!(model = %self.name, "a thread of the model had panicked");
             }
         }
     }
 
-    /// The name under which the model is offered.
+    /// Returns the name under which the model is offered.
     pub fn name(&self) -> &Slug {
         &self.name
     }
 
-    /// The device it really runs on, such as `cpu` or `cuda:0`.
+    /// Returns the device on which the model runs, such as `cpu` or `cuda:0`.
     pub fn device(&self) -> String {
         self.model.device()
     }
 
-    /// What it is, in words, for the run's page.
+    /// Returns facts for the run's page.
     pub fn facts(&self) -> Vec<(String, String)> {
-        self.model.facts().into_iter().chain(self.beside.iter().cloned()).collect()
+        self.model.facts().into_iter().chain(self.further_facts.iter().cloned()).collect()
     }
 
-    /// Whether jobs run on threads of their own; otherwise [`submit`](Self::submit) computes at once.
+    /// Returns whether jobs run on threads of the pool; otherwise [`submit`](Self::submit) computes at once.
     pub fn blocks(&self) -> bool {
         self.model.blocks()
     }
 
-    /// How long loading the model and building its workers took.
+    /// Returns the duration of loading the model and creating its workers.
     pub fn loaded_in(&self) -> Span {
         self.loaded_in
     }
 
-    /// How many samples are computed on at a time.
+    /// Returns the number of samples that are computed at the same time.
     pub fn workers(&self) -> usize {
         self.workers
     }
 
-    /// How many samples wait for a free worker now.
+    /// Returns the number of samples that wait for a free worker.
     pub fn waiting(&self) -> usize {
-        match &self.means {
-            Means::Threads { queue, .. } => queue.len(),
-            Means::Inline(_) => 0,
+        match &self.execution {
+            Execution::Threads { queue, .. } => queue.len(),
+            Execution::Inline(_) => 0,
         }
     }
 }
@@ -159,22 +167,22 @@ impl fmt::Debug for Pool {
     }
 }
 
-/// How many threads and how many waiting jobs.
+/// Number of worker threads and capacity of the queue.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Sizes {
     pub(crate) workers: usize,
     pub(crate) queue: usize,
 }
 
-impl Means {
-    fn threads(name: &Slug, stations: Vec<Station>, capacity: usize) -> Result<Self, LoadError> {
+impl Execution {
+    fn threads(name: &Slug, slots: Vec<WorkerSlot>, capacity: usize) -> Result<Self, LoadError> {
         let queue = Arc::new(Queue::new(capacity));
-        let mut handles = Vec::with_capacity(stations.len());
-        for (index, mut station) in stations.into_iter().enumerate() {
+        let mut handles = Vec::with_capacity(slots.len());
+        for (index, mut slot) in slots.into_iter().enumerate() {
             let jobs = Arc::clone(&queue);
-            // The kernel shows 15 characters: the number first, so that threads can be told apart.
+            // The kernel keeps 15 characters of a thread's name: the number comes first, so that it is among them.
             let thread = thread::Builder::new().name(format!("{index}-{name}"));
-            match thread.spawn(move || station.serve(&jobs)) {
+            match thread.spawn(move || slot.serve(&jobs)) {
                 Ok(handle) => handles.push(handle),
                 Err(error) => {
                     queue.close();

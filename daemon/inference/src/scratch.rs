@@ -1,4 +1,4 @@
-//! Temporary folders that go even when their owner was killed: whoever makes the next one removes them.
+//! Temporary folders that are removed even if their owner was killed: the creation of the next one removes them.
 
 use std::fs::{self, File, TryLockError};
 use std::io;
@@ -7,64 +7,64 @@ use std::path::Path;
 
 use tempfile::TempDir;
 
-/// How the names of all begin.
+/// Prefix of the names of all such folders.
 const PREFIX: &str = "peernet-";
-/// A file in each, locked by the owner as long as that lives. Folders without it are not ours to remove.
-const HELD: &str = ".held";
+/// Name of a file in each folder, which the owner keeps locked while it lives. Folders without it are never removed.
+const LOCK_FILE: &str = ".held";
 
-/// A temporary folder; gone when this is dropped, or else when the next one is made after its owner's end.
+/// Temporary folder. Dropping it deletes the folder; if its owner was killed, the next creation does.
 #[derive(Debug)]
 pub struct Scratch {
     folder: TempDir,
-    /// The lock goes with the process, however that ends.
-    _held: File,
+    /// The lock is released when the process ends, for whatever reason.
+    _lock: File,
 }
 
 impl Scratch {
-    /// Makes one among the system's temporary files, `peernet-KIND-…`, and removes those of this user's processes that
-    /// are no more.
+    /// Creates a folder `peernet-KIND-…` among the system's temporary files, and removes those of this user's
+    /// processes that have ended.
     ///
     /// # Errors
-    /// When it cannot be made.
+    /// If it cannot be created.
     pub fn new(kind: &str) -> io::Result<Self> {
         Self::new_in(&std::env::temp_dir(), kind)
     }
 
     fn new_in(parent: &Path, kind: &str) -> io::Result<Self> {
-        sweep(parent);
+        remove_abandoned(parent);
         loop {
             let folder = tempfile::Builder::new().prefix(&format!("{PREFIX}{kind}-")).tempdir_in(parent)?;
-            let file = folder.path().join(HELD);
-            let held = File::create_new(&file)?;
-            match held.try_lock() {
-                // Another program may have found it before it was locked.
+            let file = folder.path().join(LOCK_FILE);
+            let lock = File::create_new(&file)?;
+            match lock.try_lock() {
+                // Another program may have found and removed the folder before it was locked.
                 Err(TryLockError::WouldBlock) => {}
                 Ok(()) if !file.exists() => {}
-                // Where nothing can be locked, nobody takes it for abandoned.
-                Ok(()) | Err(TryLockError::Error(_)) => return Ok(Self { folder, _held: held }),
+                // On a file system without locks no program treats the folder as abandoned.
+                Ok(()) | Err(TryLockError::Error(_)) => return Ok(Self { folder, _lock: lock }),
             }
         }
     }
 
-    /// Where it is.
+    /// Returns the path of the folder.
     pub fn path(&self) -> &Path {
         self.folder.path()
     }
 }
 
-/// Removes what processes of this user left that were killed.
-fn sweep(parent: &Path) {
+/// Removes the folders of this user's processes that were killed.
+fn remove_abandoned(parent: &Path) {
     let user = rustix::process::geteuid().as_raw();
     for entry in fs::read_dir(parent).into_iter().flatten().filter_map(Result::ok) {
         let is_ours = entry.file_name().as_encoded_bytes().starts_with(PREFIX.as_bytes())
             && entry.metadata().is_ok_and(|about| about.is_dir() && about.uid() == user);
-        let (folder, file) = (entry.path(), entry.path().join(HELD));
+        let (folder, file) = (entry.path(), entry.path().join(LOCK_FILE));
         if !is_ours || !file.is_file() {
             continue;
         }
-        // Held until the folder is gone, so that nobody takes it meanwhile.
-        let Ok(held) = File::open(&file) else { continue };
-        if held.try_lock().is_ok()
+        // The lock is held until the folder is deleted, so that no other program takes it meanwhile.
+        let Ok(lock) = File::open(&file) else { continue };
+        if lock.try_lock().is_ok()
             && let Err(error) = fs::remove_dir_all(&folder)
         {
             tracing::warn!(%error, folder = %folder.display(), "cannot remove the temporary folder of a process that is no more");
@@ -77,22 +77,22 @@ mod tests {
     use super::*;
 
     #[test]
-    fn those_of_the_dead_are_removed_and_those_of_the_living_stay() {
+    fn folders_of_ended_processes_are_removed_others_stay() {
         let parent = tempfile::tempdir().expect("a folder");
         let new = || Scratch::new_in(parent.path(), "model").expect("made");
         let living = new();
-        let Scratch { folder, _held: held } = new();
+        let Scratch { folder, _lock: lock } = new();
         let dead = folder.keep();
         fs::write(dead.join("weights.bin"), b"x").expect("written");
         let rescued = parent.path().join("peernet-results-x");
         fs::create_dir(&rescued).expect("made");
         let other = parent.path().join("other");
         fs::create_dir(&other).expect("made");
-        fs::write(other.join(HELD), "").expect("written");
+        fs::write(other.join(LOCK_FILE), "").expect("written");
 
         let later = new();
         assert!(dead.exists(), "its lock is held still");
-        drop(held);
+        drop(lock);
         drop(new());
         assert!(!dead.exists());
         assert!([living.path(), later.path(), &rescued, &other].into_iter().all(Path::exists));

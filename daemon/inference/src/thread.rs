@@ -12,16 +12,16 @@ use crate::job::Reply;
 use crate::queue::Queue;
 use crate::{Done, InferenceError, Job, Model, Worker};
 
-/// A worker and what it needs to answer jobs: used by one thread at a time.
-pub(crate) struct Station {
+/// A worker with the objects that it needs to answer jobs; used by one thread at a time.
+pub(crate) struct WorkerSlot {
     pub(crate) name: Slug,
     pub(crate) model: Arc<dyn Model>,
     pub(crate) clock: SharedClock,
-    /// `None` after a panic, until it could be rebuilt.
+    /// The worker; `None` after a panic, until it is rebuilt.
     pub(crate) worker: Option<Box<dyn Worker>>,
 }
 
-impl Station {
+impl WorkerSlot {
     /// Serves jobs until the queue is closed.
     pub(crate) fn serve(&mut self, queue: &Queue<Job>) {
         while let Some(job) = queue.pop() {
@@ -30,7 +30,7 @@ impl Station {
         }
     }
 
-    /// Computes one job; what remains is to [`deliver`] the result. Never panics.
+    /// Computes one job; the caller passes the result to [`deliver`]. Never panics.
     pub(crate) fn compute(&mut self, job: Job) -> (Reply, Done) {
         let Job { sample, mut log, received, reply } = job;
         log.timed(stage::QUEUE, received, self.clock.mono());
@@ -51,7 +51,8 @@ impl Station {
                 worker
             }
         };
-        // The recorder's open nodes close as the panic unwinds, so it stays usable; the worker is thrown away.
+        // The panic closes the recorder's open nodes as it unwinds, so that the recorder stays usable. The worker is
+        // discarded.
         match catch_unwind(AssertUnwindSafe(|| worker.infer(sample, log))) {
             Ok(result) => {
                 self.worker = Some(worker);
@@ -65,7 +66,7 @@ impl Station {
     }
 }
 
-/// Calls a job's reply; its panics end here, so that a broken receiver does not take a thread of the pool with it.
+/// Calls a job's reply and catches its panics, so that a faulty receiver does not end a thread of the pool.
 pub(crate) fn deliver(model: &Slug, reply: Reply, done: Done) {
     if let Err(panic) = catch_unwind(AssertUnwindSafe(|| reply(done))) {
         tracing::error!(%model, panic = message(panic.as_ref()), "the receiver of an answer panicked");

@@ -1,4 +1,4 @@
-//! The daemon: composes the roles that a configuration file switches on, and looks after their databases.
+//! The daemon: runs the roles that a configuration file switches on, and maintains their databases.
 
 mod arguments;
 mod commands;
@@ -13,13 +13,13 @@ use clap::Parser;
 use self::arguments::{Arguments, Command};
 use peernet_cli::output;
 
-/// The program `peernetd`: carries out what its command line asks for.
+/// Main function of `peernetd`: executes the command line.
 pub fn main() -> ExitCode {
     let arguments = match Arguments::try_parse() {
         Ok(arguments) => arguments,
         Err(error) => return output::explain(error).into(),
     };
-    // Before there are threads. Databases, spools and backups hold what is nobody else's business.
+    // The umask must be set before threads start. Databases, spools and backups must not be readable by other users.
     peernet_permissions::create_without_others();
     let exit = match arguments.command {
         Command::Run { config } => commands::run(&config),

@@ -1,8 +1,8 @@
-//! The life of the process: parts started in order, watched, and stopped in reverse order.
+//! Life cycle of the process: parts are started in order, watched, and stopped in reverse order.
 //!
-//! One signal (SIGTERM, SIGINT) asks the parts to finish what they have begun; a second wish to end, or the deadline,
-//! ends the process at once with an exit code that says so. A part that ends by itself is an error: a daemon
-//! that has lost one of its tasks must not look healthy.
+//! A signal (SIGTERM, SIGINT) asks the parts to finish their work; a second signal, or the deadline, ends the process
+//! at once with exit code 70. A part that ends by itself is an error: a daemon that has lost one of its tasks must
+//! not look healthy.
 
 use std::io;
 use std::time::Duration;
@@ -20,32 +20,33 @@ use tracing::{debug, error, info, warn};
 use peernet_cli::exit::{Exit, in_one_line};
 use peernet_cli::shutdown_request::ShutdownRequests;
 
-/// `[lifecycle]`
+/// The table `[lifecycle]` of the configuration.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub(crate) struct LifecycleConfig {
-    /// How long stopping may take before the process ends without waiting further; seconds, up to a day.
+    /// Longest time for stopping, seconds, up to one day; afterwards the process ends without waiting further.
+    /// Default: 10.
     pub(crate) shutdown_deadline_s: u64,
 }
 
-/// A deadline beyond a day.
+/// Error of a deadline that is longer than one day.
 #[derive(Debug, thiserror::Error)]
-#[error("{seconds} s is too long; at most {} s, a day", LifecycleConfig::LONGEST_S)]
+#[error("{seconds} s is too long; at most {} s, a day", LifecycleConfig::MAX_DEADLINE_S)]
 pub(crate) struct DeadlineError {
     seconds: u64,
 }
 
 impl LifecycleConfig {
-    /// A day.
-    const LONGEST_S: u64 = 86_400;
+    /// Longest permitted deadline, seconds: one day.
+    const MAX_DEADLINE_S: u64 = 86_400;
 
-    /// Whether the deadline is one.
+    /// Checks the deadline.
     ///
     /// # Errors
-    /// What is possible.
+    /// If it is longer than one day.
     pub(crate) fn check(&self) -> Result<(), DeadlineError> {
         match self.shutdown_deadline_s {
-            ..=Self::LONGEST_S => Ok(()),
+            ..=Self::MAX_DEADLINE_S => Ok(()),
             seconds => Err(DeadlineError { seconds }),
         }
     }
@@ -57,19 +58,19 @@ impl Default for LifecycleConfig {
     }
 }
 
-/// What is kept of the deadline for each part that is still to be stopped.
-const LAST_SHARE: Duration = Duration::from_secs(1);
+/// Time that is reserved for each part that is still to be stopped.
+const RESERVED_PER_PART: Duration = Duration::from_secs(1);
 
-/// A part of the process that runs until it is told to stop.
+/// Part of the process that runs until it is asked to stop.
 struct Part {
     name: &'static str,
     stop: CancellationToken,
-    /// Cancelled when the task is over, however it ended.
+    /// Token that is cancelled when the task has ended, for whatever reason.
     ended: CancellationToken,
     task: JoinHandle<anyhow::Result<()>>,
 }
 
-/// Owns the parts, the signals and the conversation with the service manager.
+/// Owner of the parts and the signals; informs the service manager.
 pub(crate) struct Lifecycle {
     parts: Vec<Part>,
     signals: Signals,
@@ -97,10 +98,10 @@ impl Signals {
 }
 
 impl Lifecycle {
-    /// Takes over the signals.
+    /// Installs the signal handlers.
     ///
     /// # Errors
-    /// When the signal handlers cannot be installed.
+    /// If they cannot be installed.
     pub(crate) fn new(config: &LifecycleConfig) -> io::Result<Self> {
         Ok(Self {
             parts: Vec::new(),
@@ -113,11 +114,11 @@ impl Lifecycle {
         })
     }
 
-    /// Starts a part: `begin` is given the token that will ask it to stop, and returns the future that ends
-    /// when the part has ended. A signal that arrives while it starts is not lost: it is seen by [`run`](Self::run).
+    /// Starts a part: `begin` gets the token that will ask it to stop, and returns the future that completes when the
+    /// part has ended. A signal that arrives during the start is not lost: [`run`](Self::run) receives it.
     ///
     /// # Errors
-    /// When the part cannot start.
+    /// If the part cannot start.
     pub(crate) async fn start<F>(&mut self, name: &'static str, begin: F) -> anyhow::Result<()>
     where
         F: AsyncFnOnce(CancellationToken) -> anyhow::Result<BoxFuture<'static, anyhow::Result<()>>>,
@@ -135,7 +136,7 @@ impl Lifecycle {
         Ok(())
     }
 
-    /// Says READY, watches until a signal comes or a part ends, stops everything, and returns how it went.
+    /// Reports READY, watches until a signal arrives or a part ends, stops all parts, and returns the exit code.
     pub(crate) async fn run(mut self) -> Exit {
         notify(&[NotifyState::Ready]);
         let mut exit = self.watch().await;
@@ -160,7 +161,7 @@ impl Lifecycle {
                     info!("{name}: stopping");
                     return Exit::Ok;
                 }
-                name = first_end(&self.parts) => {
+                name = wait_for_first_end(&self.parts) => {
                     error!("the {name} ended by itself: stopping");
                     return Exit::Software;
                 }
@@ -170,8 +171,8 @@ impl Lifecycle {
     }
 }
 
-/// Ends with the name of the first part whose task is over, by its own end or by a panic.
-async fn first_end(parts: &[Part]) -> &'static str {
+/// Waits until the task of a part has ended, also by a panic; returns the name of the part.
+async fn wait_for_first_end(parts: &[Part]) -> &'static str {
     if parts.is_empty() {
         return std::future::pending().await;
     }
@@ -184,14 +185,14 @@ async fn first_end(parts: &[Part]) -> &'static str {
     futures::future::select_all(ends).await.0
 }
 
-/// Last started, first stopped: an agent delivers its events before the aggregator beside it goes. A part that
-/// takes too long is left behind, so that those after it still have their moment.
+/// Stops the parts in reverse order, so that an agent delivers its events before an aggregator in the same process
+/// stops. A part that takes too long is abandoned, so that the parts after it have time as well.
 async fn stop_in_reverse(parts: Vec<Part>, deadline: Duration) -> Exit {
     let end = Instant::now() + deadline;
     let mut exit = Exit::Ok;
     for (after, mut part) in parts.into_iter().enumerate().rev() {
         part.stop.cancel();
-        let reserved = LAST_SHARE * u32::try_from(after).unwrap_or(u32::MAX);
+        let reserved = RESERVED_PER_PART * u32::try_from(after).unwrap_or(u32::MAX);
         match timeout_at(end.checked_sub(reserved).unwrap_or(end), &mut part.task).await {
             Ok(Ok(Ok(()))) => debug!("the {} has stopped", part.name),
             Ok(Ok(Err(problem))) => {
@@ -216,7 +217,7 @@ async fn stop_in_reverse(parts: Vec<Part>, deadline: Duration) -> Exit {
     exit
 }
 
-/// Fires at half the interval that the service manager's watchdog demands, if it has one.
+/// Returns a timer with half the interval of the service manager's watchdog, if there is one.
 fn watchdog() -> Option<tokio::time::Interval> {
     sd_notify::watchdog_enabled().map(|timeout| tokio::time::interval(timeout / 2))
 }
@@ -230,7 +231,7 @@ async fn tick(watchdog: &mut Option<tokio::time::Interval>) {
     }
 }
 
-/// Tells the service manager; without one this does nothing.
+/// Notifies the service manager; does nothing without one.
 fn notify(states: &[NotifyState<'_>]) {
     if let Err(error) = sd_notify::notify(states) {
         warn!("cannot notify the service manager through NOTIFY_SOCKET: {error}");

@@ -1,4 +1,4 @@
-//! The log: standard error, one line an event.
+//! The log: standard error, one line per event.
 
 use std::io::IsTerminal;
 
@@ -9,12 +9,12 @@ use tracing_subscriber::filter::{EnvFilter, ParseError};
 use tracing_subscriber::registry::LookupSpan;
 use tracing_subscriber::util::SubscriberInitExt;
 
-/// `[log]`
+/// The table `[log]` of the configuration.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub(crate) struct LogConfig {
-    /// `error`, `warn`, `info`, `debug`, `trace`, or a filter such as `info,peernet_agent=debug`.
-    /// The environment variable `PEERNET_LOG` goes before it.
+    /// Level: `error`, `warn`, `info`, `debug`, `trace`, or a filter such as `info,peernet_agent=debug`. The
+    /// environment variable `PEERNET_LOG` takes precedence. Default: `info`.
     pub(crate) level: String,
 }
 
@@ -24,12 +24,12 @@ impl Default for LogConfig {
     }
 }
 
-/// A level that is none.
+/// Error of an invalid log level.
 #[derive(Debug, thiserror::Error)]
 #[error("{level:?}{} is not a log level: {source}; use error, warn, info, debug or trace", origin(*.from_environment))]
 pub(crate) struct LevelError {
     level: String,
-    /// Whether the level comes from the environment and not from the configuration.
+    /// `true` if the level comes from the environment and not from the configuration.
     from_environment: bool,
     source: ParseError,
 }
@@ -38,17 +38,17 @@ fn origin(from_environment: bool) -> String {
     if from_environment { format!(" (from {VARIABLE})") } else { String::new() }
 }
 
-/// A log for the time until the configuration is read.
+/// Installs a log for the time until the configuration is read.
 pub(crate) fn temporary() -> tracing::subscriber::DefaultGuard {
     let filter = EnvFilter::try_from_env(VARIABLE).unwrap_or_else(|_| EnvFilter::new("info"));
     subscriber(filter).set_default()
 }
 
 impl LogConfig {
-    /// Whether the level is one.
+    /// Checks the level.
     ///
     /// # Errors
-    /// Which it is, where it comes from, and what is possible.
+    /// The invalid level, where it comes from, and the possible levels.
     pub(crate) fn check(&self) -> Result<(), LevelError> {
         self.filter().map(|_| ())
     }
@@ -62,10 +62,10 @@ impl LogConfig {
     }
 }
 
-/// The log for the rest of the process.
+/// Installs the log for the rest of the process.
 ///
 /// # Errors
-/// When the level is none.
+/// If the level is invalid.
 pub(crate) fn install(config: &LogConfig) -> anyhow::Result<()> {
     subscriber(config.filter()?).try_init()?;
     Ok(())
@@ -77,7 +77,7 @@ fn subscriber(filter: EnvFilter) -> impl Subscriber + Send + Sync + for<'a> Look
         .with_env_filter(filter)
         .with_writer(std::io::stderr)
         .with_ansi(terminal)
-        // It would print them to the same standard error, and panic when nobody reads that any more.
+        // These errors would be printed to the same standard error, and printing panics if its reader is gone.
         .log_internal_errors(false)
         .event_format(Line::default())
         .finish()

@@ -1,7 +1,7 @@
 //! Permissions of files and folders that only their owner and group may use: databases, spools, host ids.
 //!
-//! Only the permissions of everybody else are taken away. Those of the group are the operator's business, who may have let a
-//! group of people read, or write, on purpose.
+//! Only the permissions of other users are removed. Those of the group stay, because the operator may have granted
+//! them on purpose.
 
 use std::ffi::OsString;
 use std::fs::{self, File, Metadata, Permissions};
@@ -12,47 +12,50 @@ use std::path::{Path, PathBuf};
 use rustix::fs::Mode;
 use rustix::process::{geteuid, umask};
 
-/// The permission bits of everybody who is neither the owner nor in the group.
+/// Permission bits of users who are neither the owner nor in the group.
 const OTHERS: u32 = 0o007;
 
-/// Set for folders in which everybody may make files, such as `/tmp`.
+/// Mode bit of folders in which every user may create files, such as `/tmp`.
 const STICKY: u32 = 0o1000;
 
-/// The first bytes of each database of SQLite (<https://www.sqlite.org/fileformat.html>).
+/// First bytes of every SQLite database (<https://www.sqlite.org/fileformat.html>).
 const HEADER: &[u8] = b"SQLite format 3\0";
 
-/// What SQLite and PEERNet put beside a database or spool, behind its name.
-const BESIDE: [&str; 6] = ["", "-wal", "-shm", "-lock", "-reserve", "-condemned"];
+/// Suffixes of the files that SQLite and PEERNet put beside a database or spool; the empty one stands for the file
+/// itself.
+const SUFFIXES: [&str; 6] = ["", "-wal", "-shm", "-lock", "-reserve", "-condemned"];
 
-/// Makes all files and folders that this process creates from now on inaccessible to others: 0640 and 0750 with the usual
-/// umask of 022. Programs that it starts inherit this.
+/// Makes all files and folders that this process creates afterwards inaccessible to other users: 0640 and 0750 with
+/// the usual umask of 022. Child processes inherit this.
 ///
-/// Call it before there are threads: the umask belongs to the process.
+/// To be called before threads are started: the umask belongs to the process.
 pub fn create_without_others() {
     let before = umask(Mode::from_raw_mode(0o077));
     umask(before | Mode::from_raw_mode(OTHERS));
 }
 
-/// Takes away what others may do with a database or spool of this user and with the files beside it. Returns the files
-/// that were changed. A file with other contents is left alone: a mistyped path may lead to one that others need.
-pub fn close_database(path: &Path) -> Vec<PathBuf> {
-    // SQLite names the files beside it after the file itself.
+/// Removes the permissions of other users from a database or spool of this user and from the files beside it. Returns
+/// the changed files.
+///
+/// A file with other contents is left unchanged: a mistyped path may lead to a file that other users need.
+pub fn restrict_database(path: &Path) -> Vec<PathBuf> {
+    // SQLite names the files beside it after the resolved path.
     let path = fs::canonicalize(path).unwrap_or_else(|_| path.to_owned());
     if !may_be_database(&path) {
         return Vec::new();
     }
-    BESIDE
+    SUFFIXES
         .iter()
         .map(|ending| {
             let mut name = OsString::from(&path);
             name.push(ending);
             PathBuf::from(name)
         })
-        .filter(|path| close(path))
+        .filter(|path| restrict(path))
         .collect()
 }
 
-/// Tells whether a file is an SQLite database, is empty or is not there: what SQLite opens or makes.
+/// Returns whether a file is an SQLite database, is empty or does not exist. SQLite opens or creates such files.
 fn may_be_database(path: &Path) -> bool {
     let mut begin = Vec::new();
     let read = File::open(path).and_then(|file| file.take(HEADER.len() as u64).read_to_end(&mut begin));
@@ -62,19 +65,21 @@ fn may_be_database(path: &Path) -> bool {
     }
 }
 
-/// Takes away what others may do with a folder of this user, and with these files in it. Returns what was changed.
+/// Removes the permissions of other users from a folder of this user and from these files in it. Returns the changed
+/// paths.
 ///
-/// A folder that is the current one, or in which everybody may make files (`/tmp`), has other purposes and is left alone.
-pub fn close_folder(folder: &Path, files: &[&str]) -> Vec<PathBuf> {
+/// The current folder, and a folder in which every user may create files (`/tmp`), has other purposes as well and is
+/// left unchanged.
+pub fn restrict_folder(folder: &Path, files: &[&str]) -> Vec<PathBuf> {
     let is_shared = fs::metadata(folder).is_ok_and(|about| about.mode() & STICKY != 0);
     let current = std::env::current_dir().and_then(fs::canonicalize);
     let is_current = current.is_ok_and(|current| fs::canonicalize(folder).is_ok_and(|it| it == current));
     let folder_itself = (!is_shared && !is_current).then(|| folder.to_owned());
     let paths = folder_itself.into_iter().chain(files.iter().map(|file| folder.join(file)));
-    paths.filter(|path| close(path)).collect()
+    paths.filter(|path| restrict(path)).collect()
 }
 
-/// Logs what was changed, in one line; nothing of nothing.
+/// Logs the changed paths in one line; logs nothing if there are none.
 pub fn log_changes(changed: &[PathBuf]) {
     if !changed.is_empty() {
         let files = changed.iter().map(|path| path.display().to_string()).collect::<Vec<_>>().join(", ");
@@ -84,8 +89,8 @@ pub fn log_changes(changed: &[PathBuf]) {
     }
 }
 
-fn close(path: &Path) -> bool {
-    close_or_fail(path).unwrap_or_else(|error| {
+fn restrict(path: &Path) -> bool {
+    try_restrict(path).unwrap_or_else(|error| {
         if error.kind() != ErrorKind::NotFound {
             tracing::warn!(%error, "cannot take away what others may do with {}", path.display());
         }
@@ -93,7 +98,7 @@ fn close(path: &Path) -> bool {
     })
 }
 
-fn close_or_fail(path: &Path) -> io::Result<bool> {
+fn try_restrict(path: &Path) -> io::Result<bool> {
     let about = fs::symlink_metadata(path)?;
     let mode = about.mode() & 0o7777;
     if !is_ours(&about) || mode & OTHERS == 0 {
@@ -103,7 +108,8 @@ fn close_or_fail(path: &Path) -> io::Result<bool> {
     Ok(true)
 }
 
-/// Whether it is a file or folder of this user; what a link leads to may be anything.
+/// Returns whether a path is a file or folder of this user. The target of a link may be anything, so that links do
+/// not count.
 fn is_ours(about: &Metadata) -> bool {
     (about.is_file() || about.is_dir()) && about.uid() == geteuid().as_raw()
 }
@@ -122,7 +128,7 @@ mod tests {
     }
 
     #[test]
-    fn only_the_permissions_of_others_are_taken() {
+    fn only_permissions_of_others_are_removed() {
         let folder = tempfile::tempdir().expect("a folder");
         let database = folder.path().join("a.sqlite");
         for (ending, before, after) in
@@ -130,10 +136,10 @@ mod tests {
         {
             let path = folder.path().join(format!("a.sqlite{ending}"));
             put(&path, before);
-            close_database(&database);
+            restrict_database(&database);
             assert_eq!(mode(&path), after, "{ending}");
         }
-        assert_eq!(close_database(&database), Vec::<PathBuf>::new());
+        assert_eq!(restrict_database(&database), Vec::<PathBuf>::new());
     }
 
     #[test]
@@ -143,30 +149,30 @@ mod tests {
         for (contents, after) in [("root:x:0:0:root:/root:/bin/bash\n", 0o644), ("", 0o640)] {
             fs::write(&path, contents).expect("writable");
             fs::set_permissions(&path, Permissions::from_mode(0o644)).expect("own file");
-            close_database(&path);
+            restrict_database(&path);
             assert_eq!(mode(&path), after, "{contents}");
         }
     }
 
     #[test]
-    fn a_state_folder_is_closed_and_a_shared_one_is_not() {
+    fn state_folder_is_restricted_shared_one_is_not() {
         let folder = tempfile::tempdir().expect("a folder");
         for (before, after) in [(0o755, 0o750), (0o775, 0o770), (0o700, 0o700), (0o1777, 0o1777)] {
             fs::set_permissions(folder.path(), Permissions::from_mode(before)).expect("own folder");
             put(&folder.path().join("host-id"), 0o644);
-            close_folder(folder.path(), &["host-id", "none"]);
+            restrict_folder(folder.path(), &["host-id", "none"]);
             assert_eq!(mode(folder.path()), after);
             assert_eq!(mode(&folder.path().join("host-id")), 0o640);
         }
     }
 
     #[test]
-    fn what_a_link_leads_to_is_left_alone() {
+    fn target_of_link_keeps_its_permissions() {
         let folder = tempfile::tempdir().expect("a folder");
         let elsewhere = folder.path().join("elsewhere");
         put(&elsewhere, 0o644);
         std::os::unix::fs::symlink(&elsewhere, folder.path().join("host-id")).expect("a link");
-        close_folder(folder.path(), &["host-id"]);
+        restrict_folder(folder.path(), &["host-id"]);
         assert_eq!(mode(&elsewhere), 0o644);
     }
 }

@@ -1,5 +1,5 @@
-//! What results cost: rows of trees, `data.csv`, summary, reading back and comparing, for the paper's 10,005 iterations and
-//! for up to fifty times as many. Prints seconds and the most memory that was held meanwhile.
+//! Benchmark of results: rows from trees, `data.csv`, summary, reading and comparing, for the paper's 10,005
+//! iterations and for up to fifty times as many. Prints seconds and the peak memory of each step.
 #![expect(clippy::print_stdout, reason = "a benchmark prints its table")]
 
 use std::hint::black_box;
@@ -57,20 +57,20 @@ fn main() {
     }
 }
 
-/// Begins anew with the most memory, as far as the system lets it.
+/// Resets the peak memory, if the system permits it.
 fn forget_peak() {
-    // proc(5): "5" sets the peak resident set to what is held now.
+    // proc(5): "5" resets the peak resident set size to the current one.
     let _ = std::fs::write("/proc/self/clear_refs", "5");
 }
 
-/// The most memory that this process held since then, KiB.
+/// Returns the peak memory of this process since the reset, KiB.
 fn peak_kib() -> u64 {
     let status = std::fs::read_to_string("/proc/self/status").expect("Linux");
     let line = status.lines().find_map(|line| line.strip_prefix("VmHWM:")).expect("a peak");
     line.trim().trim_end_matches(" kB").parse().expect("a number")
 }
 
-/// A typical offloaded iteration, no two alike.
+/// Returns a typical offloaded iteration; all differ.
 fn iteration(number: u64) -> Iteration {
     let anchor = Anchor { host: HostId::from_bytes([7; 16]), wall: wall(number) };
     let mut tree = Tree::new(stage::ITERATION, anchor);

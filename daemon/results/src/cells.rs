@@ -1,4 +1,4 @@
-//! Rows as lines of comma-separated values (RFC 4180, lines ended by a line feed).
+//! Rows as lines of comma-separated values (RFC 4180, with a line feed at the end of each line).
 
 use std::collections::HashSet;
 use std::io::{self, BufWriter, Write};
@@ -7,7 +7,7 @@ use std::path::Path;
 use peernet_analysis::Passage;
 use peernet_analysis::rows::{Column, ColumnKind, FIXED_COLUMNS, Row, Rows};
 
-/// The columns of a `data.csv`: those that every file has, then what this run has beside them.
+/// Columns of a `data.csv`: the fixed ones, then those of this run.
 #[derive(Clone, Debug)]
 pub struct Header {
     names: Vec<Column>,
@@ -22,7 +22,7 @@ impl Default for Header {
 }
 
 impl Header {
-    /// The columns that these rows need.
+    /// Returns the columns that these rows need.
     pub(crate) fn of(rows: &Rows) -> Self {
         let names = rows.names().to_vec();
         Self { known: names.iter().cloned().collect(), names }
@@ -32,12 +32,12 @@ impl Header {
         self.names.iter().map(AsRef::as_ref)
     }
 
-    /// Whether all that the row measured has a column.
+    /// Returns whether every value of the row has a column.
     pub(crate) fn covers(&self, row: &Row) -> bool {
         row.values.iter().all(|(name, _)| self.known.contains(name))
     }
 
-    /// Puts the row's columns that are not here behind the others.
+    /// Appends the columns of the row that are missing.
     pub fn add(&mut self, row: &Row) {
         for (name, _) in &row.values {
             if self.known.insert(name.clone()) {
@@ -46,17 +46,17 @@ impl Header {
         }
     }
 
-    /// The columns that not every file has.
+    /// Returns the columns after the fixed ones.
     pub(crate) fn further(&self) -> &[Column] {
         self.names.get(FIXED_COLUMNS.len()..).unwrap_or_default()
     }
 
-    /// Appends the line with the names.
+    /// Appends the line of column names to `out`.
     pub fn write(&self, out: &mut Vec<u8>) {
         line(out, self.names());
     }
 
-    /// Appends a row's line; what has no column is left out.
+    /// Appends the line of a row to `out`; values without a column are left out.
     pub fn row(&self, out: &mut Vec<u8>, row: &Row) {
         let fixed = FIXED_COLUMNS.iter().map(|(name, kind)| match kind {
             ColumnKind::Place => place(row, name),
@@ -67,7 +67,7 @@ impl Header {
     }
 }
 
-/// Appends a line of cells. A cell that would break the line is quoted.
+/// Appends a line of cells to `out`. A cell that would break the line is quoted.
 fn line(out: &mut Vec<u8>, cells: impl Iterator<Item = impl AsRef<str>>) {
     for (place, cell) in cells.enumerate() {
         let cell = cell.as_ref();
@@ -106,12 +106,12 @@ fn delay(row: &Row, name: &str) -> String {
     }
 }
 
-/// The shortest figure that reads back as the same number; nothing where nothing is known.
+/// Returns the shortest text that reads back as the same number; empty for an unknown number.
 fn number(value: Option<f64>) -> String {
     value.map(|value| value.to_string()).unwrap_or_default()
 }
 
-/// Copies a file of rows, its lines made as long as the header is.
+/// Copies a file of rows and fills up its lines to the length of the header.
 pub(crate) fn widen(from: &Path, to: &Path, header: &Header) -> io::Result<()> {
     let mut reader = csv::ReaderBuilder::new().has_headers(false).from_path(from)?;
     let mut out = BufWriter::new(std::fs::File::create(to)?);

@@ -1,13 +1,13 @@
-//! What can go wrong with folders of results.
+//! Errors of result folders.
 
 use std::path::PathBuf;
 
 use peernet_analysis::WriteError;
 
-/// A folder of results that cannot be used.
+/// Reason that a result folder cannot be used.
 #[derive(Debug, thiserror::Error)]
 pub enum FolderError {
-    /// It holds something, and nothing may be replaced.
+    /// The folder is not empty, and nothing may be replaced.
     #[error(
         "{} holds files already; name another folder with --result-loc, add --overwrite to replace results in it, or remove it",
         .0.display()
@@ -16,29 +16,29 @@ pub enum FolderError {
     /// Another program writes its results there.
     #[error("another peernet is writing its results to {}; wait for it, end it or name another folder", .0.display())]
     Busy(PathBuf),
-    /// It is a file.
+    /// The path leads to a file.
     #[error("{} is no folder", .0.display())]
     NoFolder(PathBuf),
-    /// It cannot be made.
+    /// The folder cannot be created.
     #[error("cannot make the folder {}: {reason}", path.display())]
     Make {
-        /// Which.
+        /// Path of the folder.
         path: PathBuf,
-        /// Why.
+        /// Reason.
         reason: String,
     },
-    /// It has no `data.csv`.
+    /// The folder has no `data.csv`.
     #[error("{} holds no results: there is no data.csv in it", .0.display())]
     NoResults(PathBuf),
-    /// A file of it cannot be read.
+    /// A file in the folder cannot be read.
     #[error("cannot read {}: {reason}", path.display())]
     Read {
-        /// Which.
+        /// Path of the file.
         path: PathBuf,
-        /// Why.
+        /// Reason.
         reason: String,
     },
-    /// A file of it cannot be written.
+    /// A file in the folder cannot be written.
     #[error(transparent)]
     Write(#[from] WriteError),
 }

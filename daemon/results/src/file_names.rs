@@ -1,8 +1,8 @@
-//! The names of the files in a folder of results.
+//! Names of the files in a result folder.
 
-/// The rows.
+/// File of the rows.
 pub(crate) const DATA: &str = "data.csv";
-/// Everything but the rows.
+/// File of the record, with everything but the rows.
 pub(crate) const RECORD: &str = "run.json";
-/// The summary.
+/// Files of the summary.
 pub(crate) const SUMMARIES: [&str; 3] = ["summary.md", "summary.csv", "summary.tex"];

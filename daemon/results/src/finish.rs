@@ -1,4 +1,4 @@
-//! The last files of a run, and another place for all of them when the folder fails.
+//! The last files of a run, and a temporary folder for all files if the result folder cannot be written.
 
 use std::fs::{File, Permissions};
 use std::io::{BufWriter, ErrorKind, Write};
@@ -15,47 +15,47 @@ use super::file_names::{DATA, RECORD, SUMMARIES};
 use super::parse::ends_with_line;
 use super::summary::{csv, latex, markdown};
 
-/// Where the results are.
+/// Location of the written results.
 #[derive(Debug)]
-pub struct Finished {
-    /// The folder: the one that was asked for, or a temporary one when that could not be written.
+pub struct WrittenResults {
+    /// The folder: the requested one, or a temporary one if that cannot be written.
     pub folder: PathBuf,
     /// The files in it.
     pub files: Vec<PathBuf>,
-    /// Why the folder that was asked for could not be written.
+    /// Reason that the requested folder cannot be written.
     pub trouble: Option<WriteError>,
 }
 
-/// The permission bits of everybody who is neither the owner nor in the group.
+/// Permission bits of users who are neither the owner nor in the group.
 const OTHERS: u32 = 0o007;
 
-pub(crate) fn finish(folder: &Path, record: &RunRecord, rows: &Rows) -> Result<Finished, WriteError> {
-    let trouble = match all(folder, record, rows) {
-        Ok(files) => return Ok(Finished { folder: folder.to_owned(), files, trouble: None }),
+pub(crate) fn finish(folder: &Path, record: &RunRecord, rows: &Rows) -> Result<WrittenResults, WriteError> {
+    let trouble = match write_files(folder, record, rows) {
+        Ok(files) => return Ok(WrittenResults { folder: folder.to_owned(), files, trouble: None }),
         Err(trouble) => trouble,
     };
     let elsewhere = tempfile::Builder::new().prefix("peernet-results-").tempdir();
     let elsewhere =
-        elsewhere.map_err(|error| also(&trouble, &std::env::temp_dir(), &error.to_string()))?.keep();
-    match all(&elsewhere, record, rows) {
-        Ok(files) => Ok(Finished { folder: elsewhere, files, trouble: Some(trouble) }),
+        elsewhere.map_err(|error| join_errors(&trouble, &std::env::temp_dir(), &error.to_string()))?.keep();
+    match write_files(&elsewhere, record, rows) {
+        Ok(files) => Ok(WrittenResults { folder: elsewhere, files, trouble: Some(trouble) }),
         Err(error) => {
-            // Nothing of use is there unless all rows are: then it stays.
+            // The folder is empty unless all rows were written; a folder with rows stays.
             let _ = std::fs::remove_dir(&elsewhere);
-            Err(also(&trouble, &error.path, &error.reason))
+            Err(join_errors(&trouble, &error.path, &error.reason))
         }
     }
 }
 
-/// Neither place could be written.
-fn also(first: &WriteError, path: &Path, reason: &str) -> WriteError {
+/// Joins the errors of both folders.
+fn join_errors(first: &WriteError, path: &Path, reason: &str) -> WriteError {
     let reason = format!("{}; nor {}: {reason}", first.reason, path.display());
     WriteError { path: first.path.clone(), reason }
 }
 
-fn all(folder: &Path, record: &RunRecord, rows: &Rows) -> Result<Vec<PathBuf>, WriteError> {
+fn write_files(folder: &Path, record: &RunRecord, rows: &Rows) -> Result<Vec<PathBuf>, WriteError> {
     let data = folder.join(DATA);
-    if !is_whole(&data, rows) {
+    if !is_complete(&data, rows) {
         replace(&data, rows)?;
     }
     let json = folder.join(RECORD);
@@ -71,9 +71,9 @@ fn all(folder: &Path, record: &RunRecord, rows: &Rows) -> Result<Vec<PathBuf>, W
     Ok(files)
 }
 
-/// Whether the file has every row, and a cell for everything in it: a column that came late is missing in the rows that
-/// were written before the file got it.
-fn is_whole(path: &Path, rows: &Rows) -> bool {
+/// Returns whether the file has every row, and a cell for every value. A column that was added late lacks the values
+/// of the rows before it.
+fn is_complete(path: &Path, rows: &Rows) -> bool {
     let Ok(mut file) = File::open(path) else { return false };
     if !ends_with_line(&mut file).unwrap_or(false) {
         return false;
@@ -93,13 +93,13 @@ fn is_whole(path: &Path, rows: &Rows) -> bool {
         && expected.next().is_none()
 }
 
-/// Writes the file beside the old one first, so that there is always one that is whole.
+/// Writes a new file and renames it, so that the file is always complete.
 fn replace(path: &Path, rows: &Rows) -> Result<(), WriteError> {
-    let beside = path.with_extension("csv.new");
-    let written = put(&beside, rows).and_then(|()| std::fs::rename(&beside, path));
+    let new_file = path.with_extension("csv.new");
+    let written = put(&new_file, rows).and_then(|()| std::fs::rename(&new_file, path));
     written.map_err(WriteError::at(path)).inspect_err(|_| {
-        // It is not there when it could not even be made.
-        let _ = std::fs::remove_file(&beside);
+        // The new file does not exist if it could not be created.
+        let _ = std::fs::remove_file(&new_file);
     })
 }
 
@@ -117,10 +117,11 @@ fn put(path: &Path, rows: &Rows) -> std::io::Result<()> {
     out.flush()
 }
 
-/// Writes a file that others may not read: the arguments of programs may hold secrets.
+/// Writes a file that other users cannot read: arguments of programs may contain secrets.
 fn write_private(path: &Path, content: &[u8]) -> std::io::Result<()> {
     let mut file = File::options().create(true).truncate(true).write(true).mode(0o640).open(path)?;
-    // One that was there before kept its mode. A file system without permissions, such as FAT, has none to set.
+    // An existing file keeps its mode when it is opened. A file system without permissions, such as FAT, has none to
+    // set.
     let mode = file.metadata()?.permissions().mode();
     if mode & OTHERS != 0
         && let Err(error) = file.set_permissions(Permissions::from_mode(mode & !OTHERS))

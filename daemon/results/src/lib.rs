@@ -1,4 +1,5 @@
-//! Results of a run: `data.csv`, `run.json`, `summary.{md,csv,tex}`; written while it runs and read back.
+//! Results of a run: `data.csv`, `run.json` and `summary.{md,csv,tex}`, which are written during the run and read
+//! back.
 //!
 //! ```text
 //! iteration ── Row ──┬─ RowWriter ──────── data.csv ──┐
@@ -14,16 +15,16 @@ mod file_names;
 mod finish;
 mod folder;
 mod parse;
+mod preparation;
 mod read;
-mod ready;
 pub mod summary;
 mod writer;
 
 pub use cells::Header;
 pub use error::FolderError;
-pub use finish::Finished;
+pub use finish::WrittenResults;
 pub use folder::ResultFolder;
-pub use ready::Overwrite;
+pub use preparation::Overwrite;
 pub use writer::RowWriter;
 
 #[cfg(test)]

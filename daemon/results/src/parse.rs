@@ -1,4 +1,4 @@
-//! Lines of `data.csv` as rows.
+//! Parser of `data.csv`.
 
 use std::fs::File;
 use std::io::{Read, Seek, SeekFrom};
@@ -7,11 +7,11 @@ use std::path::Path;
 use peernet_analysis::rows::{Column, ColumnKind, FIXED_COLUMNS, Outcome, RowBuilder, Rows, column};
 use peernet_clock::{DelaySource, Verdict};
 
-/// The published stages, whose sum the paper calls Total.
+/// The published stages, whose sum is the paper's Total.
 const PUBLISHED_STAGES: [&str; 6] =
     ["sensing", "upload", "preprocessing", "inference", "postprocessing", "download"];
 
-/// What is wrong with a file of rows.
+/// Defect of a file of rows.
 #[derive(Debug, thiserror::Error)]
 pub(crate) enum Malformed {
     #[error("{0}")]
@@ -24,30 +24,30 @@ pub(crate) enum Malformed {
     Cell { line: u64, column: String, cell: String, expected: &'static str },
 }
 
-/// A file that is being read, line by line.
-pub(crate) struct Reading {
-    columns: Vec<Cells>,
-    /// Whether the sum of the stages is to be added.
-    sums: bool,
+/// State of reading a file line by line.
+pub(crate) struct RowParser {
+    columns: Vec<ColumnParser>,
+    /// `true` if the sum of the stages has to be added.
+    needs_sum: bool,
     rows: Rows,
 }
 
-/// A column of the file.
-struct Cells {
+/// Column of the file.
+struct ColumnParser {
     name: Column,
     kind: Option<ColumnKind>,
-    /// Which of the published stages it is.
+    /// Index in [`PUBLISHED_STAGES`], if the column is one of them.
     stage: Option<usize>,
-    /// Where its numbers go; `None` until there is one.
+    /// Index of its numbers in a row; `None` until there is a number.
     place: Option<usize>,
     wanted: bool,
 }
 
-impl Reading {
-    /// All rows with the columns that are wanted, and whether a column says which of them are warm-up; if none does, so
-    /// many at the beginning are.
+impl RowParser {
+    /// Reads all rows with the wanted columns. The second value is whether a column tells which rows are warm-up;
+    /// otherwise the first `warm_up` rows are.
     ///
-    /// A last line that was cut off, as by a program that was ended while writing, is left out.
+    /// A truncated last line is left out: the program was ended while it wrote the line.
     pub(crate) fn of(
         path: &Path,
         warm_up: usize,
@@ -57,30 +57,30 @@ impl Reading {
         let ends_with_line = ends_with_line(&mut file)?;
         let mut reader = csv::Reader::from_reader(file);
         let kind = |name: &str| FIXED_COLUMNS.iter().find(|(fixed, _)| *fixed == name).map(|(_, kind)| *kind);
-        let cells = |name: &str| Cells {
+        let cells = |name: &str| ColumnParser {
             name: column(name.trim()),
             kind: kind(name.trim()),
             stage: PUBLISHED_STAGES.iter().position(|stage| *stage == name.trim()),
             place: None,
             wanted: wanted(name.trim()),
         };
-        let columns: Vec<Cells> = reader.headers()?.iter().map(cells).collect();
+        let columns: Vec<ColumnParser> = reader.headers()?.iter().map(cells).collect();
         let has = |wanted: &str| columns.iter().any(|cells| cells.name == wanted);
         if !columns.iter().any(|cells| matches!(cells.kind, Some(ColumnKind::Node))) {
             return Err(Malformed::Foreign);
         }
-        let (flagged, ours, sums) = (has("warm-up"), has("outcome"), !has("stages-total"));
-        let mut reading = Self { columns, sums, rows: Rows::default() };
+        let (has_warm_up_column, ours, needs_sum) = (has("warm-up"), has("outcome"), !has("stages-total"));
+        let mut parser = Self { columns, needs_sum, rows: Rows::default() };
         let cut_off = ours && !ends_with_line;
         let mut records = reader.into_records().peekable();
         while let Some(record) = records.next() {
             if cut_off && records.peek().is_none() {
                 break;
             }
-            let is_warm_up = !flagged && reading.rows.len() < warm_up;
-            reading.row(&record?, is_warm_up)?;
+            let is_warm_up = !has_warm_up_column && parser.rows.len() < warm_up;
+            parser.row(&record?, is_warm_up)?;
         }
-        Ok((reading.rows, flagged))
+        Ok((parser.rows, has_warm_up_column))
     }
 
     fn row(&mut self, record: &csv::StringRecord, is_warm_up: bool) -> Result<(), Malformed> {
@@ -92,7 +92,7 @@ impl Reading {
         let mut stages = [None; PUBLISHED_STAGES.len()];
         for (cells, text) in columns.iter_mut().zip(record) {
             let cell = text.trim();
-            if cell.is_empty() || cells.is_passed_over() {
+            if cell.is_empty() || cells.is_ignored() {
                 continue;
             }
             let wrong = |expected| Malformed::Cell {
@@ -103,17 +103,17 @@ impl Reading {
             };
             if cells.is_text() {
                 let way = &mut judged[usize::from(cells.name.starts_with("download"))];
-                take_text(&mut row, way, &cells.name, text)
+                store_text(&mut row, way, &cells.name, text)
                     .ok_or_else(|| wrong("outcome, verdict or source"))?;
                 continue;
             }
             let number = match cell.parse::<f64>() {
                 Ok(number) => number,
-                // As the CSV of earlier dashboards has it.
+                // The CSV export of earlier dashboards writes truth values.
                 Err(_) if cells.name.as_ref() == "warm-up" && ["true", "false"].contains(&cell) => {
                     f64::from(u8::from(cell == "true"))
                 }
-                // A text that somebody put beside the numbers does no harm.
+                // A text that a user added to the numbers is ignored.
                 Err(_) if cells.kind.is_none() => continue,
                 Err(_) => return Err(wrong("number")),
             };
@@ -122,9 +122,9 @@ impl Reading {
             }
             match cells.name.as_ref() {
                 "warm-up" => row.warm_up = number != 0.0,
-                // Nobody wrote it down.
+                // Zero means that the time was not recorded.
                 "at" if number == 0.0 => {}
-                _ if cells.wanted && cells.may_be(number) => {
+                _ if cells.wanted && cells.is_meaningful(number) => {
                     let place = *cells.place.get_or_insert_with(|| row.place(rows, &cells.name));
                     row.numbers[place] = Some(number);
                 }
@@ -135,9 +135,9 @@ impl Reading {
         let number = rows.len() as f64 + 1.0;
         let iteration = row.place(rows, &column("iteration"));
         row.numbers[iteration].get_or_insert(number);
-        // What a stage took that is not known is missing in the sum as well.
+        // A stage whose duration is unknown is missing in the sum as well.
         let sum: Option<f64> = stages.into_iter().flatten().reduce(|sum, stage| sum + stage);
-        if let Some(sum) = sum.filter(|sum| self.sums && sum.is_finite()) {
+        if let Some(sum) = sum.filter(|sum| self.needs_sum && sum.is_finite()) {
             let place = row.place(rows, &column("stages-total"));
             row.numbers[place] = Some(sum);
         }
@@ -146,27 +146,27 @@ impl Reading {
     }
 }
 
-impl Cells {
-    /// Whether it holds words.
+impl ColumnParser {
+    /// Returns whether the column contains text.
     fn is_text(&self) -> bool {
         let words =
             ["outcome", "reason", "upload-verdict", "upload-source", "download-verdict", "download-source"];
         self.kind.is_some() && words.contains(&self.name.as_ref())
     }
 
-    /// Whether the number tells something: upper bounds alone may be open.
-    fn may_be(&self, number: f64) -> bool {
+    /// Returns whether the number is meaningful: only upper bounds may be infinite.
+    fn is_meaningful(&self, number: f64) -> bool {
         number.is_finite() || (number == f64::INFINITY && self.name.ends_with("-hi"))
     }
 
-    /// What nobody wrote and nobody asks for is not looked at.
-    fn is_passed_over(&self) -> bool {
+    /// Returns whether the column is ignored: it is not one of the fixed columns, and it is not wanted.
+    fn is_ignored(&self) -> bool {
         self.kind.is_none() && !self.wanted
     }
 }
 
-/// Takes what is no number; `None` where it cannot stand there.
-fn take_text(
+/// Stores the text of a cell; returns `None` if the column does not permit it.
+fn store_text(
     row: &mut RowBuilder,
     way: &mut (Option<Verdict>, Option<DelaySource>),
     column: &str,
@@ -182,7 +182,7 @@ fn take_text(
     Some(())
 }
 
-/// Whether its last line is whole. It is read from the beginning afterwards.
+/// Returns whether the file ends with a complete line. Afterwards the file is read from its beginning.
 pub(crate) fn ends_with_line(file: &mut File) -> std::io::Result<bool> {
     let mut last = [0];
     if file.metadata()?.len() > 0 {

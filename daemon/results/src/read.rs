@@ -1,4 +1,4 @@
-//! Results read back.
+//! Reading of results.
 
 use std::path::{Path, PathBuf};
 
@@ -10,9 +10,9 @@ use peernet_analysis::rows::Rows;
 
 use super::FolderError;
 use super::file_names::{DATA, RECORD};
-use super::parse::Reading;
+use super::parse::RowParser;
 
-/// Rows at the beginning that the published figures leave out.
+/// Number of rows at the beginning that the published figures leave out.
 const PUBLISHED_WARM_UP: usize = 5;
 
 pub(crate) fn open(path: &Path, wanted: &dyn Fn(&str) -> bool) -> Result<Loaded, FolderError> {
@@ -24,14 +24,14 @@ pub(crate) fn open(path: &Path, wanted: &dyn Fn(&str) -> bool) -> Result<Loaded,
     if !data.is_file() {
         return Err(FolderError::NoResults(folder));
     }
-    // It is of these rows, not of whatever else lies in the folder.
+    // The record belongs to `data.csv` only, not to other files in the folder.
     let record = if data.ends_with(DATA) { record(&folder.join(RECORD))? } else { None };
-    // Whoever writes a record flags its rows.
+    // A program that writes a record marks the warm-up rows.
     let warm_up = if record.is_none() { PUBLISHED_WARM_UP } else { 0 };
-    let (rows, flagged) = Reading::of(&data, warm_up, wanted).map_err(failed(&data))?;
+    let (rows, flagged) = RowParser::of(&data, warm_up, wanted).map_err(failed(&data))?;
     let record = record.unwrap_or_else(|| {
         let reason = if flagged && data.ends_with(DATA) { NO_RECORD } else { "" };
-        RunRecord { reason: reason.into(), ..alone(path, &rows, flagged) }
+        RunRecord { reason: reason.into(), ..record_without_file(path, &rows, flagged) }
     });
     Ok(Loaded { folder, record, rows })
 }
@@ -48,8 +48,8 @@ fn record(path: &Path) -> Result<Option<RunRecord>, FolderError> {
     }
 }
 
-/// What can be said of rows that nothing stands beside.
-fn alone(path: &Path, rows: &Rows, flagged: bool) -> RunRecord {
+/// Returns the record of rows without a record file.
+fn record_without_file(path: &Path, rows: &Rows, flagged: bool) -> RunRecord {
     let name = path.canonicalize().unwrap_or_else(|_| path.to_owned());
     let name = if path.is_file() { name.file_stem() } else { name.file_name() };
     let name = name.unwrap_or_default().to_string_lossy().into_owned();

@@ -1,4 +1,4 @@
-//! A summary as tables.
+//! Formatting of a summary as tables.
 
 use std::collections::BTreeMap;
 
@@ -11,9 +11,9 @@ use peernet_analysis::table::{Table, csv_text, decimals_of, interval};
 use peernet_analysis::trust::Starts;
 use peernet_statistics::number::{bound_ms, column_decimals, decimals, duration, fixed, percent};
 
-/// What stands where nothing is known.
+/// Text for an unknown value.
 const UNKNOWN: &str = "—";
-/// The Tabulated Metrics of the paper's appendix, then both totals, with the names that they have there.
+/// The Tabulated Metrics in the paper's appendix, then both totals, with their names there.
 const TABULATED: [(&str, &str); 10] = [
     ("sensing", "Sensing Time"),
     ("upload-bytes", "Upload Size"),
@@ -26,7 +26,7 @@ const TABULATED: [(&str, &str); 10] = [
     ("stages-total", "Total (sum of stages)"),
     ("total", "Total (measured)"),
 ];
-/// What columns are called that are not named after their stage.
+/// Names of columns that are not named after their stage.
 const NAMED: [(&str, &str); 5] = [
     ("ipc", "Border to the model's process"),
     ("capture_capture-ipc", "Border to the sensor's process"),
@@ -35,23 +35,23 @@ const NAMED: [(&str, &str); 5] = [
     ("actuation_actuation-restart", "Restart of the actuator's process"),
 ];
 
-/// For documents: the table, then what it rests on.
+/// Formats a summary for documents: the table, then the sentences about its basis.
 pub fn markdown(summary: &Summary) -> String {
     let title = if summary.title.is_empty() { String::new() } else { format!("# {}\n\n", summary.title) };
     format!("{title}{}\n{}\n", table(summary).markdown(), sentences(summary))
 }
 
-/// For the terminal.
+/// Formats a summary for the terminal.
 pub fn text(summary: &Summary) -> String {
     format!("{}\n\n{}", table(summary).text(), sentences(summary))
 }
 
-/// For papers, with booktabs.
+/// Formats a summary for papers, with booktabs.
 pub fn latex(summary: &Summary) -> String {
     table(summary).latex(&[summary.title.as_str(), &sentences(summary).replace('\n', " ")].join(". "))
 }
 
-/// For programs: seconds, bytes, bits per second, every digit.
+/// Formats a summary for programs: seconds, bytes, bits per second, with every digit.
 pub fn csv(summary: &Summary) -> String {
     let header = ["column", "count", "mean", "std", "median", "median-lo", "median-hi", "p95", "p99", "max"];
     let cell = |value: Option<f64>| value.map(|value| value.to_string()).unwrap_or_default();
@@ -64,14 +64,14 @@ pub fn csv(summary: &Summary) -> String {
     csv_text(&header, &summary.quantities.iter().map(row).collect::<Vec<_>>())
 }
 
-/// The paper's metrics first, then all else.
+/// Returns the table: the paper's metrics first, then all others.
 fn table(summary: &Summary) -> Table {
     let named = TABULATED.iter().filter_map(|(column, name)| Some((summary.quantity(column)?, *name)));
     let rest = summary
         .quantities
         .iter()
         .filter(|quantity| TABULATED.iter().all(|(name, _)| *name != quantity.column))
-        // Sentences tell them.
+        // The sentences report these.
         .filter(|quantity| {
             ![UNKNOWN_LABEL, SKIPPED_STARTS, DEADLINE_MISSED].contains(&quantity.column.as_ref())
         });
@@ -92,7 +92,7 @@ fn table(summary: &Summary) -> Table {
     }
 }
 
-/// What the table rests on, a line each.
+/// Returns the sentences about the basis of the table, one per line.
 fn sentences(summary: &Summary) -> String {
     let is_open = |quantity: &Quantity| quantity.bounds.is_some_and(|(lo, hi)| lo < hi);
     let bounds = summary.quantities.iter().any(is_open);
@@ -113,7 +113,7 @@ fn cells(quantity: &Quantity, name: &str, units: &Units, digits: Digits) -> Vec<
     let unit = units.of(&quantity.column);
     let scale = Scale::of(&quantity.column, unit);
     let figure = figure_of(scale, quantity, digits);
-    // Of what is right or wrong the mean is the share, and a quantile says nothing.
+    // The mean of values that are right or wrong is the share; a quantile has no meaning.
     let is_share = ACCURACIES.contains(&quantity.column.as_ref());
     let known = |value: Option<f64>| value.filter(|_| !is_share).map_or_else(|| UNKNOWN.to_owned(), &figure);
     let mean = match quantity.std {
@@ -138,7 +138,7 @@ fn cells(quantity: &Quantity, name: &str, units: &Units, digits: Digits) -> Vec<
     ]
 }
 
-/// What stands in the column of units.
+/// Returns the unit as shown in its column.
 fn unit_of(scale: Scale, logged: Option<&str>) -> &str {
     match scale {
         Scale::Milliseconds => "ms",
@@ -148,7 +148,7 @@ fn unit_of(scale: Scale, logged: Option<&str>) -> &str {
     }
 }
 
-/// Decimals of a table's numbers in ms and in MB/s: the same in all rows, so that a column's numbers compare.
+/// Numbers of decimals for ms and for MB/s: the same in all rows, so that the numbers of a column can be compared.
 #[derive(Clone, Copy)]
 struct Digits {
     milliseconds: usize,
@@ -173,7 +173,7 @@ impl Digits {
     }
 }
 
-/// How the numbers of one row are written, all with as many decimals.
+/// Returns the formatter of a row's numbers, which all have the same number of decimals.
 fn figure_of(scale: Scale, quantity: &Quantity, digits: Digits) -> impl Fn(f64) -> String {
     let (factor, decimals) = match scale {
         Scale::Milliseconds => (1e3, digits.milliseconds),
@@ -184,7 +184,7 @@ fn figure_of(scale: Scale, quantity: &Quantity, digits: Digits) -> impl Fn(f64) 
     move |value| if value.is_infinite() { "∞".to_owned() } else { fixed(value * factor, decimals) }
 }
 
-/// How the iterations ended, in one sentence.
+/// Returns the sentence about the outcomes of the iterations.
 fn outcomes(counts: &Counts) -> String {
     let ends = [
         (counts.failed, "failed"),
@@ -199,7 +199,7 @@ fn outcomes(counts: &Counts) -> String {
     format!("Iterations: {}.", ends.join("; "))
 }
 
-/// How many iterations missed their deadline; nothing without one.
+/// Returns the sentence about missed deadlines; empty without a deadline.
 fn deadline(summary: &Summary) -> String {
     let Some((misses, rate)) = summary.misses.and_then(|misses| Some((misses, misses.rate()?))) else {
         return String::new();
@@ -210,12 +210,12 @@ fn deadline(summary: &Summary) -> String {
     format!("Deadline{deadline}: missed by {missed} of {of} iterations ({} %).", percent(rate))
 }
 
-/// How many ordered starts did not take place; nothing where all did.
+/// Returns the sentence about skipped starts; empty if there are none.
 fn starts(starts: &Starts) -> String {
     starts.told().map_or_else(String::new, |told| format!("Skipped: {told}."))
 }
 
-/// What the delays were found to be, in one sentence; nothing where there were none.
+/// Returns the sentence about the clock verdicts of the delays; empty if there are no delays.
 fn clocks(up: &ClockCounts, down: &ClockCounts) -> String {
     let list = |counts: &BTreeMap<String, u64>| {
         let items = counts.iter().map(|(what, count)| format!("{} {what}", fixed(*count as f64, 0)));

@@ -1,4 +1,4 @@
-//! `data.csv` while it grows.
+//! Writer of `data.csv` during the run.
 
 use std::fs::{File, OpenOptions};
 use std::io::{ErrorKind, Seek, SeekFrom, Write};
@@ -9,36 +9,36 @@ use peernet_analysis::rows::Row;
 
 use super::cells::{self, Header};
 
-/// Seconds of the rows' own time between two writes.
-const EVERY: f64 = 1.0;
-/// Bytes after which rows are written however little time has passed.
-const MANY_BYTES: usize = 256 * 1024;
+/// Longest time between two writes, seconds of the rows' own time.
+const WRITE_INTERVAL_S: f64 = 1.0;
+/// Number of waiting bytes after which rows are written before that time is over.
+const MAX_WAITING_BYTES: usize = 256 * 1024;
 
 /// Writes rows to `data.csv` as they come: at least once a second, and at the end.
 ///
-/// A disk that is full, or gone, loses nothing that was measured: what cannot be written stays in memory, is tried again
-/// with the next rows, and the file ends with the last row that is whole.
+/// A disk that is full or missing loses no measurement: rows that cannot be written stay in memory and are tried
+/// again with the next rows, and the file ends with its last complete row.
 #[derive(Debug)]
 pub struct RowWriter {
     path: PathBuf,
     file: File,
     header: Header,
-    /// Bytes of the file that are whole rows.
+    /// Length of the file's complete rows, bytes.
     whole: u64,
-    /// Rows that are not in the file yet, all of them as long as the header.
+    /// Rows that are not in the file yet, each with as many cells as the header.
     waiting: Vec<u8>,
-    /// How many rows there were when it was last tried to make the file anew, and how many there are.
+    /// Number of rows at the last attempt to rewrite the file, and current number of rows.
     rows: (u64, u64),
     written_at: f64,
-    /// How many bytes were left waiting by the last try.
-    tried: usize,
-    /// Whether there may be part of a row behind the whole ones.
+    /// Number of bytes that were still waiting after the last attempt.
+    waiting_after_attempt: usize,
+    /// `true` if part of a row may follow the complete rows.
     torn: bool,
     trouble: Option<WriteError>,
 }
 
 impl RowWriter {
-    /// Makes the file anew, with its header.
+    /// Creates the file with its header.
     pub(crate) fn begin(path: PathBuf) -> Result<Self, WriteError> {
         let header = Header::default();
         let file = File::create(&path).map_err(WriteError::at(&path))?;
@@ -52,76 +52,76 @@ impl RowWriter {
             waiting,
             rows: (0, 0),
             written_at: 0.0,
-            tried: 0,
+            waiting_after_attempt: 0,
             torn: false,
             trouble: None,
         };
-        writer.put().map_err(WriteError::at(&writer.path))?;
+        writer.write_waiting().map_err(WriteError::at(&writer.path))?;
         Ok(writer)
     }
 
-    /// Where the file is.
+    /// Returns the path of the file.
     pub fn path(&self) -> &Path {
         &self.path
     }
 
-    /// Takes a row.
+    /// Adds a row.
     ///
-    /// A row may bring columns that no row before it had. They are put behind the others: the file is made anew, which
-    /// is done when it has at least doubled since the last time, so that it costs no more than writing does. What has no
-    /// column by then is left out until [`ResultFolder::finish`](super::ResultFolder::finish) puts it in.
+    /// A row may have columns that no earlier row had. They are appended: the file is rewritten if its number of rows
+    /// has at least doubled since the last rewriting, so that rewriting costs no more than writing. Values without a
+    /// column are left out until [`ResultFolder::finish`](super::ResultFolder::finish) adds them.
     pub fn write(&mut self, row: &Row) {
         if self.rows.1 >= 2 * self.rows.0 && !self.header.covers(row) {
-            self.extend(row);
+            self.add_columns(row);
         }
         self.header.row(&mut self.waiting, row);
         self.rows.1 += 1;
-        // A clock that was set back must not stop the writing.
-        let many = self.waiting.len() >= self.tried + MANY_BYTES;
-        if many || (row.at - self.written_at).abs() >= EVERY {
+        // The absolute difference, because a clock that was set back must not stop the writing.
+        let has_many_bytes = self.waiting.len() >= self.waiting_after_attempt + MAX_WAITING_BYTES;
+        if has_many_bytes || (row.at - self.written_at).abs() >= WRITE_INTERVAL_S {
             self.flush();
             self.written_at = row.at;
         }
     }
 
-    /// Writes what waits: call it when no rows come.
+    /// Writes the waiting rows; to be called when no rows come.
     pub fn flush(&mut self) {
-        self.trouble = self.put().map_err(WriteError::at(&self.path)).err();
-        self.tried = self.waiting.len();
+        self.trouble = self.write_waiting().map_err(WriteError::at(&self.path)).err();
+        self.waiting_after_attempt = self.waiting.len();
     }
 
-    /// Why rows wait in memory; `None` while all is well.
+    /// Returns the reason that rows wait in memory; `None` if they were written.
     pub fn trouble(&self) -> Option<&WriteError> {
         self.trouble.as_ref()
     }
 
-    /// Writes what waits a last time, through to the disk.
+    /// Writes the waiting rows a last time and syncs the file.
     ///
     /// # Errors
-    /// When rows could not be written. The file ends with the last one that could;
-    /// [`ResultFolder::finish`](super::ResultFolder::finish) finds another place for all.
+    /// If rows cannot be written. The file then ends with the last row that was written;
+    /// [`ResultFolder::finish`](super::ResultFolder::finish) finds another place for all rows.
     pub fn end(mut self) -> Result<PathBuf, WriteError> {
-        let written = self.put().and_then(|()| self.file.sync_all());
+        let written = self.write_waiting().and_then(|()| self.file.sync_all());
         written.map_err(WriteError::at(&self.path))?;
         Ok(self.path)
     }
 
-    fn put(&mut self) -> std::io::Result<()> {
-        self.mend()?;
+    fn write_waiting(&mut self) -> std::io::Result<()> {
+        self.truncate_torn_row()?;
         let (written, outcome) = write_on(&mut self.file, &self.waiting);
         let whole = whole_rows(&self.waiting[..written]);
         self.whole += whole as u64;
         self.waiting.drain(..whole);
         if outcome.is_err() {
             self.torn = true;
-            // What a second error says is not what went wrong; it is tried again before the next writing.
-            let _ = self.mend();
+            // The first error is the one to report. This is tried again before the next write.
+            let _ = self.truncate_torn_row();
         }
         outcome
     }
 
-    /// Takes away the part of a row that a failed writing may have left. Shortening works on a full disk, too.
-    fn mend(&mut self) -> std::io::Result<()> {
+    /// Removes the part of a row that a failed write may have left. Truncating works on a full disk as well.
+    fn truncate_torn_row(&mut self) -> std::io::Result<()> {
         if self.torn {
             self.file.set_len(self.whole)?;
             self.file.seek(SeekFrom::Start(self.whole))?;
@@ -130,8 +130,9 @@ impl RowWriter {
         Ok(())
     }
 
-    /// Makes the file anew with the columns of a row. When that fails all remains as it is, and is not tried again at once.
-    fn extend(&mut self, row: &Row) {
+    /// Rewrites the file with the columns of a row. After a failure everything stays as it is, and the next attempt
+    /// is delayed.
+    fn add_columns(&mut self, row: &Row) {
         self.rows.0 = self.rows.1;
         self.flush();
         if self.trouble.is_some() {
@@ -139,28 +140,28 @@ impl RowWriter {
         }
         let mut header = self.header.clone();
         header.add(row);
-        match self.anew(&header) {
+        match self.rewrite(&header) {
             Ok((file, whole)) => (self.file, self.whole, self.header) = (file, whole, header),
             Err(error) => self.trouble = Some(WriteError::at(&self.path)(error)),
         }
     }
 
-    fn anew(&self, header: &Header) -> std::io::Result<(File, u64)> {
-        let beside = self.path.with_extension("csv.new");
-        let made = cells::widen(&self.path, &beside, header).and_then(|()| {
-            std::fs::rename(&beside, &self.path)?;
+    fn rewrite(&self, header: &Header) -> std::io::Result<(File, u64)> {
+        let new_file = self.path.with_extension("csv.new");
+        let made = cells::widen(&self.path, &new_file, header).and_then(|()| {
+            std::fs::rename(&new_file, &self.path)?;
             let mut file = OpenOptions::new().write(true).open(&self.path)?;
             let whole = file.seek(SeekFrom::End(0))?;
             Ok((file, whole))
         });
         made.inspect_err(|_| {
-            // It is not there when it could not even be made.
-            let _ = std::fs::remove_file(&beside);
+            // The new file does not exist if it could not be created.
+            let _ = std::fs::remove_file(&new_file);
         })
     }
 }
 
-/// Writes as `write_all` does, but tells how many bytes there was room for.
+/// Writes like `write_all`, but returns the number of written bytes also after an error.
 fn write_on(out: &mut impl Write, bytes: &[u8]) -> (usize, std::io::Result<()>) {
     let mut written = 0;
     while written < bytes.len() {
@@ -174,7 +175,7 @@ fn write_on(out: &mut impl Write, bytes: &[u8]) -> (usize, std::io::Result<()>) 
     (written, Ok(()))
 }
 
-/// How many of the bytes are whole rows. A line feed within quotes ends none.
+/// Returns the length of the complete rows. A line feed within quotes does not end a row.
 fn whole_rows(bytes: &[u8]) -> usize {
     let (mut quoted, mut end) = (false, 0);
     for (at, byte) in bytes.iter().enumerate() {
@@ -208,7 +209,7 @@ mod tests {
     }
 
     #[test]
-    fn rows_of_a_time_when_the_disk_was_full_are_written_when_there_is_room() {
+    fn rows_are_written_after_full_disk_has_space() {
         let folder = tempfile::tempdir().expect("a folder");
         let mut writer = RowWriter::begin(folder.path().join("data.csv")).expect("writable");
         writer.write(&row(1));
@@ -230,7 +231,7 @@ mod tests {
     }
 
     #[test]
-    fn the_rows_that_there_was_room_for_are_whole() {
+    fn rows_written_before_full_disk_are_complete() {
         let rows = b"1,ok\n2,\"a \"\"b\"\"\nc\"\n3,ok\n";
         let kept = [4, 5, 14, rows.len() - 6, rows.len() - 1, rows.len()].map(|room| {
             let mut room = vec![0; room];
@@ -242,7 +243,7 @@ mod tests {
     }
 
     #[test]
-    fn a_disk_that_stays_full_is_told_at_the_end() {
+    fn permanently_full_disk_is_reported_at_end() {
         let folder = tempfile::tempdir().expect("a folder");
         let mut writer = RowWriter::begin(folder.path().join("data.csv")).expect("writable");
         writer.file = OpenOptions::new().write(true).open("/dev/full").expect("there is one");

@@ -1,22 +1,22 @@
-//! What the bytes of a payload part are.
+//! Description of the bytes of a payload part.
 
 use serde::{Deserialize, Serialize};
 
 /// Media type, shape and element type of one payload part.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Description {
-    /// What kind of content this is.
+    /// Kind of content.
     pub media: MediaType,
-    /// Lengths of the dimensions, outermost first; empty when the content has no shape of its own.
-    /// Pictures: height, width, channels.
+    /// Lengths of the dimensions, outermost first; empty if the content has no shape. For pictures: height, width,
+    /// channels.
     #[serde(default)]
     pub shape: Vec<u32>,
-    /// Type of one element of `shape`; `None` when there is no shape.
+    /// Type of one element of `shape`; `None` if there is no shape.
     #[serde(default)]
     pub element: Option<ElementType>,
 }
 
-/// The kinds of content this program knows by name.
+/// Kind of content.
 #[derive(Clone, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum MediaType {
@@ -32,7 +32,7 @@ pub enum MediaType {
     Tensor,
     /// UTF-8 text.
     Text,
-    /// A JSON document: what a model answers (`peernet-inference` says with which keys).
+    /// A JSON document: the answer of a model (`peernet-inference` defines its keys).
     Json,
     /// Any other media type, by its IANA name.
     Other(String),
@@ -49,7 +49,7 @@ pub enum PixelFormat {
 }
 
 impl PixelFormat {
-    /// Bytes per pixel.
+    /// Returns the number of bytes per pixel.
     pub const fn channels(self) -> u32 {
         match self {
             Self::Rgb8 => 3,
@@ -93,7 +93,7 @@ pub enum ElementType {
 }
 
 impl ElementType {
-    /// Bytes of one element.
+    /// Returns the number of bytes of one element.
     pub const fn bytes(self) -> u64 {
         match self {
             Self::Bool | Self::U8 | Self::I8 => 1,
@@ -106,23 +106,23 @@ impl ElementType {
 }
 
 impl Description {
-    /// A description without shape.
+    /// Creates a description without shape.
     pub const fn unshaped(media: MediaType) -> Self {
         Self { media, shape: Vec::new(), element: None }
     }
 
-    /// Bytes without further meaning.
+    /// Creates the description of bytes without further meaning.
     pub const fn bytes() -> Self {
         Self::unshaped(MediaType::Bytes)
     }
 
-    /// Bytes that a part of this shape has; `None` when it has no shape, or one that nothing can have.
+    /// Returns the number of bytes of a part with this shape; `None` if it has no shape, or if the number overflows.
     pub fn shaped_bytes(&self) -> Option<u64> {
         let mut dimensions = self.shape.iter().map(|length| u64::from(*length));
         self.element.and_then(|element| dimensions.try_fold(element.bytes(), u64::checked_mul))
     }
 
-    /// Decoded pixels of the given size.
+    /// Creates the description of decoded pixels of the given size.
     pub fn pixels(format: PixelFormat, width: u32, height: u32) -> Self {
         Self {
             media: MediaType::Pixels(format),
@@ -137,7 +137,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_shape_says_how_many_bytes_there_are() {
+    fn shape_determines_number_of_bytes() {
         assert_eq!(Description::pixels(PixelFormat::Rgb8, 4, 3).shaped_bytes(), Some(36));
         let of = |shape: &[u32]| {
             let (shape, element) = (shape.to_vec(), Some(ElementType::F64));

@@ -1,19 +1,20 @@
-//! Right answers as words, as data sets and models write them.
+//! Labels: expected answers as words, as data sets and models write them.
 
 use crate::printable::printable_line;
 
-/// How many words are enough to show what all are like.
+/// Number of words in a list of examples.
 const EXAMPLES: usize = 5;
-/// Most characters of one that is shown.
-const LONGEST: usize = 40;
+/// Longest word that is shown in full, characters.
+const MAX_SHOWN_CHARS: usize = 40;
 
-/// What of a label counts: two that are alike in this name one class. Folders are often named `Golden_Retriever` for
-/// `golden retriever`, so case is ignored, and hyphens and underscores count as spaces.
+/// Returns the form of a label in which labels are compared: labels with equal forms name one class. Folders are
+/// often named `Golden_Retriever` for `golden retriever`, so that case is ignored, and hyphens and underscores count
+/// as spaces.
 pub fn plain_label(label: &str) -> String {
     label.trim().chars().map(|c| if matches!(c, '_' | '-') { ' ' } else { c.to_ascii_lowercase() }).collect()
 }
 
-/// The first few of some words, for people: `tench, goldfish, …`.
+/// Returns the first words as a list for people: `tench, goldfish, …`.
 pub fn examples<'a>(words: impl IntoIterator<Item = &'a str>) -> String {
     let mut words = words.into_iter();
     let mut shown: Vec<String> = words.by_ref().take(EXAMPLES).map(shorten).collect();
@@ -23,10 +24,10 @@ pub fn examples<'a>(words: impl IntoIterator<Item = &'a str>) -> String {
 
 fn shorten(word: &str) -> String {
     let word = printable_line(word);
-    if word.chars().count() <= LONGEST {
+    if word.chars().count() <= MAX_SHOWN_CHARS {
         return word.into_owned();
     }
-    word.chars().take(LONGEST - 1).chain(['…']).collect()
+    word.chars().take(MAX_SHOWN_CHARS - 1).chain(['…']).collect()
 }
 
 #[cfg(test)]
@@ -40,7 +41,7 @@ mod tests {
     }
 
     #[test]
-    fn a_few_words_stand_for_many() {
+    fn long_list_is_shortened() {
         assert_eq!(examples(["a", "b"]), "a, b");
         assert_eq!(examples(["a", "b", "c", "d", "e"]), "a, b, c, d, e");
         assert_eq!(examples(["a", "b", "c", "d", "e", "f"]), "a, b, c, d, e, …");

@@ -1,7 +1,7 @@
-//! What travels through a pipeline: a sample of typed payload parts, each with a small description.
+//! Samples: typed payload parts, each with a short description.
 //!
-//! Payloads are [`Bytes`]: cloning a sample copies no payload. `description` says what the bytes are; `media` gives
-//! the same in the names that programs of other makers know.
+//! Payloads are [`Bytes`]: cloning a sample copies no payload. `description` describes the bytes; `media` has the
+//! IANA names of media types, for other programs.
 
 mod description;
 mod label;
@@ -14,33 +14,33 @@ pub use printable::{printable_line, printable_lines};
 
 use bytes::Bytes;
 
-/// What a sensor yields, and what a model answers.
+/// Sample of a sensor, or answer of a model.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Sample {
     /// The payload, in one or several parts (two cameras, an image and its depth).
     pub parts: Vec<Part>,
-    /// Where it came from, such as a file name; empty when there is nothing to say.
+    /// Origin of the sample, such as a file name; may be empty.
     pub source: String,
-    /// The right answer where the data set knows it.
+    /// Expected answer, if the data set has one.
     pub label: Option<String>,
 }
 
 /// One part of a sample.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Part {
-    /// What the bytes are.
+    /// Description of the bytes.
     pub description: Description,
-    /// The bytes themselves.
+    /// The bytes.
     pub bytes: Bytes,
 }
 
 impl Sample {
-    /// A sample of one part.
+    /// Creates a sample of one part.
     pub fn of(description: Description, bytes: Bytes) -> Self {
         Self { parts: vec![Part { description, bytes }], source: String::new(), label: None }
     }
 
-    /// Payload bytes of all parts.
+    /// Returns the number of payload bytes of all parts.
     pub fn payload_bytes(&self) -> u64 {
         self.parts.iter().map(|part| part.bytes.len() as u64).sum()
     }

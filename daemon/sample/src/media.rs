@@ -1,4 +1,4 @@
-//! Media types by their IANA names, for programs that speak text.
+//! IANA names of media types, for text-based formats.
 
 use std::borrow::Cow;
 
@@ -9,7 +9,7 @@ const GREY8: &str = "image/x-grey8";
 const TENSOR: &str = "application/x-tensor";
 
 impl MediaType {
-    /// The name: registered with IANA (`image/jpeg`), or with `x-` for what has no registered one.
+    /// Returns the name: a registered one (`image/jpeg`), or one with `x-` if none is registered.
     pub fn iana(&self) -> Cow<'_, str> {
         Cow::Borrowed(match self {
             Self::Bytes => "application/octet-stream",
@@ -24,7 +24,7 @@ impl MediaType {
         })
     }
 
-    /// The type of that name, in whatever case.
+    /// Returns the media type with that name; case is ignored.
     pub fn from_iana(name: &str) -> Self {
         let lower = name.to_ascii_lowercase();
         match lower.as_str() {

@@ -1,14 +1,14 @@
-//! Texts of somebody else, made harmless for terminals, logs, tables and pages.
+//! Replacement of control characters in foreign texts, for terminals, logs, tables and pages.
 
 use std::borrow::Cow;
 
-/// Returns the text in one printable line: each character that would control a terminal, break the line or reorder what
-/// follows becomes a space. The number of characters stays the same.
+/// Returns the text in one printable line: each character that would control a terminal, break the line or reorder
+/// the following text becomes a space. The number of characters stays the same.
 pub fn printable_line(text: &str) -> Cow<'_, str> {
     replaced(text, is_unprintable)
 }
 
-/// As [`printable_line`], but line feeds stay: for texts of several lines such as tracebacks.
+/// Returns the text as [`printable_line`] does, but keeps line feeds: for texts of several lines such as tracebacks.
 pub fn printable_lines(text: &str) -> Cow<'_, str> {
     replaced(text, |char| char != '\n' && is_unprintable(char))
 }
@@ -24,8 +24,8 @@ fn is_unprintable(char: char) -> bool {
     match char {
         // Separators of lines and paragraphs.
         '\u{2028}' | '\u{2029}' => true,
-        // Embeddings, overrides and isolates of the Unicode Bidirectional Algorithm: what follows one of them may be
-        // shown in another order. The marks of direction, which change no other character, stay.
+        // Embeddings, overrides and isolates of the Unicode Bidirectional Algorithm: the text after them may be shown
+        // in another order. Direction marks, which change no other character, stay.
         '\u{202a}'..='\u{202e}' | '\u{2066}'..='\u{2069}' => true,
         _ => char.is_control(),
     }
@@ -56,7 +56,7 @@ mod tests {
     }
 
     #[test]
-    fn nothing_of_all_characters_is_a_control() {
+    fn output_contains_no_control_characters() {
         let all: String = ('\0'..=char::MAX).collect();
         assert!(!printable_line(&all).contains(char::is_control));
         assert_eq!(printable_line(&all).chars().count(), all.chars().count());

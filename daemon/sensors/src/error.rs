@@ -1,4 +1,4 @@
-//! What can go wrong with a sensor or a transform.
+//! Errors of sensors and transforms.
 
 use std::io;
 use std::path::PathBuf;
@@ -8,72 +8,72 @@ use peernet_external::python::PythonError;
 use peernet_imaging::ImageError;
 use peernet_ros::topics::TopicError;
 
-/// Why a sensor could not be opened, a sample not be had or not be changed.
+/// Reason that a sensor cannot be opened, or that a sample cannot be captured or transformed.
 #[derive(Debug, thiserror::Error)]
 pub enum SensorError {
-    /// A file or folder that cannot be read.
+    /// The file or folder cannot be read.
     #[error("cannot read {}: {error}", .path.display())]
     Read {
         /// The file or folder.
         path: PathBuf,
-        /// What the system said.
+        /// Error of the operating system.
         error: io::Error,
     },
-    /// A folder without pictures.
+    /// The folder contains no picture.
     #[error("{} holds no picture: put .jpg, .jpeg or .png files into it or into folders named after their label", .0.display())]
     Empty(PathBuf),
-    /// A single file that is not a picture by its name.
+    /// The name of the file is not that of a picture.
     #[error("{} is neither a folder nor a .jpg, .jpeg or .png file", .0.display())]
     NotAPicture(PathBuf),
-    /// Labels that cannot be used.
+    /// The labels cannot be used.
     #[error("cannot use the labels in {}: {reason}", .file.display())]
     Labels {
         /// The file.
         file: PathBuf,
-        /// What is wrong with it.
+        /// Defect of the file.
         reason: String,
     },
-    /// A program that gave no sample.
+    /// The program gave no sample.
     #[error("the program {command}: {error}")]
     Program {
         /// The program without its arguments, which may be secret.
         command: String,
-        /// What went wrong.
+        /// The error.
         error: ExchangeError,
     },
-    /// A Python object that could not be had, or gave no sample.
+    /// The Python object cannot be created or gave no sample.
     #[error(transparent)]
     Python(#[from] PythonError),
-    /// A ROS topic that gave no message.
+    /// The ROS topic gave no message.
     #[error(transparent)]
     Topic(#[from] TopicError),
-    /// A ROS message that is no sample.
+    /// The ROS message cannot be converted to a sample.
     #[error("a message of topic {topic} ({of}) cannot be used: {reason}")]
     Message {
         /// The topic.
         topic: String,
         /// Type of the message.
         of: String,
-        /// What is wrong with it.
+        /// Defect of the message.
         reason: String,
     },
-    /// A configuration that contradicts itself.
+    /// The configuration contradicts itself.
     #[error("{0}")]
     Config(String),
-    /// A sample that a transform cannot change.
+    /// The transform cannot change the sample.
     #[error("cannot {action} sample {sample:?}: {error}")]
     Picture {
-        /// What was tried: `resize`, `crop`, `encode`, `decode`.
+        /// Action that failed: `resize`, `crop`, `encode`, `decode`.
         action: &'static str,
-        /// Where the sample came from; may be empty.
+        /// Origin of the sample; may be empty.
         sample: String,
-        /// What is wrong with it.
+        /// The error.
         error: ImageError,
     },
 }
 
 impl SensorError {
-    /// Whether what was named cannot be the name of anything.
+    /// Returns whether the given name is not a valid name of an object.
     pub const fn is_misnamed(&self) -> bool {
         matches!(self, Self::Python(PythonError::Name(_)))
     }

@@ -1,6 +1,6 @@
-//! Sensors, which yield samples, and transforms, which change them before they are sent or computed on.
+//! Sensors, which produce samples, and transforms, which change samples before they are sent or computed.
 //!
-//! A new kind is one file in [`sensor`] or [`transform`], registered in the `mod.rs` beside it.
+//! A new kind is one file in [`sensor`] or [`transform`], registered in the `mod.rs` there.
 
 mod error;
 pub mod sensor;
@@ -13,33 +13,33 @@ pub use transform::{TransformConfig, TransformKind};
 use peernet_logger::Recorder;
 use peernet_sample::Sample;
 
-/// Yields samples.
+/// Produces samples.
 pub trait Sensor: Send {
-    /// The next sample; `None` when there will be no more. May take its time when [`blocks`](Self::blocks);
-    /// whatever it wants to report beyond its duration goes into `log`.
+    /// Returns the next sample; `None` if there are no more. May block if [`blocks`](Self::blocks) returns `true`.
+    /// Values and stages beside its duration are recorded in `log`.
     ///
     /// # Errors
-    /// When this one sample cannot be had; the next may well be.
+    /// If this sample cannot be captured. The next sample may succeed.
     fn sample(&mut self, log: &mut Recorder) -> Result<Option<Sample>, SensorError>;
 
-    /// Whether `sample` may block or compute for long, and so must not run on an I/O thread.
+    /// Returns whether `sample` may block or compute for long, so that it must not run on an I/O thread.
     fn blocks(&self) -> bool {
         true
     }
 
-    /// What it is, in words, for the run's page: pairs such as (`Sensor`, `30 images of models/…`). May read its files, so
-    /// that it is asked before a run and not on an I/O thread.
+    /// Returns facts for the run's page: pairs such as (`Sensor`, `30 images of models/…`). May read files, so that
+    /// it is called before a run and not on an I/O thread.
     fn facts(&self) -> Vec<(String, String)>;
 }
 
-/// Changes a sample on the edge.
+/// Changes samples on the edge.
 pub trait Transform: Send {
-    /// The changed sample.
+    /// Returns the changed sample.
     ///
     /// # Errors
-    /// When this sample cannot be changed, such as a picture that is not one.
+    /// If this sample cannot be changed, for example because it is not a picture.
     fn apply(&mut self, sample: Sample, log: &mut Recorder) -> Result<Sample, SensorError>;
 
-    /// What it does, in words: `resize to 320 × 240`.
+    /// Describes the transform: `resize to 320 × 240`.
     fn describe(&self) -> String;
 }

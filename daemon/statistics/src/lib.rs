@@ -1,9 +1,12 @@
-//! Statistics of a stream of numbers in bounded memory: moments without cancellation, a mergeable quantile
-//! sketch with a stated error, summaries of both, and a ring of one-second cells for the last minutes. [`number`] writes them as people read them.
-//! [`SplitMix64`] makes reproducible random numbers.
+//! Statistics of a stream of numbers in bounded memory.
 //!
-//! The statistics all merge: what two hosts, seconds or buckets know adds up to what one would have known that was told
-//! everything. [`Moments`] and [`Sketch`] are sent and stored, so that what is read of either is checked first.
+//! [`Moments`] are free of cancellation, [`Sketch`] is a mergeable quantile sketch with a guaranteed error,
+//! [`Summary`] combines both, and [`Windows`] is a ring of one-second cells. [`number`] formats numbers for people.
+//! [`SplitMix64`] generates reproducible random numbers.
+//!
+//! All statistics can be merged: the merged statistics of several hosts, seconds or buckets equal those of all their
+//! numbers together. [`Moments`] and [`Sketch`] are sent in live updates and stored, so that this crate is in the
+//! lowest layer, and both are checked when they are read.
 
 mod merge;
 mod moments;
@@ -20,9 +23,10 @@ pub use splitmix::SplitMix64;
 pub use summary::Summary;
 pub use windows::Windows;
 
-/// Largest count that is taken from elsewhere: every integer up to it is an exact `f64`, and thousands of such
-/// counts can be added up in 64 bits.
+/// Largest count that is accepted from other hosts. Every integer up to it is exact as `f64`, and thousands of such
+/// counts can be added in 64 bits.
 const MAX_COUNT: u64 = 1 << 53;
 
-/// Largest number of either sign that counts: the squared deviations of [`MAX_COUNT`] such numbers can be added up.
+/// Largest magnitude of a number that counts. The squared deviations of [`MAX_COUNT`] such numbers can be added
+/// without overflow.
 const LARGEST: f64 = 1e140;

@@ -1,7 +1,7 @@
-//! What can be added up.
+//! Trait of statistics that can be merged.
 
-/// A statistic that takes over everything another of its kind was told, as if it had been told it itself.
+/// Statistic that can be merged with another one of its kind, as if it had recorded the numbers of both.
 pub trait Merge {
-    /// Adds what `other` holds.
+    /// Adds the numbers of `other`.
     fn merge(&mut self, other: &Self);
 }

@@ -6,26 +6,26 @@ use crate::Merge;
 
 /// Count, mean, sum of squared deviations from the mean, and extremes.
 ///
-/// Welford 1962 for single numbers, Chan, Golub and LeVeque 1979 for merging: sums of squares would cancel
-/// when the mean is large beside the deviation, as it is for durations.
+/// Updated by Welford's method (1962), merged by that of Chan, Golub and LeVeque (1979). Sums of squares would lose
+/// precision where the mean is much larger than the deviation, as with durations.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(try_from = "Received")]
 pub struct Moments {
-    /// How many numbers.
+    /// Number of values.
     pub count: u64,
-    /// Their mean; 0 when there are none.
+    /// Mean; 0 if there are no values.
     pub mean: f64,
     /// Sum of squared deviations from the mean.
     pub m2: f64,
-    /// The smallest; 0 when there are none.
+    /// Smallest value; 0 if there are none.
     pub min: f64,
-    /// The largest; 0 when there are none.
+    /// Largest value; 0 if there are none.
     pub max: f64,
 }
 
 impl Moments {
-    /// Adds a number. What is not finite, or as good as infinite, is the caller's to keep out
-    /// ([`Summary::takes`](crate::Summary::takes)).
+    /// Adds a number. The caller must leave out numbers that are not finite or too large
+    /// ([`Summary::accepts`](crate::Summary::accepts)).
     #[inline]
     pub fn record(&mut self, value: f64) {
         if self.count == 0 {
@@ -40,7 +40,7 @@ impl Moments {
         self.max = self.max.max(value);
     }
 
-    /// Adds all numbers of another.
+    /// Adds all numbers of another instance.
     pub fn merge(&mut self, other: &Self) {
         if other.count == 0 {
             return;
@@ -58,23 +58,24 @@ impl Moments {
         self.max = self.max.max(other.max);
     }
 
-    /// Their sum.
+    /// Returns the sum of the values.
     pub fn sum(&self) -> f64 {
         self.mean * self.count as f64
     }
 
-    /// Sample variance; `None` below two numbers.
+    /// Returns the sample variance; `None` for fewer than two numbers.
     pub fn variance(&self) -> Option<f64> {
         (self.count > 1).then(|| self.m2 / (self.count - 1) as f64)
     }
 
-    /// Sample standard deviation; `None` below two numbers.
+    /// Returns the sample standard deviation; `None` for fewer than two numbers.
     pub fn std(&self) -> Option<f64> {
         self.variance().map(f64::sqrt)
     }
 }
 
-/// Moments as they arrive, from anyone: one that is not a number would spoil all that it is merged with.
+/// Moments before their check. They may come from anyone, and one that is not a number would spoil everything that it
+/// is merged with.
 #[derive(Deserialize)]
 struct Received {
     count: u64,
@@ -117,7 +118,7 @@ mod tests {
         moments
     }
 
-    /// Mean and sample variance in two passes, the textbook way.
+    /// Computes mean and sample variance in two passes.
     fn two_passes(values: &[f64]) -> (f64, f64) {
         let mean = values.iter().sum::<f64>() / values.len() as f64;
         let squares: f64 = values.iter().map(|value| (value - mean).powi(2)).sum();
@@ -128,7 +129,7 @@ mod tests {
         (a - b).abs() <= 1e-9 * a.abs().max(b.abs())
     }
 
-    /// Durations around a mean that is large beside their deviation: where sums of squares cancel.
+    /// Durations around a mean that is much larger than their deviation, where sums of squares lose precision.
     fn durations() -> impl Strategy<Value = Vec<f64>> {
         (1e-3..10.0_f64, prop::collection::vec(-1.0..1.0_f64, 2..300))
             .prop_map(|(mean, noise)| noise.iter().map(|noise| mean * (1.0 + 1e-3 * noise)).collect())
@@ -171,7 +172,7 @@ mod tests {
     }
 
     #[test]
-    fn nothing_has_no_variance_and_merging_it_changes_nothing() {
+    fn merging_empty_moments_changes_nothing() {
         let mut moments = of(&[2.0]);
         moments.merge(&Moments::default());
         assert_eq!((moments, moments.variance()), (of(&[2.0]), None));

@@ -2,13 +2,13 @@
 
 /// The generator SplitMix64 (Steele, Lea and Flood, OOPSLA 2014).
 ///
-/// Own code because a library's default generator may change between versions, and with it the arrivals and the order of runs that
-/// a `seed` in a configuration stands for.
+/// It is implemented here because a library's default generator may change between versions. That would change the
+/// arrivals and the order of runs that belong to a `seed` in a configuration.
 #[derive(Clone, Debug)]
 pub struct SplitMix64(u64);
 
 impl SplitMix64 {
-    /// A generator whose numbers follow from the seed.
+    /// Creates a generator whose numbers depend on the seed only.
     pub const fn new(seed: u64) -> Self {
         Self(seed)
     }
@@ -33,7 +33,8 @@ impl SplitMix64 {
         -(1.0 - self.unit()).ln()
     }
 
-    /// Returns a number with mean 0 and deviation 1 that is nearly normally distributed (Irwin–Hall of twelve).
+    /// Returns a number with mean 0 and standard deviation 1 that is nearly normally distributed (Irwin–Hall, twelve
+    /// terms).
     pub fn normal(&mut self) -> f64 {
         (0..12).map(|_| self.unit()).sum::<f64>() - 6.0
     }
@@ -44,8 +45,8 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_sequence_is_the_published_one() {
-        // The reference values for seed 1234567 that implementations of SplitMix64 are compared by.
+    fn sequence_equals_published_one() {
+        // Reference values for seed 1234567, by which implementations of SplitMix64 are compared.
         let mut random = SplitMix64::new(1_234_567);
         let first: Vec<u64> = (0..5).map(|_| random.bits()).collect();
         assert_eq!(

@@ -4,49 +4,50 @@ use serde::{Deserialize, Serialize};
 
 use crate::{LARGEST, Merge, Moments, Sketch};
 
-/// All that is kept of a quantity, whatever the number of samples.
+/// Summary of a quantity, in bounded memory.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Summary {
-    /// Exact up to rounding.
+    /// Moments, exact up to rounding.
     pub moments: Moments,
-    /// Quantiles within [`Sketch::RELATIVE_ERROR`].
+    /// Quantiles with a relative error of at most [`Sketch::RELATIVE_ERROR`].
     pub sketch: Sketch,
 }
 
 impl Summary {
-    /// Whether a number counts: it must be finite, and small enough that squares can be added up. Some drivers give the
-    /// largest number there is for "nothing there".
+    /// Returns whether a number counts: it must be finite, and small enough that squares can be added. Some drivers
+    /// report the largest number for a missing reading.
     #[inline]
-    pub fn takes(value: f64) -> bool {
+    pub fn accepts(value: f64) -> bool {
         value.abs() <= LARGEST
     }
 
-    /// Adds a number; one that does not count is left out.
+    /// Adds a number if it counts.
     #[inline]
     pub fn record(&mut self, value: f64) {
-        if Self::takes(value) {
+        if Self::accepts(value) {
             self.moments.record(value);
             self.sketch.record(value);
         }
     }
 
-    /// Adds all numbers of another.
+    /// Adds all numbers of another summary.
     pub fn merge(&mut self, other: &Self) {
         self.moments.merge(&other.moments);
         self.sketch.merge(&other.sketch);
     }
 
-    /// How many numbers.
+    /// Returns the number of recorded numbers.
     pub fn count(&self) -> u64 {
         self.moments.count
     }
 
-    /// The number below which a fraction `q` lies, never outside the observed extremes.
+    /// Returns the number below which the fraction `q` lies, never outside of the observed extremes.
     pub fn quantile(&self, q: f64) -> Option<f64> {
         self.sketch.quantile(q).map(|value| value.max(self.moments.min).min(self.moments.max))
     }
 
-    /// The share, 0 to 1, that lies below `x`: exactly 0 up to the smallest and exactly 1 above the largest.
+    /// Returns the share of numbers below `x`, 0 to 1: exactly 0 up to the smallest number and exactly 1 above the
+    /// largest.
     pub fn fraction_below(&self, x: f64) -> Option<f64> {
         if x <= self.moments.min {
             (self.count() > 0).then_some(0.0)
@@ -57,8 +58,8 @@ impl Summary {
         }
     }
 
-    /// How many lie between each edge and the next, for drawing: as [`Sketch::histogram`], with nothing drawn
-    /// outside the observed extremes.
+    /// Returns the number of values between each edge and the next, for drawing, as [`Sketch::histogram`] does;
+    /// outside of the observed extremes it is 0.
     pub fn histogram(&self, edges: &[f64]) -> Vec<f64> {
         let below = |x: f64| self.fraction_below(x).unwrap_or(0.0) * self.count() as f64;
         edges.windows(2).map(|pair| (below(pair[1]) - below(pair[0])).max(0.0)).collect()
@@ -84,7 +85,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_beyond_all_reason_is_left_out_of_both_halves() {
+    fn out_of_range_numbers_are_excluded_everywhere() {
         let mut summary = Summary::default();
         let beyond = [f64::NAN, f64::INFINITY, f64::MAX, -f64::MAX, 1.001 * LARGEST];
         beyond.iter().for_each(|value| summary.record(*value));
@@ -93,7 +94,7 @@ mod tests {
     }
 
     #[test]
-    fn the_largest_numbers_have_moments_that_are_read_again() {
+    fn moments_of_largest_numbers_survive_serialization() {
         let mut summary = Summary::default();
         [LARGEST, -LARGEST, 1.0].iter().for_each(|value| summary.record(*value));
         (0..20).for_each(|_| summary.merge(&summary.clone()));

@@ -1,13 +1,13 @@
-//! The last seconds of something, second by second, in memory that does not grow.
+//! Statistics of the last seconds, one cell per second, in constant memory.
 
 use crate::Merge;
 
-/// A ring of one-second cells: the newest overwrite the oldest, and any number of the last seconds can be
-/// merged into one.
+/// Ring of one-second cells. A new second overwrites the oldest one, and any number of the last seconds can be
+/// merged.
 ///
-/// Seconds are numbered by the caller, usually since the Unix epoch. A second further back than the ring
-/// reaches means that the wall clock was set back, not that news is that old: the ring then starts anew, so
-/// that it does not refuse everything until the clock has caught up.
+/// Seconds are numbered by the caller, usually since the Unix epoch. If a second is further in the past than the ring
+/// reaches, the wall clock was set back. The ring is cleared then, because it would otherwise ignore everything until
+/// the clock has caught up.
 ///
 /// ```
 /// # use peernet_statistics::{Summary, Windows};
@@ -19,38 +19,38 @@ use crate::Merge;
 /// ```
 #[derive(Clone, Debug)]
 pub struct Windows<C> {
-    /// The second that each cell holds; cell `second mod length` or empty.
+    /// Cells with the second that each belongs to; the second modulo the length is the cell's index.
     cells: Box<[Option<(i64, C)>]>,
     newest: Option<i64>,
 }
 
 impl<C: Merge + Default> Windows<C> {
-    /// A ring that reaches back `seconds`, at least one.
+    /// Creates a ring of `seconds` cells, at least one.
     pub fn new(seconds: usize) -> Self {
         Self { cells: (0..seconds.max(1)).map(|_| None).collect(), newest: None }
     }
 
-    /// How many seconds the ring reaches back.
+    /// Returns the number of cells.
     pub fn seconds(&self) -> usize {
         self.cells.len()
     }
 
-    /// The newest second that holds anything.
+    /// Returns the newest second with a cell.
     pub fn newest(&self) -> Option<i64> {
         self.newest
     }
 
-    /// Adds to a second.
+    /// Adds to the cell of a second.
     pub fn record(&mut self, second: i64, add: impl FnOnce(&mut C)) {
         add(self.cell(second));
     }
 
-    /// Replaces what is known of a second: for news that is complete each time it comes.
+    /// Replaces the cell of a second, for updates that are complete each time.
     pub fn replace(&mut self, second: i64, cell: C) {
         *self.cell(second) = cell;
     }
 
-    /// The cell of a second, made empty if the ring did not hold it.
+    /// Returns the cell of a second; creates it if the ring does not have it.
     fn cell(&mut self, second: i64) -> &mut C {
         let length = self.cells.len() as i64;
         if self.newest.is_some_and(|newest| newest.saturating_sub(second) >= length) {
@@ -65,7 +65,7 @@ impl<C: Merge + Default> Windows<C> {
         cell
     }
 
-    /// Forgets a second and all later ones: a clock that was set back will show them again.
+    /// Removes the cells from `second` on: a clock that was set back will reach them again.
     pub fn forget_from(&mut self, second: i64) {
         for slot in &mut self.cells {
             slot.take_if(|(held, _)| *held >= second);
@@ -73,28 +73,28 @@ impl<C: Merge + Default> Windows<C> {
         self.newest = self.cells.iter().flatten().map(|(held, _)| *held).max();
     }
 
-    /// What is known of a second.
+    /// Returns the cell of a second.
     pub fn get(&self, second: i64) -> Option<&C> {
         let slot = self.cells[second.rem_euclid(self.cells.len() as i64) as usize].as_ref();
         slot.filter(|(held, _)| *held == second).map(|(_, cell)| cell)
     }
 
-    /// The `seconds` seconds up to and including `now`, oldest first, those that hold nothing left out; at
-    /// most as many as the ring reaches back.
+    /// Iterates over the cells of the `seconds` seconds up to and including `now`, oldest first, without missing
+    /// ones; at most as many as the ring has.
     pub fn iter(&self, now: i64, seconds: usize) -> impl Iterator<Item = (i64, &C)> {
         let back = seconds.min(self.cells.len()) as i64;
         (now.saturating_sub(back)..now)
             .filter_map(|second| self.get(second.saturating_add(1)).map(|cell| (second + 1, cell)))
     }
 
-    /// The `seconds` seconds up to and including `now`, merged into one.
+    /// Merges the cells of the `seconds` seconds up to and including `now`.
     pub fn last(&self, now: i64, seconds: usize) -> C {
         let mut merged = C::default();
         self.iter(now, seconds).for_each(|(_, cell)| merged.merge(cell));
         merged
     }
 
-    /// Forgets everything.
+    /// Removes all cells.
     pub fn clear(&mut self) {
         self.cells.iter_mut().for_each(|cell| *cell = None);
         self.newest = None;
@@ -146,7 +146,7 @@ mod tests {
     }
 
     #[test]
-    fn the_ring_starts_anew_when_the_wall_clock_is_set_back() {
+    fn wall_clock_set_back_clears_the_ring() {
         let mut windows = Windows::new(60);
         windows.replace(10_000, Count(1));
         windows.replace(6_400, Count(2));
@@ -155,7 +155,7 @@ mod tests {
     }
 
     #[test]
-    fn no_second_is_too_far_away() {
+    fn any_distance_of_seconds_is_accepted() {
         let mut windows = Windows::new(4);
         for second in [i64::MIN, i64::MAX, 0] {
             windows.replace(second, Count(1));
@@ -165,7 +165,7 @@ mod tests {
     }
 
     #[test]
-    fn a_second_and_what_came_after_it_can_be_forgotten() {
+    fn discarding_a_second_discards_later_ones() {
         let mut windows = Windows::<Count>::new(10);
         for second in 95..=104 {
             windows.record(second, |cell| cell.0 += 1);

@@ -1,8 +1,8 @@
-//! The floor under sessions over ROS 2: a ping-pong between two participants of `rustdds`, reliable, whose messages are bytes
-//! that nothing serialises. A message that is not answered in time is given up.
+//! Lower bound of sessions over ROS 2: a ping-pong between two participants of `rustdds`, reliable, with messages of
+//! bytes that are not serialized. A message that is not answered in time is given up.
 //!
-//! `bare-dds serve`, and beside it `bare-dds drive BYTES SECONDS`, which prints one JSON object. They find each other in
-//! domain 77.
+//! `bare-dds serve`, and at the same time `bare-dds drive BYTES SECONDS`, which prints one JSON object. They discover
+//! each other in domain 77.
 
 mod round_trips;
 
@@ -26,16 +26,16 @@ use self::round_trips::RoundTrips;
 
 const DOMAIN: u16 = 77;
 
-/// The system's buffers of each socket, as many as an agent asks for.
+/// Socket buffers, bytes, as large as those that an agent requests.
 const SOCKET_BUFFER_BYTES: usize = 4 << 20;
 
-/// How long an answer is waited for; a message that has to be repaired takes some of it.
+/// Longest wait for an answer; the repair of a message takes some of it.
 const PATIENCE: Duration = Duration::from_secs(2);
 
-/// How long the other end is looked for.
+/// Longest wait for the other end.
 const DISCOVERY: Duration = Duration::from_secs(30);
 
-/// Messages that are kept at either end.
+/// Number of messages that each end keeps.
 const DEPTH: i32 = 16;
 
 #[tokio::main(flavor = "current_thread")]
@@ -55,7 +55,7 @@ async fn main() -> anyhow::Result<()> {
     }
 }
 
-/// Bytes that are serialised already.
+/// Bytes that are serialized already.
 struct Message(Bytes);
 
 struct Raw;
@@ -105,7 +105,7 @@ impl Decode<'_, Message> for RawDecoder {
 struct Port {
     writer: no_key::DataWriter<Message, Raw>,
     reader: no_key::SimpleDataReader<Message, Raw>,
-    /// Its threads end with it.
+    /// Participant, whose threads end with it.
     _participant: DomainParticipant,
 }
 
@@ -148,14 +148,14 @@ async fn serve() -> anyhow::Result<()> {
     let port = Port::open("down", "up")?;
     loop {
         let message = port.receive().await?;
-        // One for which there is no room in time is lost to the other end, which counts it.
+        // A message without room in time is lost; the other end counts it.
         let _lost = port.send(message).await;
     }
 }
 
 async fn drive(length: usize, seconds: u64) -> anyhow::Result<Value> {
     let port = Port::open("up", "down")?;
-    // The number of the message and the rest.
+    // The message begins with its number.
     let mut message = vec![0x5a; length.max(size_of::<u64>())];
     let mut number = 0_u64;
     let mut next = || {
@@ -164,7 +164,7 @@ async fn drive(length: usize, seconds: u64) -> anyhow::Result<Value> {
         Bytes::copy_from_slice(&message)
     };
     timeout(DISCOVERY, async {
-        // One that is sent before the other end was found does not arrive.
+        // A message that is sent before the other end is discovered does not arrive.
         while timeout(Duration::from_millis(300), exchange(&port, next())).await.is_err() {}
     })
     .await
@@ -173,14 +173,14 @@ async fn drive(length: usize, seconds: u64) -> anyhow::Result<Value> {
     while let Some(begin) = round_trips.next() {
         match timeout(PATIENCE, exchange(&port, next())).await {
             Ok(Ok(())) => round_trips.record(begin, Some(&[])),
-            // No room for it, or no answer.
+            // There is no room, or no answer.
             Ok(Err(_)) | Err(_) => round_trips.record(begin, None),
         }
     }
     round_trips.figures()
 }
 
-/// Sends a message and waits for its answer; answers to earlier ones are passed over.
+/// Sends a message and waits for its answer; answers to earlier messages are skipped.
 async fn exchange(port: &Port, message: Bytes) -> anyhow::Result<()> {
     port.send(message.clone()).await?;
     while port.receive().await?[..size_of::<u64>()] != message[..size_of::<u64>()] {}

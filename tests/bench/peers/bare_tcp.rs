@@ -1,10 +1,10 @@
-//! The floor under every transport: a ping-pong over one bare TCP connection, blocking, with nothing around it.
+//! Lower bound of all transports: a ping-pong over one plain TCP connection, blocking.
 //!
-//! Both ends stamp with the wall clock of the one machine they run on: before sending, and after the last byte
-//! has been received. Buffers are made once and used for every message.
+//! Both ends run on one machine and stamp with its wall clock, before sending and after the last byte is received.
+//! Buffers are reused for every message.
 //!
-//! `bare-tcp serve ADDRESS`, and beside it `bare-tcp drive ADDRESS UP-BYTES DOWN-BYTES SECONDS`, which prints one
-//! JSON object.
+//! `bare-tcp serve ADDRESS`, and at the same time `bare-tcp drive ADDRESS UP-BYTES DOWN-BYTES SECONDS`, which prints
+//! one JSON object.
 
 mod round_trips;
 
@@ -17,7 +17,7 @@ use serde_json::Value;
 
 use self::round_trips::RoundTrips;
 
-/// The server's two stamps, at the head of every answer.
+/// Length of the server's two stamps at the beginning of each answer, bytes.
 const STAMPS: usize = 16;
 
 fn main() -> anyhow::Result<()> {

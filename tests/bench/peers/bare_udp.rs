@@ -1,8 +1,8 @@
-//! The floor under transports of datagrams: a ping-pong over bare UDP with datagrams of a fixed length, blocking, with
-//! one system call for each and nothing put together. A message of which a datagram is lost is given up.
+//! Lower bound of datagram transports: a ping-pong over plain UDP with datagrams of a fixed length, blocking, with
+//! one system call per datagram and without reassembly. A message with a lost datagram is given up.
 //!
-//! `bare-udp serve ADDRESS DATAGRAM-BYTES`, and beside it `bare-udp drive ADDRESS DATAGRAM-BYTES UP-BYTES DOWN-BYTES SECONDS`, which
-//! prints one JSON object.
+//! `bare-udp serve ADDRESS DATAGRAM-BYTES`, and at the same time
+//! `bare-udp drive ADDRESS DATAGRAM-BYTES UP-BYTES DOWN-BYTES SECONDS`, which prints one JSON object.
 
 mod round_trips;
 
@@ -15,13 +15,13 @@ use socket2::SockRef;
 
 use self::round_trips::RoundTrips;
 
-/// The system's buffers of each socket: all datagrams of a message fit.
+/// Socket buffers, bytes: all datagrams of a message fit.
 const SOCKET_BUFFER_BYTES: usize = 4 << 20;
 
-/// How long the rest of a message is waited for.
+/// Longest wait for the rest of a message.
 const PATIENCE: Duration = Duration::from_millis(200);
 
-/// The head of each datagram: the number of the message, and the bytes of it and of its answer, 32 bits each.
+/// Length of the head of each datagram: number of the message, length of the message and of its answer, 32 bits each.
 const HEAD_BYTES: usize = 12;
 
 fn main() -> anyhow::Result<()> {
@@ -43,14 +43,14 @@ fn main() -> anyhow::Result<()> {
     }
 }
 
-/// A socket and the length of its datagrams.
+/// Socket and the length of its datagrams.
 struct Port {
     socket: UdpSocket,
     datagram: usize,
     buffer: Vec<u8>,
 }
 
-/// The head of a datagram.
+/// Head of a datagram.
 #[derive(Clone, Copy, PartialEq, Eq)]
 struct Head {
     number: u32,
@@ -69,7 +69,7 @@ impl Port {
         Ok(Self { socket, datagram, buffer: vec![0x5a; datagram] })
     }
 
-    /// How many datagrams a message of so many bytes has.
+    /// Returns the number of datagrams of a message of this length.
     fn count(&self, bytes: u32) -> usize {
         (bytes as usize).div_ceil(self.datagram - HEAD_BYTES).max(1)
     }
@@ -89,7 +89,7 @@ impl Port {
         Ok(())
     }
 
-    /// The next datagram; `None` when none comes in time.
+    /// Receives the next datagram; returns `None` if none arrives in time.
     fn receive(&mut self) -> anyhow::Result<Option<(Head, SocketAddr)>> {
         let (length, from) = match self.socket.recv_from(&mut self.buffer) {
             Ok(received) => received,
@@ -105,7 +105,7 @@ impl Port {
     }
 }
 
-/// Answers every message of which all datagrams have come.
+/// Answers every message whose datagrams have all arrived.
 fn serve(address: &str, datagram: usize) -> anyhow::Result<()> {
     let mut port = Port::bind(address, datagram)?;
     let (mut current, mut received) = (None, 0);

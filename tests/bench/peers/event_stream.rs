@@ -1,9 +1,9 @@
-//! One agent's durable stream and nothing else: a backlog of iterations goes to an aggregator as fast as it is taken,
-//! with or without the control of what may be on the way.
+//! Durable stream of one agent: a backlog of iterations is sent to an aggregator as fast as it is accepted, with or
+//! without the control of bytes in flight.
 //!
-//! The state machine, the socket and the aggregator are the real ones. The spool is in memory, and all that travels is
-//! held back at both ends of the way, by half a round trip. Without control the machine's questions for echoes are
-//! answered here, as soon as it has nothing more to send: it always believes that all has arrived.
+//! State machine, socket and aggregator are the real ones. The spool is in memory. All messages are delayed at both
+//! ends of the path, by half a round trip. Without control, requests for echoes are answered here as soon as the
+//! state machine has nothing more to send, so that it always believes that everything has arrived.
 //!
 //! `event-stream ADDRESS ITERATIONS ROUND-TRIP-MS on|off`, which prints one JSON object.
 
@@ -27,7 +27,7 @@ use tokio::time::{Instant, sleep_until};
 use zeromq::options::WorkloadProfile;
 use zeromq::{Message, Options, Socket, SocketType, TrySendError};
 
-/// As agents have it.
+/// Number of batches in flight, as in agents.
 const WINDOW: u32 = 32;
 const QUEUE: u32 = 8;
 const LOOK: Duration = Duration::from_millis(20);
@@ -54,7 +54,7 @@ async fn main() -> anyhow::Result<()> {
     Ok(())
 }
 
-/// The sending end, its spool, and what is held back on its way.
+/// The sending end, its spool, and the messages that are delayed.
 struct Agent {
     clock: SystemClock,
     machine: Sending,
@@ -63,7 +63,7 @@ struct Agent {
     controlled: bool,
     up: VecDeque<(Instant, Vec<u8>)>,
     down: VecDeque<(Instant, Bytes)>,
-    /// A question that is to be answered here.
+    /// Request for an echo that is to be answered here.
     asked: Option<u64>,
     frames: u64,
     bytes: u64,
@@ -86,7 +86,7 @@ impl Agent {
         Ok(Self { clock, machine, spool, one_way, controlled, up, down, asked: None, frames: 0, bytes: 0 })
     }
 
-    /// Measures and spools so many iterations.
+    /// Measures and spools this number of iterations.
     fn fill(&mut self, iterations: u64) {
         let (run, edge, cloud) = (RunId::random(), self.machine.host(), HostId::random());
         let mut numbers = generate::Numbers::new(1);
@@ -101,7 +101,7 @@ impl Agent {
         self.act();
     }
 
-    /// What the machine wants next.
+    /// Returns the next action of the state machine.
     fn next(&mut self) -> Option<Action> {
         loop {
             let action = self.machine.next(self.clock.mono());
@@ -113,7 +113,7 @@ impl Agent {
         }
     }
 
-    /// Does what the machine wants.
+    /// Executes the actions of the state machine.
     fn act(&mut self) {
         while let Some(action) = self.next() {
             let now = self.clock.stamp();
@@ -131,7 +131,7 @@ impl Agent {
                     while self.spool.pop_front_if(|batch| batch.number <= through).is_some() {}
                     self.machine.deleted();
                 }
-                // Only where an aggregator knows other batches of this stream.
+                // Happens only if an aggregator has other batches of this stream.
                 Action::Renew { .. } => self.machine.renewed(now),
             }
         }
@@ -159,7 +159,7 @@ impl Agent {
         wanted.cloned().collect()
     }
 
-    /// Sends all; how long that took, from the connection to the last acknowledgement.
+    /// Sends all batches; measures the time from the connection to the last acknowledgement.
     async fn deliver(&mut self, address: &str) -> anyhow::Result<serde_json::Value> {
         let options = Options::default().workload_profile(WorkloadProfile::Latency).send_hwm(QUEUE);
         let socket = Socket::new(SocketType::Dealer, options);
@@ -193,7 +193,7 @@ impl Agent {
         Ok(json!({ "seconds": seconds, "frames": self.frames, "bytes": self.bytes }))
     }
 
-    /// Hands over what is due; whether there was no room for all of it.
+    /// Sends the messages that are due; returns whether there was no room for all of them.
     fn depart(&mut self, socket: &Socket) -> anyhow::Result<bool> {
         while let Some((at, frame)) = self.up.pop_front_if(|(at, _)| *at <= Instant::now()) {
             match socket.try_send(Message::single(frame)) {

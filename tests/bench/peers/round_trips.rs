@@ -1,4 +1,4 @@
-//! Round trips that a driving end makes, one after the other, for so many seconds after a warm-up.
+//! Round trips of a driving end, one after the other, for a number of seconds after a warm-up.
 
 use std::collections::BTreeMap;
 
@@ -6,19 +6,19 @@ use anyhow::bail;
 use peernet_clock::{Clock, ClockIdentity, MonoTime, Span, SystemClock};
 use serde_json::{Map, Value, json};
 
-/// Round trips before the first that counts, unless they take longer than a second.
+/// Number of round trips before the first that counts; the warm-up takes at most a second.
 const WARM_UP: usize = 200;
 
-/// Round trips of a driving end and how long each took.
+/// Round trips of a driving end, with their durations.
 pub(crate) struct RoundTrips {
     clock: SystemClock,
     limit: Span,
     start: MonoTime,
-    /// When the first that counts began.
+    /// Beginning of the first round trip that counts.
     begin: Option<MonoTime>,
     begun: usize,
     lost: usize,
-    /// How long each took, and the stages that a driving end knows of each, by name.
+    /// Durations of the round trips, and of the stages that a driving end knows, by name.
     stages: BTreeMap<&'static str, Vec<Span>>,
 }
 
@@ -30,7 +30,7 @@ impl RoundTrips {
         Ok(Self { clock, limit, start, begin: None, begun: 0, lost: 0, stages: BTreeMap::new() })
     }
 
-    /// Returns when the next round trip begins, or `None` when the time is over.
+    /// Returns the beginning of the next round trip; `None` if the time is over.
     pub(crate) fn next(&mut self) -> Option<MonoTime> {
         let now = self.clock.mono();
         if self.begin.is_none() && (self.begun == WARM_UP || now - self.start > Span::from_seconds(1)) {
@@ -41,7 +41,7 @@ impl RoundTrips {
         self.begin.is_none_or(|begin| now - begin < self.limit).then_some(now)
     }
 
-    /// Records the end of the round trip that began at this time: its stages, or `None` where no answer came.
+    /// Records the end of the round trip that began at this time: its stages, or `None` if no answer came.
     pub(crate) fn record(&mut self, begin: MonoTime, stages: Option<&[(&'static str, Span)]>) {
         let Some(stages) = stages else {
             self.lost += 1;
@@ -53,7 +53,7 @@ impl RoundTrips {
         }
     }
 
-    /// Returns what the benchmarks read, as one JSON object; quantiles are nearest ranks, in seconds.
+    /// Returns the results as one JSON object; quantiles are nearest ranks, in seconds.
     pub(crate) fn figures(self) -> anyhow::Result<Value> {
         let elapsed = self.clock.mono() - self.begin.unwrap_or(self.start);
         let Some(answered) = self.stages.get("total").map(Vec::len) else {

@@ -1,8 +1,8 @@
-//! A ping-pong between two nodes of roslibrust over TCPROS, whose messages are bytes that nothing serialises. A message that is
-//! not answered in time is given up.
+//! Ping-pong between two nodes of roslibrust over TCPROS, with messages of bytes that are not serialized. A message
+//! that is not answered in time is given up.
 //!
-//! `roslibrust-peer serve`, and beside it `roslibrust-peer drive BYTES SECONDS`, which prints one JSON object. The master is that
-//! of `ROS_MASTER_URI`.
+//! `roslibrust-peer serve`, and at the same time `roslibrust-peer drive BYTES SECONDS`, which prints one JSON object.
+//! The master is that of `ROS_MASTER_URI`.
 
 #[path = "../peers/round_trips.rs"]
 mod round_trips;
@@ -17,16 +17,16 @@ use tokio::time::timeout;
 
 use self::round_trips::RoundTrips;
 
-/// Messages that each queue has room for.
+/// Number of messages for which each queue has room.
 const QUEUE: usize = 16;
 
-/// How long an answer is waited for.
+/// Longest wait for an answer.
 const PATIENCE: Duration = Duration::from_secs(2);
 
-/// How long the other end is looked for.
+/// Longest wait for the other end.
 const DISCOVERY: Duration = Duration::from_secs(30);
 
-/// The length that precedes each message, the length that precedes its text, and its number.
+/// Length of the head, bytes: length of the message, length of its text, and its number.
 const HEAD_BYTES: usize = 4 + 4 + 8;
 
 #[tokio::main]
@@ -63,7 +63,7 @@ impl Port {
         Ok(self.subscriber.next().await.context("the node has ended")??)
     }
 
-    /// Sends a message and waits for its answer; answers to earlier ones are passed over.
+    /// Sends a message and waits for its answer; answers to earlier messages are skipped.
     async fn exchange(&mut self, message: &[u8]) -> anyhow::Result<()> {
         self.publisher.publish(message).await?;
         while self.receive().await?.get(..HEAD_BYTES) != message.get(..HEAD_BYTES) {}
@@ -86,7 +86,7 @@ async fn drive(length: usize, seconds: u64) -> anyhow::Result<Value> {
     message.resize(8 + text as usize, 0x5a);
     let mut number = 0_u64;
     let search = async {
-        // One that is sent before the other end has subscribed does not arrive.
+        // A message that is sent before the other end has subscribed does not arrive.
         loop {
             number += 1;
             message[8..HEAD_BYTES].copy_from_slice(&number.to_le_bytes());

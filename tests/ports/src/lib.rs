@@ -3,14 +3,14 @@
 use std::net::{TcpListener, UdpSocket};
 use std::sync::atomic::{AtomicU32, Ordering};
 
-/// Ports that the system gives to nobody who does not ask for them: while a program is away, no connection of another
-/// process gets its port by chance.
+/// Ports outside of the range from which the system assigns ephemeral ports. While a program is stopped, no
+/// connection of another process takes its port.
 const PORTS: std::ops::Range<u32> = 10_000..32_000;
 
-/// A port of loopback that nobody has at the moment, of TCP and of UDP, and another at each call.
+/// Returns a port of the loopback interface that is free for TCP and UDP; each call returns another one.
 ///
 /// # Panics
-/// When all are taken.
+/// If no port is free.
 pub fn free_port() -> u16 {
     static TAKEN: AtomicU32 = AtomicU32::new(0);
     let first = std::process::id().wrapping_mul(97);

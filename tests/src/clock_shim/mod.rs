@@ -1,6 +1,7 @@
-//! Clocks of a host whose oscillator is wrong, shown to a process by a preloaded library of the tests' own.
+//! Clocks of a host with a faulty oscillator, which a preloaded library shows to a process.
 //!
-//! The process knows nothing of it. The test decides when the error changes, and knows it to the nanosecond at each moment.
+//! The process does not notice that. The test sets the time of each change of the error, and knows the error to the
+//! nanosecond at each moment.
 
 use std::fs::File;
 use std::os::unix::fs::FileExt;
@@ -10,23 +11,24 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 use peernet_clock::{Clock, ClockIdentity, RawTime, Span, SystemClock};
 
-/// A change is told so long before it begins: no process reads a clock meanwhile that it was to reach.
+/// Time between writing a change and its beginning, so that no process reads a clock in between that the change
+/// should affect.
 const LEAD: Span = Span::from_millis(200);
 
-/// A segment in the file, bytes; the number of segments stands before the first.
+/// Length of a segment in the file, bytes. The number of segments precedes the first one.
 const SEGMENT: usize = 32;
 const COUNT: usize = 8;
-/// Most segments that the library reads.
+/// Largest number of segments that the library reads.
 const SEGMENTS: usize = 255;
 
-/// An error of a host's clocks from a moment on.
+/// Error of a host's clocks from a time on.
 #[derive(Clone, Copy, Debug)]
 struct Segment {
     begin: RawTime,
     ahead: Span,
-    /// Nanoseconds per nanosecond.
+    /// Rate of the error, nanoseconds per nanosecond.
     rate: f64,
-    /// Of the rate, per nanosecond.
+    /// Change of the rate, per nanosecond.
     change: f64,
 }
 
@@ -49,7 +51,7 @@ impl Segment {
     }
 }
 
-/// By how much the clocks of a host are wrong at each moment.
+/// Error of a host's clocks at each time.
 #[derive(Clone, Debug, Default)]
 pub struct ClockErrors(Arc<Mutex<Vec<Segment>>>);
 
@@ -58,8 +60,8 @@ impl ClockErrors {
         self.0.lock().unwrap_or_else(PoisonError::into_inner).clone()
     }
 
-    /// What the machine's free-running clock showed when the one with these errors showed `shown`: one that was set back shows some
-    /// times twice.
+    /// Returns the times of the machine's free-running clock at which the faulty one showed `shown`. A clock that was
+    /// set back shows some times twice.
     pub fn truths(&self, shown: RawTime) -> Vec<RawTime> {
         let segments = self.segments();
         let before =
@@ -68,7 +70,7 @@ impl ClockErrors {
         let ends = all.iter().skip(1).map(|next| next.begin).chain([RawTime::from_nanos(i64::MAX)]);
         let truth = |(segment, end): (&Segment, RawTime)| {
             let mut truth = shown - segment.ahead;
-            // The rate is far below one, so that this converges at once.
+            // The rate is far below one, so that the iteration converges quickly.
             for _ in 0..8 {
                 truth = shown - segment.ahead_at(truth);
             }
@@ -78,7 +80,7 @@ impl ClockErrors {
     }
 }
 
-/// The clocks that processes are shown which were started with its environment. Right until the first change.
+/// Faulty clocks for processes that are started with its environment. They are right until the first change.
 #[derive(Debug)]
 pub struct ClockShim {
     library: String,
@@ -89,10 +91,10 @@ pub struct ClockShim {
 }
 
 impl ClockShim {
-    /// Builds the library in a folder, which is made.
+    /// Builds the library in a folder, which is created.
     ///
     /// # Panics
-    /// When there is no C compiler.
+    /// If there is no C compiler.
     pub fn new(folder: &Path) -> Self {
         std::fs::create_dir_all(folder).expect("the temporary folder is writable");
         let (library, source) =
@@ -116,11 +118,11 @@ impl ClockShim {
         }
     }
 
-    /// What a process is started with that is to see them. Waits until the first change that is told has begun, so that no process sees
-    /// the clocks from before it.
+    /// Returns the environment variables for a process that should see these clocks. Waits until the first change has
+    /// begun, so that no process sees the clocks before it.
     ///
     /// # Panics
-    /// When the folder's name is not Unicode.
+    /// If the folder's name is not Unicode.
     pub fn environment(&self) -> [(&str, &str); 2] {
         if let Some(first) = self.errors.segments().first() {
             std::thread::sleep((first.begin - self.now()).to_duration());
@@ -129,26 +131,27 @@ impl ClockShim {
         [("LD_PRELOAD", &self.library), ("PEERNET_TEST_CLOCK", schedule)]
     }
 
-    /// By how much they are wrong, changes to come included.
+    /// Returns the errors, including those of future changes.
     pub fn errors(&self) -> ClockErrors {
         self.errors.clone()
     }
 
-    /// What the machine's free-running clock shows.
+    /// Returns the time of the machine's free-running clock.
     pub fn now(&self) -> RawTime {
         self.clock.raw()
     }
 
-    /// From shortly after now on: sets them forward by `step`; they run fast by `ppm`, which grows by `ppm_per_s` each second. Returns
-    /// when that begins.
+    /// Sets the clocks forward by `step` and makes them fast by `ppm`, which grows by `ppm_per_s` each second, from
+    /// shortly after now on. Returns the beginning of the change.
     pub fn change(&self, step: Span, ppm: f64, ppm_per_s: f64) -> RawTime {
         self.change_at(self.now() + LEAD, step, ppm, ppm_per_s)
     }
 
-    /// The same from a moment on that is at least 100 ms ahead and later than that of the last change.
+    /// Changes the clocks like [`change`](Self::change), from a given time on, which must be at least 100 ms in the
+    /// future and after the last change.
     ///
     /// # Panics
-    /// When it is not, or the schedule is full.
+    /// If it is not, or if the schedule is full.
     pub fn change_at(&self, begin: RawTime, step: Span, ppm: f64, ppm_per_s: f64) -> RawTime {
         let mut segments = self.errors.0.lock().unwrap_or_else(PoisonError::into_inner);
         let last = segments.last();
@@ -193,7 +196,7 @@ mod tests {
     }
 
     #[test]
-    fn times_that_are_shown_lead_back_to_the_truth() {
+    fn inverse_of_shim_errors_returns_true_time() {
         let at = |seconds: i64| RawTime::from_nanos(seconds * 1_000_000_000);
         let segment = |begin, ahead, rate, change| Segment { begin, ahead, rate, change };
         let segments = [

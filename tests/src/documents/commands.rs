@@ -1,14 +1,15 @@
-//! The command lines that a document shows.
+//! Extraction of command lines from a document.
 
 use super::Document;
 
-/// Our programs: their names alone, and with one word more, are how prose speaks of them.
+/// Our programs. Alone, or with one more word, they are names of commands in prose.
 const OURS: [&str; 4] = ["peernet", "peernetd", "PEERNet", "peernet_cli"];
 
 impl Document {
-    /// The command lines in blocks, fenced or set off by four spaces, and those in the prose that run our programs, a script
-    /// of the checkout or a target of the Makefile. Comments, prompts and `sudo` are taken away, lines that go on joined,
-    /// spaces between words are single.
+    /// Returns the command lines in blocks, fenced or indented by four spaces, and those in prose that run our
+    /// programs, a script of the checkout or a target of the Makefile.
+    ///
+    /// Comments, prompts and `sudo` are removed, continued lines joined, and words separated by single spaces.
     pub fn commands(&self) -> Vec<String> {
         let fenced = ["sh", "console"].into_iter().flat_map(|language| self.fenced(language));
         let fenced = fenced.flat_map(|(_, block)| typed(&block));
@@ -19,8 +20,8 @@ impl Document {
         fenced.chain(set_off).chain(inline).collect()
     }
 
-    /// What stands between back quotes, paragraph by paragraph: a quote that is not closed spoils no other paragraph.
-    /// Headings have names of commands only.
+    /// Returns the texts between back quotes, paragraph by paragraph, so that an unclosed quote affects its paragraph
+    /// only. Headings are left out, because they contain only names of commands.
     fn spans(&self) -> Vec<String> {
         let prose: String = self.prose().filter(|(_, line)| !line.starts_with('#')).map(end_line).collect();
         let paragraphs = prose.split("\n\n");
@@ -32,7 +33,7 @@ fn end_line((_, line): (usize, &str)) -> String {
     format!("{line}\n")
 }
 
-/// What is typed of a block: where some lines begin with a prompt, these alone.
+/// Returns the command lines of a block. If some lines begin with a prompt, only these count.
 fn typed(block: &str) -> Vec<String> {
     let joined = block.replace("\\\n", " ");
     let prompted = joined.lines().any(|line| line.starts_with("$ "));
@@ -47,14 +48,15 @@ fn single_spaced(text: &str) -> String {
     text.split_whitespace().collect::<Vec<_>>().join(" ")
 }
 
-/// Whether a line is one of a configuration or an environment file, which blocks without a language show as well.
+/// Returns whether a line belongs to a configuration or environment file, which blocks without a language show as
+/// well.
 fn is_setting(line: &str) -> bool {
     let (first, rest) = line.split_once(' ').unwrap_or((line, ""));
     first.starts_with('[') || rest.starts_with("= ") || (first.contains('=') && rest.is_empty())
 }
 
-/// Whether a word or two of prose can be typed: `peernet run` is the name of a command, and `peernet --client …` tells of a
-/// kind.
+/// Returns whether a text in prose is a complete command: `peernet run` is the name of a command, and
+/// `peernet --client …` stands for a group of commands.
 fn is_shown(span: &str) -> bool {
     let words: Vec<&str> = span.split(' ').collect();
     let program = words[0];
@@ -78,27 +80,27 @@ mod tests {
     }
 
     #[test]
-    fn a_block_with_prompts_shows_commands_and_what_they_say() {
+    fn block_with_prompts_has_commands_and_output() {
         let text = "```console\n$ peernet run a.toml    # in another\npeernet is done\n$ ls\n```\n";
         assert_eq!(commands(text), ["peernet run a.toml", "ls"]);
         assert_eq!(commands("```text\npeernet run a\n```\n"), [""; 0]);
     }
 
     #[test]
-    fn a_block_without_shows_commands_alone() {
+    fn block_without_prompts_has_commands_only() {
         let text =
             "```sh\nsudo apt-get install it\n\n# of the package\nsudo bin/peernetd check \\\n    FILE\n```\n";
         assert_eq!(commands(text), ["apt-get install it", "bin/peernetd check FILE"]);
     }
 
     #[test]
-    fn a_block_without_a_language_may_be_a_configuration() {
+    fn block_without_language_may_be_configuration() {
         let text = "Like this:\n\n    curl -N there\n    [agent]\n    name = \"it\"    # its name\n    A=/b:/c\n    A=b run\n";
         assert_eq!(commands(text), ["curl -N there", "A=b run"]);
     }
 
     #[test]
-    fn prose_names_commands_and_shows_some() {
+    fn commands_in_prose_are_found() {
         let text = "`peernet run` and `peernet --client …` are names. With `peernet plot\n--kind stacked` bars are drawn.";
         assert_eq!(commands(text), ["peernet plot --kind stacked"]);
         assert_eq!(commands("### `peernet models list`\n"), [""; 0]);

@@ -1,4 +1,4 @@
-//! The documents: what they show can be taken out of them and tried.
+//! The documents, from which tests extract examples.
 
 mod commands;
 
@@ -6,12 +6,12 @@ use std::path::{Path, PathBuf};
 
 use crate::root;
 
-/// A Markdown file of the checkout.
+/// Markdown file of the checkout.
 #[derive(Debug)]
 pub struct Document {
-    /// Below the root.
+    /// Path below the root.
     pub path: PathBuf,
-    /// All of it.
+    /// Whole text.
     pub text: String,
 }
 
@@ -19,7 +19,7 @@ impl Document {
     /// Reads a file below the root.
     ///
     /// # Panics
-    /// When it cannot be read.
+    /// If it cannot be read.
     pub fn read(path: impl Into<PathBuf>) -> Self {
         let path = path.into();
         let text = std::fs::read_to_string(root().join(&path))
@@ -27,10 +27,10 @@ impl Document {
         Self { path, text }
     }
 
-    /// The documents for users: the README and the folder `docs`.
+    /// Returns the documents for users: the README and the folder `docs`.
     ///
     /// # Panics
-    /// When they are not there.
+    /// If they do not exist.
     pub fn for_users() -> Vec<Self> {
         let docs = std::fs::read_dir(root().join("docs")).expect("the folder docs is there");
         let docs = docs.map(|entry| Path::new("docs").join(entry.expect("it can be listed").file_name()));
@@ -38,13 +38,21 @@ impl Document {
         std::iter::once(PathBuf::from("README.md")).chain(docs).map(Self::read).collect()
     }
 
-    /// The documents for users and contributors.
+    /// Returns the documents for users and contributors.
     pub fn all() -> Vec<Self> {
-        let others = ["ARCHITECTURE.md", "CONTRIBUTING.md", "deploy/README.md", "models/README.md"];
+        let others = [
+            "ARCHITECTURE.md",
+            "CONTRIBUTING.md",
+            "deploy/README.md",
+            "docs/development/dependencies.md",
+            "docs/development/guarantees.md",
+            "docs/development/protocol-versions.md",
+            "models/README.md",
+        ];
         Self::for_users().into_iter().chain(others.map(Self::read)).collect()
     }
 
-    /// The lines outside fenced blocks, numbered from 1.
+    /// Returns the lines outside of fenced blocks, numbered from 1.
     pub fn prose(&self) -> impl Iterator<Item = (usize, &str)> {
         let mut fenced = false;
         self.text.lines().enumerate().filter_map(move |(index, line)| {
@@ -54,7 +62,7 @@ impl Document {
         })
     }
 
-    /// The fenced blocks of a language, with the numbers of their first lines.
+    /// Returns the fenced blocks of a language, with the numbers of their first lines.
     pub fn fenced(&self, language: &str) -> Vec<(usize, String)> {
         let opening = format!("```{language}");
         let mut blocks = Vec::new();
@@ -73,7 +81,7 @@ impl Document {
         blocks
     }
 
-    /// The blocks of a section that are set off by so many spaces.
+    /// Returns the blocks of a section that are indented by this number of spaces.
     pub fn indented(&self, section: &str, spaces: usize) -> Vec<String> {
         let (indent, mut blocks, mut open) = (" ".repeat(spaces), Vec::<String>::new(), false);
         for line in self.section(section).lines() {
@@ -88,7 +96,7 @@ impl Document {
         blocks
     }
 
-    /// The targets of links, with the numbers of their lines.
+    /// Returns the targets of links, with the numbers of their lines.
     pub fn links(&self) -> impl Iterator<Item = (usize, &str)> {
         self.prose().flat_map(|(number, line)| {
             let targets = line.split("](").skip(1).filter_map(|rest| rest.split([')', ' ']).next());
@@ -96,15 +104,15 @@ impl Document {
         })
     }
 
-    /// The name by which a link finds each heading.
+    /// Returns the anchors of all headings.
     pub fn anchors(&self) -> Vec<String> {
         self.prose().filter(|(_, line)| line.starts_with('#')).map(|(_, line)| anchor(line)).collect()
     }
 
-    /// The text from a heading to the next one of its kind or above.
+    /// Returns the text from a heading to the next one of the same or a higher level.
     ///
     /// # Panics
-    /// When there is no such section.
+    /// If there is no such section.
     pub fn section(&self, name: &str) -> &str {
         let level = |line: &str| line.chars().take_while(|char| *char == '#').count();
         let mut headings = self.prose().filter(|(_, line)| line.starts_with('#'));
@@ -117,7 +125,7 @@ impl Document {
     }
 }
 
-/// As code hosts make it: lower case, without punctuation, with hyphens for spaces.
+/// Returns a heading's anchor as code hosts make it: lower case, without punctuation, with hyphens for spaces.
 fn anchor(heading: &str) -> String {
     let text = heading.trim_start_matches('#').trim().to_lowercase();
     let kept = text.chars().filter(|char| char.is_alphanumeric() || " -_".contains(*char));

@@ -1,4 +1,4 @@
-//! What passed a host, with the kernel's stamps.
+//! Capture of the packets that pass a host, with the kernel's timestamps.
 
 use std::net::{Ipv4Addr, UdpSocket};
 use std::path::{Path, PathBuf};
@@ -9,10 +9,10 @@ use rustix::process::Signal;
 use super::Host;
 use crate::{Process, until};
 
-/// Nobody else speaks to this loopback address.
+/// Loopback address that no other program sends to.
 const LAST: Ipv4Addr = Ipv4Addr::new(127, 62, 0, 1);
 
-/// A capture that goes on.
+/// Running capture.
 #[derive(Debug)]
 pub struct Capture {
     tcpdump: Process,
@@ -20,23 +20,23 @@ pub struct Capture {
     last: UdpSocket,
 }
 
-/// A packet of IPv4 as it entered or left a host.
+/// IPv4 packet that entered or left a host.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Packet {
-    /// When, by the kernel's clock.
+    /// Time according to the kernel's clock.
     pub at: WallTime,
-    /// Whether it left; one that is forwarded is seen twice.
+    /// `true` if it left the host; a forwarded packet is captured twice.
     pub left: bool,
-    /// From.
+    /// Source address.
     pub source: Ipv4Addr,
-    /// To.
+    /// Destination address.
     pub destination: Ipv4Addr,
-    /// Bytes behind the header of TCP; 0 for other protocols.
+    /// Number of bytes after the TCP header; 0 for other protocols.
     pub payload: usize,
 }
 
 impl Capture {
-    /// Enough for the headers of all layers.
+    /// Number of captured bytes per packet: enough for the headers of all layers.
     const SNAP: &str = "120";
 
     pub(super) fn start(host: &Host, filter: &str, folder: &Path) -> Self {
@@ -52,12 +52,12 @@ impl Capture {
         Self { tcpdump, file, last: host.inside(|| UdpSocket::bind((LAST, 0)).expect("loopback is up")) }
     }
 
-    /// Ends it; what passed, in the order of time.
+    /// Ends the capture; returns the packets in the order of time.
     ///
     /// # Panics
-    /// When the kernel dropped packets because tcpdump was too slow, or the file is not what it should be.
+    /// If the kernel dropped packets because tcpdump was too slow, or if the file is invalid.
     pub fn finish(self) -> Vec<Packet> {
-        // tcpdump is behind: all is written when a packet is that is sent now.
+        // tcpdump lags behind: when it has written a packet that is sent now, it has written all earlier ones.
         let itself = self.last.local_addr().expect("a bound socket has an address");
         self.last.send_to(&[], itself).expect("loopback is up");
         let mut packets = until("the end of the capture", || {
@@ -73,8 +73,8 @@ impl Capture {
     }
 }
 
-/// Reads a capture file (draft-ietf-opsawg-pcap) with nanoseconds and link type 276, LINUX_SLL2; `None` while it is cut
-/// off.
+/// Parses a capture file (draft-ietf-opsawg-pcap) with nanoseconds and link type 276, LINUX_SLL2; returns `None`
+/// while it is incomplete.
 fn packets(file: &[u8]) -> Option<Vec<Packet>> {
     const NANOSECONDS: u32 = 0xa1b2_3c4d;
     const LINUX_SLL2: u32 = 276;
@@ -92,7 +92,7 @@ fn packets(file: &[u8]) -> Option<Vec<Packet>> {
     Some(packets)
 }
 
-/// One packet behind its LINUX_SLL2 header; `None` for what is not IPv4.
+/// Parses one packet with its LINUX_SLL2 header; returns `None` for other protocols than IPv4.
 fn packet(at: WallTime, bytes: &[u8]) -> Option<Packet> {
     const OUTGOING: u8 = 4;
     const TCP: u8 = 6;

@@ -1,7 +1,7 @@
-//! Real time daemons for both hosts, which leave the machine's clock alone.
+//! Time daemons for both hosts, which do not change the machine's clock.
 //!
-//! Their server stands in the namespace that the tests run in and is reached over the hosts' second interfaces: what
-//! happens on the measured path is not what their claims rest on.
+//! Their server runs in the namespace of the tests and is reached through the hosts' second interfaces, so that their
+//! claims do not depend on the measured path.
 
 use std::path::{Path, PathBuf};
 
@@ -10,10 +10,10 @@ use peernet_test_ports::free_port;
 use super::{Host, Network};
 use crate::{Process, chrony};
 
-/// A namespace has all ports for itself.
+/// Port of chronyd's commands. A namespace has all ports for itself.
 const COMMANDS: &str = "323";
 
-/// A chronyd for each host, and the one that they follow.
+/// A chronyd for each host, and the server that they follow.
 #[derive(Debug)]
 pub struct TimeDaemons {
     _hosts: [Process; 2],
@@ -21,10 +21,10 @@ pub struct TimeDaemons {
 }
 
 impl TimeDaemons {
-    /// Starts them and waits until both hosts are synchronised.
+    /// Starts the daemons and waits until both hosts are synchronised.
     ///
     /// # Panics
-    /// When chrony is missing, or does not synchronise a host within a minute.
+    /// If chrony is missing, or does not synchronise a host within a minute.
     pub fn start(network: &Network, folder: &Path) -> Self {
         let port = free_port();
         let allowed = network.slot.address(0);
@@ -34,15 +34,15 @@ impl TimeDaemons {
         let hosts = [&network.edge, &network.cloud];
         let clients = hosts.map(|host| follow(host, port, folder));
         for host in hosts {
-            // Right after its first measurement chrony says that the clock's rate may be anything: until it is known to
-            // 100 ppm, in tenths of a second.
+            // Right after its first measurement chrony reports an unknown rate of the clock. This waits until the
+            // rate is known to 100 ppm, in steps of a tenth of a second.
             let until = ["-h", "127.0.0.1", "-p", COMMANDS, "waitsync", "600", "0", "100", "0.1"];
             host.run(&chrony("chronyc").display().to_string(), &until);
         }
         Self { _hosts: clients, _server: server }
     }
 
-    /// The table of an agent that asks its host's chronyd and nobody else.
+    /// Returns the table of an agent that asks only its host's chronyd.
     pub fn table() -> String {
         let chronyc = chrony("chronyc").display().to_string();
         format!(
@@ -70,7 +70,7 @@ fn configuration(folder: &Path, name: &str, lines: &str) -> PathBuf {
     file
 }
 
-/// `-x` leaves the clock alone, `-d` logs to standard error.
+/// Returns the arguments of chronyd: `-x` leaves the clock unchanged, `-d` logs to standard error.
 fn arguments(file: &Path) -> Vec<String> {
     let file = file.display().to_string();
     ["-x", "-d", "-U", "-u", "root", "-f", &file].map(str::to_owned).into()

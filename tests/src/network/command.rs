@@ -1,16 +1,16 @@
-//! Running the tools that make networks.
+//! Execution of the tools that set up networks.
 
 use std::process::Command;
 
-/// Runs a tool to its end and returns what it wrote.
+/// Runs a tool and returns its output.
 ///
 /// # Panics
-/// When it cannot be started or fails; says with what words.
+/// If it cannot be started or fails.
 pub(super) fn run(program: &str, arguments: &[&str]) -> String {
     attempt(program, arguments).unwrap_or_else(|problem| panic!("{problem}"))
 }
 
-/// Runs a tool that may well fail.
+/// Runs a tool that may fail.
 pub(super) fn attempt(program: &str, arguments: &[&str]) -> Result<String, String> {
     let output = Command::new(program)
         .args(arguments)

@@ -1,4 +1,4 @@
-//! One namespace.
+//! A network namespace that stands for a machine.
 
 use std::ffi::OsStr;
 use std::fs::File;
@@ -12,27 +12,27 @@ use super::command::{ip, run};
 use super::{Capture, DATA};
 use crate::Process;
 
-/// A network namespace that stands for a machine.
+/// Network namespace that stands for a machine.
 #[derive(Debug)]
 pub struct Host {
     pub(super) namespace: String,
     /// Its address on the measured path.
     pub address: Ipv4Addr,
-    /// Where it reaches the programs of the namespace that the tests run in.
+    /// Address at which it reaches programs in the namespace of the tests.
     pub home: Ipv4Addr,
 }
 
 impl Host {
-    /// Runs a tool here to its end and returns what it wrote.
+    /// Runs a tool in this namespace and returns its output.
     ///
     /// # Panics
-    /// When it cannot be started or fails.
+    /// If it cannot be started or fails.
     pub fn run(&self, program: &str, arguments: &[&str]) -> String {
         let inside = ["netns", "exec", &self.namespace, program];
         run("ip", &[&inside[..], arguments].concat())
     }
 
-    /// Starts a program here.
+    /// Starts a program in this namespace.
     ///
     /// # Panics
     /// As [`Process::start`].
@@ -49,10 +49,11 @@ impl Host {
         Process::start(Path::new("ip"), &all, folder, environment)
     }
 
-    /// Does something here, on a thread of its own: a socket that it makes belongs to this host and stays so.
+    /// Runs a closure in this namespace, on a separate thread. A socket that it creates belongs to this host for
+    /// ever.
     ///
     /// # Panics
-    /// When the namespace is gone, and when `what` panics.
+    /// If the namespace does not exist, or if `what` panics.
     pub fn inside<T: Send + 'static>(&self, what: impl FnOnce() -> T + Send + 'static) -> T {
         let path = Path::new("/run/netns").join(&self.namespace);
         let namespace =
@@ -65,8 +66,8 @@ impl Host {
         thread.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic))
     }
 
-    /// Gives an interface one more address, of a network of 254.
-    pub fn also(&self, interface: &str, address: &str) {
+    /// Adds an address to an interface, with a prefix of 24 bits.
+    pub fn add_address(&self, interface: &str, address: &str) {
         ip(&["-n", &self.namespace, "address", "add", &format!("{address}/24"), "dev", interface]);
     }
 
@@ -76,64 +77,66 @@ impl Host {
         ip(&["-n", &self.namespace, "link", "set", interface, "up"]);
     }
 
-    /// Lets no more than so much out of an interface; what is too much waits, up to four megabytes.
+    /// Limits the rate out of an interface; up to 4 MB are queued.
     pub fn limit(&self, interface: &str, mbit_per_second: u32) {
         self.shape(interface, &format!("{mbit_per_second}mbit"), "16kb", ["limit", "4mb"]);
     }
 
-    /// Lets so little out of an interface that every packet shows; what waits for longer than 300 ms is dropped.
+    /// Limits the rate out of an interface so much that every packet matters; packets that would wait longer than 300
+    /// ms are dropped.
     pub fn throttle(&self, interface: &str, kbit_per_second: u32) {
         self.shape(interface, &format!("{kbit_per_second}kbit"), "2kb", ["latency", "300ms"]);
     }
 
-    /// Puts a token bucket filter (tc-tbf(8)) on an interface; `bound` limits what waits in it.
+    /// Adds a token bucket filter (tc-tbf(8)) to an interface; `bound` limits its queue.
     fn shape(&self, interface: &str, rate: &str, burst: &str, bound: [&str; 2]) {
         let [bound, value] = bound;
         let filter = ["root", "tbf", "rate", rate, "burst", burst, bound, value];
         self.run("tc", &[&["qdisc", "add", "dev", interface], &filter[..]].concat());
     }
 
-    /// Lets everything out of an interface again.
-    pub fn open_up(&self, interface: &str) {
+    /// Removes the limit of an interface's rate.
+    pub fn remove_limit(&self, interface: &str) {
         self.run("tc", &["qdisc", "delete", "dev", interface, "root"]);
     }
 
-    /// Drops what arrives for a UDP port of this host on the measured path.
+    /// Drops packets that arrive on the measured path for a UDP port.
     pub fn block_udp(&self, port: u16) {
         let port = port.to_string();
         self.input(&["udp", "dport", &port, "drop"]);
     }
 
-    /// Drops a share of all packets that arrive on the measured path.
-    pub fn lose(&self, percent: u32) {
+    /// Drops this percentage of all packets that arrive on the measured path.
+    pub fn drop_percent(&self, percent: u32) {
         let percent = percent.to_string();
         self.input(&["numgen", "random", "mod", "100", "<", &percent, "drop"]);
     }
 
-    /// Drops everything that arrives on the measured path, as if its cable were cut.
+    /// Drops all packets that arrive on the measured path, as if its cable were cut.
     pub fn cut(&self) {
         self.input(&["drop"]);
     }
 
-    /// Drops longer packets that arrive on the measured path and tells nobody. Bytes, with the header of IP.
+    /// Drops longer packets that arrive on the measured path, without an ICMP message. Bytes, including the IP
+    /// header.
     pub fn drop_longer(&self, bytes: u32) {
         self.input(&["meta", "length", ">", &bytes.to_string(), "drop"]);
     }
 
-    /// Gives the measured path's interface another address in place of its own, which has 28 bits of network.
+    /// Replaces the address of the measured path's interface; the prefix has 28 bits.
     pub fn move_to(&self, address: Ipv4Addr) {
         let (old, new) = (format!("{}/28", self.address), format!("{address}/28"));
-        // In this order: the second address of a network goes with the first.
+        // The order matters: removing the first address of a network removes the second one as well.
         ip(&["-n", &self.namespace, "address", "delete", &old, "dev", DATA]);
         ip(&["-n", &self.namespace, "address", "add", &new, "dev", DATA]);
     }
 
-    /// Lets in again what was dropped on the measured path.
-    pub fn let_in(&self) {
+    /// Removes the rules that drop packets on the measured path.
+    pub fn clear_rules(&self) {
         self.run("nft", &["delete", "table", "inet", "test"]);
     }
 
-    /// Sends no larger packets out of an interface. Bytes.
+    /// Limits the size of packets out of an interface, bytes.
     pub fn set_mtu(&self, interface: &str, bytes: u32) {
         ip(&["-n", &self.namespace, "link", "set", interface, "mtu", &bytes.to_string()]);
     }
@@ -146,10 +149,10 @@ impl Host {
         self.run("nft", &[&on_the_path[..], rule].concat());
     }
 
-    /// Writes down what passes all interfaces of this host from now on; `filter` is tcpdump's.
+    /// Captures the packets on all interfaces of this host from now on; `filter` is tcpdump's.
     ///
     /// # Panics
-    /// As [`Process::start`], and when tcpdump does not begin to listen.
+    /// As [`Process::start`], and if tcpdump does not begin to listen.
     pub fn capture(&self, filter: &str, folder: &Path) -> Capture {
         Capture::start(self, filter, folder)
     }

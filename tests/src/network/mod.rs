@@ -1,11 +1,12 @@
-//! Hosts in network namespaces of their own, and the cables between them.
+//! Hosts in network namespaces, and the cables between them.
 //!
-//! A [`Network`] holds an edge and a cloud. What is measured goes over the cable between them, which can be a plain
-//! veth pair, one with a router in the middle, or a wire that delays and loses. Each host has a second interface to
-//! the namespace that the tests run in, for the event stream, so that reporting does not disturb the measured path.
+//! A [`Network`] contains an edge and a cloud. The measured path is the cable between them: a plain veth pair, one
+//! with a router in between, or a wire with delay and loss. Each host has a second interface to the namespace of the
+//! tests, for the event stream, so that reporting does not disturb the measured path. All namespaces of a machine
+//! share the kernel's clock, with which reported delays are compared.
 //!
-//! Declare the network before the processes on it: what is declared last goes first. Nothing is left behind, not even
-//! by a test that panics; what a killed test run left is removed by the next.
+//! The network must be declared before its processes, because values are dropped in reverse order. A test that panics
+//! removes its network as well; the network of a killed test is removed by the next test.
 
 mod capture;
 mod chronyd;
@@ -27,47 +28,47 @@ use slot::Slot;
 
 use crate::until;
 
-/// The interface of the measured path, on edge and cloud.
+/// Name of the interface on the measured path, on edge and cloud.
 pub const DATA: &str = "data";
 
-/// The interface to the namespace that the tests run in, on edge and cloud.
+/// Name of the interface to the namespace of the tests, on edge and cloud.
 pub const HOME: &str = "home";
 
-/// How a wire treats what goes over it, in one direction.
+/// Properties of one direction of a wire.
 #[derive(Clone, Copy, Debug)]
-pub struct Way {
+pub struct WireProperties {
     /// Delay, milliseconds.
     pub delay_ms: u32,
-    /// The delay varies by so much either way, milliseconds.
+    /// Largest deviation from the delay in both directions, milliseconds.
     pub jitter_ms: u32,
-    /// Packets lost, percent.
+    /// Lost packets, percent.
     pub loss_percent: u32,
 }
 
-impl Way {
-    /// As `wirefilter` takes it for a direction.
+impl WireProperties {
+    /// Returns the argument of `wirefilter` for a direction.
     fn delay(self, direction: &str) -> String {
         format!("{direction}{}+{}", self.delay_ms, self.jitter_ms)
     }
 }
 
-/// An edge and a cloud, and what is between them.
+/// An edge and a cloud, with the network between them.
 #[derive(Debug)]
 pub struct Network {
     edge: Host,
     cloud: Host,
     router: Option<Host>,
     third: Option<Host>,
-    /// Takes commands to the wire.
+    /// Socket for commands to the wire.
     wire: Option<PathBuf>,
     slot: Slot,
 }
 
 impl Network {
-    /// Edge and cloud at the two ends of a veth pair.
+    /// Connects edge and cloud by a veth pair.
     ///
     /// # Panics
-    /// When this process may not make namespaces, or a tool is missing.
+    /// If this process may not create namespaces, or if a tool is missing.
     pub fn direct() -> Self {
         let network = Self::hosts(false);
         let (edge, cloud) = (&network.edge, &network.cloud);
@@ -77,7 +78,7 @@ impl Network {
         network
     }
 
-    /// A router between edge and cloud; its interfaces are called `edge` and `cloud`.
+    /// Connects edge and cloud by a router, whose interfaces are named `edge` and `cloud`.
     ///
     /// # Panics
     /// As [`direct`](Self::direct).
@@ -96,25 +97,26 @@ impl Network {
         network
     }
 
-    /// A wire with delay, jitter and loss of its own in each direction; its sockets are made in `folder`.
+    /// Connects edge and cloud by a wire with delay, jitter and loss per direction. Its sockets are created in
+    /// `folder`.
     ///
     /// # Panics
     /// As [`direct`](Self::direct).
-    pub fn wire(folder: &Path, up: Way, down: Way) -> Self {
-        // It keeps all packets in one order, those of both directions: what goes the quick way would wait for what goes
-        // the slow one. Only jitter needs that.
+    pub fn wire(folder: &Path, up: WireProperties, down: WireProperties) -> Self {
+        // With jitter, `wirefilter` must keep the order of packets. It keeps one order for both directions, so that a
+        // packet of the quick direction would wait for one of the slow direction. Without jitter that is not needed.
         Self::wire_that_reorders(folder, up, down, up.jitter_ms + down.jitter_ms == 0)
     }
 
-    /// The same, and packets overtake each other where the delay varies.
+    /// Connects edge and cloud by a wire on which packets overtake each other if the delay varies.
     ///
     /// # Panics
     /// As [`direct`](Self::direct).
-    pub fn reordering_wire(folder: &Path, up: Way, down: Way) -> Self {
+    pub fn reordering_wire(folder: &Path, up: WireProperties, down: WireProperties) -> Self {
         Self::wire_that_reorders(folder, up, down, true)
     }
 
-    fn wire_that_reorders(folder: &Path, up: Way, down: Way, reorders: bool) -> Self {
+    fn wire_that_reorders(folder: &Path, up: WireProperties, down: WireProperties, reorders: bool) -> Self {
         let mut network = Self::hosts(false);
         let plug = |host: &Host| {
             let socket = folder.join(&host.namespace).display().to_string();
@@ -128,7 +130,7 @@ impl Network {
             socket
         };
         let plugs = format!("{}:{}", plug(&network.edge), plug(&network.cloud));
-        let loss = |name: &str, way: Way| format!("{name}{}", way.loss_percent);
+        let loss = |name: &str, way: WireProperties| format!("{name}{}", way.loss_percent);
         let (up_delay, down_delay) = (up.delay("LR"), down.delay("RL"));
         let (up_loss, down_loss) = (loss("LR", up), loss("RL", down));
         let delays = ["-d", &up_delay, "-d", &down_delay, "-l", &up_loss, "-l", &down_loss];
@@ -140,17 +142,17 @@ impl Network {
         network
     }
 
-    /// Makes the delays of a wire others; what is on its way keeps its own.
+    /// Changes the delays of a wire; packets on their way keep their delay.
     ///
     /// # Panics
-    /// When it is not a [`wire`](Self::wire), or does not obey.
-    pub fn delay(&self, up: Way, down: Way) {
+    /// If this is not a [`wire`](Self::wire), or if it does not answer.
+    pub fn delay(&self, up: WireProperties, down: WireProperties) {
         let commands = self.wire.as_ref().expect("a wire");
         let mut stream = until("the wire", || UnixStream::connect(commands).ok());
         for delay in [up.delay("LR"), down.delay("RL")] {
             writeln!(stream, "delay {delay}").expect("the wire listens");
             let mut answer = Vec::new();
-            // Each answer ends with its code, 1000 when all is well, and a prompt.
+            // Each answer ends with a code, which is 1000 for success, and a prompt.
             while !answer.windows(4).any(|code| code == b"1000") {
                 let mut part = [0; 256];
                 let length = stream.read(&mut part).expect("the wire answers");
@@ -160,7 +162,8 @@ impl Network {
         }
     }
 
-    /// A router that translates addresses: behind it the edge and a third host, which the cloud sees at one address.
+    /// Connects edge and cloud by a router that translates addresses. A third host is behind it as well, and the
+    /// cloud sees both at one address.
     ///
     /// # Panics
     /// As [`direct`](Self::direct).
@@ -174,7 +177,7 @@ impl Network {
         ip(&["netns", "add", &third.namespace]);
         ip(&["-n", &third.namespace, "link", "set", "lo", "up"]);
         third.run("sysctl", &["-qw", "net.ipv4.tcp_congestion_control=reno"]);
-        network.lead_home(&third, "t");
+        network.connect_home(&third, "t");
         let (router, gateway) = (network.router(), network.slot.address(49));
         veth(router, "third", &third, DATA);
         router.set_up("third", gateway, 30);
@@ -189,7 +192,7 @@ impl Network {
         network
     }
 
-    /// Adds a third host, on a cable of its own to the cloud: what it sends does not share the measured path.
+    /// Adds a third host on a separate cable to the cloud, so that its traffic does not share the measured path.
     #[must_use]
     pub fn with_third_host(mut self) -> Self {
         let third = Host {
@@ -200,26 +203,26 @@ impl Network {
         ip(&["netns", "add", &third.namespace]);
         ip(&["-n", &third.namespace, "link", "set", "lo", "up"]);
         veth(&self.cloud, "third", &third, DATA);
-        self.cloud.set_up("third", self.third_faces(), 30);
+        self.cloud.set_up("third", self.cloud_address_for_third_host(), 30);
         third.set_up(DATA, third.address, 30);
         self.third = Some(third);
         self
     }
 
-    /// The third host.
+    /// Returns the third host.
     ///
     /// # Panics
-    /// When there is none.
+    /// If it does not exist.
     pub fn third(&self) -> &Host {
         self.third.as_ref().expect("a network with a third host")
     }
 
-    /// The address at which the third host reaches the cloud.
-    pub const fn third_faces(&self) -> Ipv4Addr {
+    /// Returns the address at which the third host reaches the cloud.
+    pub const fn cloud_address_for_third_host(&self) -> Ipv4Addr {
         self.slot.address(97)
     }
 
-    /// The namespaces, each with its interface to the one that the tests run in.
+    /// Creates the namespaces, each with its interface to the namespace of the tests.
     fn hosts(with_router: bool) -> Self {
         let slot = Slot::take();
         let host = |role: &str, address: u8, home: u8| {
@@ -227,7 +230,7 @@ impl Network {
                 Host { namespace: slot.name(role), address: slot.address(address), home: slot.address(home) };
             ip(&["netns", "add", &host.namespace]);
             ip(&["-n", &host.namespace, "link", "set", "lo", "up"]);
-            // It does not pace, which BBR, the default of some machines, does.
+            // Reno does not pace packets; BBR, the default of some machines, does.
             host.run("sysctl", &["-qw", "net.ipv4.tcp_congestion_control=reno"]);
             host
         };
@@ -239,13 +242,13 @@ impl Network {
             wire: None,
             slot,
         };
-        network.lead_home(&network.edge, "e");
-        network.lead_home(&network.cloud, "c");
+        network.connect_home(&network.edge, "e");
+        network.connect_home(&network.cloud, "c");
         network
     }
 
-    /// Gives a host its interface to the namespace that the tests run in.
-    fn lead_home(&self, host: &Host, role: &str) {
+    /// Creates a host's interface to the namespace of the tests.
+    fn connect_home(&self, host: &Host, role: &str) {
         let outside = self.slot.interface(role);
         ip(&["link", "add", &outside, "type", "veth", "peer", "name", HOME, "netns", &host.namespace]);
         ip(&["address", "add", &format!("{}/30", host.home), "dev", &outside]);
@@ -253,20 +256,20 @@ impl Network {
         host.set_up(HOME, Ipv4Addr::from_bits(host.home.to_bits() + 1), 30);
     }
 
-    /// Where samples come from.
+    /// Returns the edge.
     pub const fn edge(&self) -> &Host {
         &self.edge
     }
 
-    /// Where they are computed on.
+    /// Returns the cloud.
     pub const fn cloud(&self) -> &Host {
         &self.cloud
     }
 
-    /// What is between them.
+    /// Returns the router.
     ///
     /// # Panics
-    /// When it is not a [`routed`](Self::routed) network.
+    /// If this is not a [`routed`](Self::routed) network.
     pub fn router(&self) -> &Host {
         self.router.as_ref().expect("a routed network")
     }
@@ -274,7 +277,7 @@ impl Network {
 
 impl Drop for Network {
     fn drop(&mut self) {
-        self.slot.sweep();
+        self.slot.remove_remains();
     }
 }
 

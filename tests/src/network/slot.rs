@@ -1,4 +1,4 @@
-//! What keeps networks of tests apart that run at the same time.
+//! Numbers that separate the networks of concurrent tests.
 
 use std::fs::{File, TryLockError};
 use std::net::Ipv4Addr;
@@ -7,16 +7,16 @@ use rustix::process::{Pid, Signal, geteuid, kill_process};
 
 use super::command::attempt;
 
-/// A number that no other test on this machine has at the moment, and the names and addresses that follow from it.
+/// Number that no other test on this machine uses now, with the names and addresses derived from it.
 #[derive(Debug)]
 pub(super) struct Slot {
     number: u8,
-    /// Locked as long as the number is taken; the kernel unlocks it for a test that was killed.
+    /// Lock that marks the number as used; the kernel releases it when a test is killed.
     _lock: File,
 }
 
 impl Slot {
-    /// Takes a free number, and removes what a killed test left behind under it.
+    /// Takes a free number, and removes the remains of a killed test with that number.
     pub(super) fn take() -> Self {
         assert!(
             geteuid().is_root(),
@@ -30,7 +30,7 @@ impl Slot {
             match lock.try_lock() {
                 Ok(()) => {
                     let slot = Self { number, _lock: lock };
-                    slot.sweep();
+                    slot.remove_remains();
                     return slot;
                 }
                 Err(TryLockError::WouldBlock) => {}
@@ -42,7 +42,7 @@ impl Slot {
         panic!("256 networks of tests exist already");
     }
 
-    /// The name of a namespace.
+    /// Returns the name of a namespace.
     pub(super) fn name(&self, role: &str) -> String {
         format!("{}{role}", self.prefix())
     }
@@ -51,20 +51,20 @@ impl Slot {
         format!("peernet-test-{}-", self.number)
     }
 
-    /// The name of an interface in the namespace that the tests run in.
+    /// Returns the name of an interface in the namespace of the tests.
     pub(super) fn interface(&self, role: &str) -> String {
         format!("pt{}{role}", self.number)
     }
 
-    /// An address.
+    /// Returns an address.
     pub(super) const fn address(&self, last: u8) -> Ipv4Addr {
         Ipv4Addr::new(10, 213, self.number, last)
     }
 
-    /// Ends all processes in the namespaces of this number and removes them and their interfaces.
-    pub(super) fn sweep(&self) {
+    /// Ends all processes in the namespaces of this number and removes the namespaces and their interfaces.
+    pub(super) fn remove_remains(&self) {
         for role in ["e", "c", "t"] {
-            // It may be gone, or never have been there.
+            // The interface need not exist.
             let _ = attempt("ip", &["link", "delete", &self.interface(role)]);
         }
         let namespaces = attempt("ip", &["netns", "list"]).unwrap_or_default();
@@ -72,7 +72,7 @@ impl Slot {
         for namespace in own.filter(|name| name.starts_with(&self.prefix())) {
             let inside = attempt("ip", &["netns", "pids", namespace]).unwrap_or_default();
             for pid in inside.lines().filter_map(|pid| Pid::from_raw(pid.parse().ok()?)) {
-                // One that has just ended by itself is as good.
+                // A process that has just ended by itself needs no signal.
                 let _ = kill_process(pid, Signal::KILL);
             }
             if let Err(problem) = attempt("ip", &["netns", "delete", namespace]) {

@@ -1,4 +1,4 @@
-//! Wrong clocks, turned round.
+//! Inverse of faulty clocks: from a shown time to the kernel's.
 
 use chrono::DateTime;
 use peernet_clock::{ClockFaultStep, ClockFaults, RawTime, Span, SteppedClock, WallTime};
@@ -6,36 +6,38 @@ use serde_json::Value;
 
 use crate::clock_shim::ClockErrors;
 
-/// What a host's clocks show when the kernel's show something.
+/// Relation between a host's clocks and the kernel's.
 #[derive(Clone, Debug)]
 pub struct HostClock {
     wall: Vec<ClockFaults>,
     raw: RawError,
 }
 
-/// How the free-running clock of a host is wrong.
+/// Error of a host's free-running clock.
 #[derive(Clone, Debug)]
 enum RawError {
-    /// It is the kernel's.
+    /// No error: the kernel's clock.
     None,
-    /// As described; what the kernel's showed when the rehearsal began.
+    /// The described fault; the time of the kernel's clock when it began.
     Rehearsed(ClockFaults, RawTime),
-    /// As the shim shows it.
+    /// The error that the shim shows.
     Shown(ClockErrors),
 }
 
 impl HostClock {
-    /// Clocks that are wrong as described; `raw_since` is what the kernel's free-running clock showed when the rehearsal began.
+    /// Creates clocks with the described fault; `raw_since` is the time of the kernel's free-running clock when the
+    /// fault began.
     pub fn new(rehearsal: ClockFaults, raw_since: RawTime) -> Self {
         Self { raw: RawError::Rehearsed(rehearsal.clone(), raw_since), wall: vec![rehearsal] }
     }
 
-    /// Clocks with errors that the shim shows. Wall-clock stamps are not turned round.
+    /// Creates clocks with the errors that the shim shows. Stamps of the wall clock cannot be converted.
     pub fn shown(errors: ClockErrors) -> Self {
         Self { wall: Vec::new(), raw: RawError::Shown(errors) }
     }
 
-    /// A wall clock that is ahead by one of several offsets, at times that nobody knows; the free-running clock is the kernel's.
+    /// Creates a wall clock that is ahead by one of several offsets, at unknown times. The free-running clock is the
+    /// kernel's.
     pub fn ahead_by(offsets: &[Span]) -> Self {
         let ahead = |offset: &Span| ClockFaults {
             offset: *offset,
@@ -46,9 +48,9 @@ impl HostClock {
         Self { wall: offsets.iter().map(ahead).collect(), raw: RawError::None }
     }
 
-    /// Clocks as a host tells that they are rehearsed, in the API's form; `None` for anything else. `raw_at` tells what the kernel's
-    /// free-running clock showed when its wall clock showed something.
-    pub fn told(rehearsal: &Value, raw_at: impl FnOnce(WallTime) -> RawTime) -> Option<Self> {
+    /// Creates the clocks from the faults that a host reports, in the API's form; returns `None` for anything else.
+    /// `raw_at` converts a time of the kernel's wall clock to its free-running clock.
+    pub fn from_report(rehearsal: &Value, raw_at: impl FnOnce(WallTime) -> RawTime) -> Option<Self> {
         let span = |value: &Value| value.as_f64().map(Span::from_seconds_f64);
         let since = DateTime::parse_from_rfc3339(rehearsal["since"].as_str()?).ok()?;
         let since = WallTime::from_unix_nanos(since.timestamp_nanos_opt()?);
@@ -64,17 +66,17 @@ impl HostClock {
         Some(Self::new(description, raw_at(since)))
     }
 
-    /// The kernel's clock itself.
-    pub fn kernels() -> Self {
+    /// Creates the kernel's clocks.
+    pub fn of_kernel() -> Self {
         Self::ahead_by(&[Span::ZERO])
     }
 
-    /// When the rehearsal began, by the kernel's clock.
+    /// Returns the beginning of the fault by the kernel's wall clock.
     pub fn since(&self) -> Option<WallTime> {
         self.wall.first().map(|rehearsal| rehearsal.since)
     }
 
-    /// When the rehearsal began, by the kernel's free-running clock.
+    /// Returns the beginning of the fault by the kernel's free-running clock.
     pub const fn raw_since(&self) -> Option<RawTime> {
         match &self.raw {
             RawError::Rehearsed(_, since) => Some(*since),
@@ -82,37 +84,39 @@ impl HostClock {
         }
     }
 
-    /// By how much this clock is ahead when the kernel's shows `truth`.
+    /// Returns the error of this wall clock when the kernel's shows `truth`.
     ///
     /// # Panics
-    /// When nobody knows, because it is one of several.
+    /// If the error is one of several.
     pub fn ahead(&self, truth: WallTime) -> Span {
         let [rehearsal] = &self.wall[..] else { panic!("one of several: {:?}", self.wall) };
         rehearsal.error_at(truth)
     }
 
-    /// What the kernel's clock showed when this one showed `shown`.
+    /// Returns the time of the kernel's wall clock when this one showed `shown`.
     ///
     /// # Panics
-    /// When this clock never showed that, because a step went over it, or showed it twice.
+    /// If this clock never showed that time, because a step skipped it, or showed it twice.
     pub fn truth(&self, shown: WallTime) -> WallTime {
         let truths = self.truths(shown);
         assert_eq!(truths.len(), 1, "a time that was shown once: {shown:?} by {:?}", self.wall);
         truths[0]
     }
 
-    /// The same for a clock that may have been set back, which shows some times twice.
+    /// Returns all times of the kernel's wall clock at which this one showed `shown`. A clock that was set back shows
+    /// some times twice.
     pub fn truths(&self, shown: WallTime) -> Vec<WallTime> {
         self.wall.iter().flat_map(|rehearsal| truths(rehearsal, shown)).collect()
     }
 
-    /// What the kernel's free-running clock showed when this host's showed `shown`, to the nanosecond or two.
+    /// Returns all times of the kernel's free-running clock at which this host's showed `shown`, to one or two
+    /// nanoseconds.
     pub fn raw_truths(&self, shown: RawTime) -> Vec<RawTime> {
         match &self.raw {
             RawError::None => vec![shown],
             RawError::Shown(errors) => errors.truths(shown),
             RawError::Rehearsed(description, since) => {
-                // The same formula as for the wall clock, on another scale and with other steps.
+                // The formula is that of the wall clock, with another scale and other steps.
                 let steps = description.steps.iter().filter(|step| step.clock == SteppedClock::Raw).copied();
                 let free_running = ClockFaults { steps: steps.collect(), ..description.clone() };
                 let scale = description.since - WallTime::from_unix_nanos(since.nanos());
@@ -124,7 +128,7 @@ impl HostClock {
     }
 }
 
-/// `ClockFaults::shown`, turned round.
+/// Inverse of `ClockFaults::shown`.
 fn truths(rehearsal: &ClockFaults, shown: WallTime) -> impl Iterator<Item = WallTime> {
     let steps = &rehearsal.steps;
     (0..=steps.len()).filter_map(move |passed| {
@@ -144,7 +148,7 @@ fn truths(rehearsal: &ClockFaults, shown: WallTime) -> impl Iterator<Item = Wall
 mod tests {
     use super::*;
     #[test]
-    fn what_a_rehearsed_clock_shows_leads_back_to_the_truth() {
+    fn inverse_of_clock_fault_returns_true_time() {
         let since = WallTime::from_unix_nanos(1_700_000_000_000_000_000);
         let step = ClockFaultStep::of_wall(Span::from_seconds(20), Span::from_seconds(3));
         let rehearsal =
@@ -157,7 +161,7 @@ mod tests {
             assert!((found - truth).abs() <= Span::from_nanos(1), "{found:?} {truth:?}");
             assert_eq!(truth + clock.ahead(truth), rehearsal.shown(truth));
         }
-        assert_eq!(HostClock::kernels().truth(since), since);
+        assert_eq!(HostClock::of_kernel().truth(since), since);
         let mut back = rehearsal.clone();
         back.steps[0].by = Span::from_seconds(-3);
         let clock_set_back = HostClock::new(back.clone(), raw_since);
@@ -168,7 +172,7 @@ mod tests {
             "offset_s": -1.0, "drift_ppm": 100.0, "since": "2023-11-14T22:13:20.000000000Z",
             "steps": [{ "at_s": 20.0, "by_s": 3.0 }],
         });
-        let told = HostClock::told(&told, |_| raw_since).expect("the API's form");
+        let told = HostClock::from_report(&told, |_| raw_since).expect("the API's form");
         let later = since + Span::from_seconds(30);
         assert_eq!(told.truth(rehearsal.shown(later)), clock.truth(rehearsal.shown(later)));
         let mut jumped = rehearsal.clone();

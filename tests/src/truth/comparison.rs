@@ -1,4 +1,4 @@
-//! Errors, and intervals that do not hold what they promise.
+//! Comparison of reported delays with the true ones.
 
 use std::collections::BTreeMap;
 
@@ -6,14 +6,14 @@ use peernet_clock::{RawTime, Span};
 
 use super::{Delay, HostClock, Iteration};
 
-/// Reported delays of one direction against the truth.
+/// Reported delays of one direction, compared with the truth.
 #[derive(Clone, Debug, Default)]
 pub struct Comparison {
-    /// Delays with a value.
+    /// Number of delays with a value.
     pub compared: usize,
-    /// Those without, in words.
+    /// Descriptions of the delays without a value.
     pub without_value: Vec<String>,
-    /// Those whose interval does not hold the truth, in words.
+    /// Descriptions of the delays whose interval does not contain the truth.
     pub outside: Vec<String>,
     verdicts: BTreeMap<String, usize>,
     errors: Vec<Span>,
@@ -21,7 +21,7 @@ pub struct Comparison {
     truths: Vec<Span>,
 }
 
-/// By how much the truth is not known: the inverse of each clock's drift rounds, and so does what is stored.
+/// Error of the computed truth: the inverse of each clock's drift is rounded, and so are stored values.
 const INEXACT: Span = Span::from_nanos(3);
 
 /// Compares the uploads and the downloads.
@@ -60,27 +60,27 @@ impl Comparison {
         }
     }
 
-    /// Mean of the errors without their sign.
+    /// Returns the mean of the absolute errors.
     pub fn mean_error(&self) -> Span {
         mean(&self.errors)
     }
 
-    /// So large is the error, without its sign, in a share of all.
+    /// Returns a quantile of the absolute errors.
     pub fn error(&self, share: f64) -> Span {
         quantile(&self.errors, share)
     }
 
-    /// So wide is the interval in a share of all.
+    /// Returns a quantile of the intervals' widths.
     pub fn width(&self, share: f64) -> Span {
         quantile(&self.widths, share)
     }
 
-    /// So long is the true delay in a share of all.
+    /// Returns a quantile of the true delays.
     pub fn truth(&self, share: f64) -> Span {
         quantile(&self.truths, share)
     }
 
-    /// All figures in a line.
+    /// Formats all figures in one line.
     pub fn in_words(&self) -> String {
         format!(
             "{} compared, {} without a value, {} outside; true delay p50 {} p99 {}; error mean {} p50 {} p99 {} max {}; \
@@ -101,17 +101,17 @@ impl Comparison {
     }
 }
 
-/// How long it really took, by the stamps of the free-running clocks.
+/// Returns the true delay, by the stamps of the free-running clocks.
 ///
 /// # Panics
-/// When one of the clocks never showed its stamp, or there is none.
+/// If one of the clocks never showed its stamp, or if there are no such stamps.
 pub fn truth(delay: &Delay, sender: &HostClock, receiver: &HostClock) -> Span {
     let (sent, received) = true_times(delay, sender, receiver);
     received - sent
 }
 
-/// When it was sent and received, by the kernel's free-running clock. A clock that was set back by seconds shows some times twice: no
-/// delay is as long as that.
+/// Returns the true times of departure and arrival, by the kernel's free-running clock. A clock that was set back
+/// shows some times twice; the pair with the shortest delay is the right one.
 ///
 /// # Panics
 /// As [`truth`].
@@ -132,7 +132,7 @@ fn mean(spans: &[Span]) -> Span {
     Span::from_nanos(nanos / i64::try_from(spans.len().max(1)).unwrap_or(1))
 }
 
-/// Of sorted spans; zero of none.
+/// Returns a quantile of sorted spans; zero if there are none.
 fn quantile(sorted: &[Span], share: f64) -> Span {
     let last = sorted.len().saturating_sub(1);
     sorted.get((share * last as f64).round() as usize).copied().unwrap_or_default()
@@ -145,7 +145,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn an_interval_without_the_truth_is_found() {
+    fn interval_without_truth_is_detected() {
         let at = WallTime::from_unix_nanos;
         let delay = |raw: i64, lo, hi| Delay {
             sent: at(1_000),
@@ -164,8 +164,8 @@ mod tests {
             one(2, delay(110, 100, 200), delay(96, 100, 200)),
             one(3, unknown, delay(203, 100, 200)),
         ];
-        let kernels = HostClock::kernels();
-        let (up, down) = compare(&iterations, &kernels, &kernels);
+        let of_kernel = HostClock::of_kernel();
+        let (up, down) = compare(&iterations, &of_kernel, &of_kernel);
         assert_eq!((up.compared, up.without_value.len(), up.outside.len()), (2, 1, 0));
         assert_eq!((up.mean_error(), up.error(1.0)), (Span::from_nanos(20), Span::from_nanos(40)));
         assert_eq!((down.compared, down.outside.len()), (3, 2));

@@ -1,7 +1,8 @@
-//! What one-way delays really were, against what was reported.
+//! True one-way delays, for comparison with reported ones.
 //!
-//! All namespaces of a machine read the kernel's clock. A rehearsed host shows something else, but says what: turning
-//! that round gives the kernel's time of each stamp, and the difference of two of them is a delay without an error.
+//! All namespaces of a machine share the kernel's clock. A host with clock fault injection shows other times, but
+//! reports the fault. Its inverse gives the kernel's time of each stamp, and the difference of two such times is a
+//! delay without an error.
 
 mod clock;
 mod comparison;

@@ -1,39 +1,39 @@
-//! What an aggregator stored of delays, read as people read it.
+//! Delays in an aggregator's database.
 
 use std::path::Path;
 use std::process::Command;
 
 use peernet_clock::{RawTime, Span, WallTime};
 
-/// A delay as it is stored.
+/// Stored delay.
 #[derive(Clone, Debug)]
 pub struct Delay {
-    /// Stamped by the sender.
+    /// Departure, by the sender's wall clock.
     pub sent: WallTime,
-    /// Stamped by the receiver.
+    /// Arrival, by the receiver's wall clock.
     pub received: WallTime,
-    /// Stamped by the free-running clocks of sender and receiver.
+    /// Departure and arrival, by the free-running clocks of sender and receiver.
     pub raw: Option<(RawTime, RawTime)>,
-    /// Reported.
+    /// Reported delay.
     pub value: Option<Span>,
     /// Reported lower and upper bound.
     pub bounds: Option<(Span, Span)>,
-    /// Reported.
+    /// Reported verdict.
     pub verdict: String,
-    /// Reported.
+    /// Reported source.
     pub source: String,
 }
 
-/// An iteration that came back.
+/// Iteration that was answered.
 #[derive(Clone, Debug)]
 pub struct Iteration {
-    /// Its run.
+    /// Number of its run.
     pub run: u64,
-    /// Its number.
+    /// Number of the iteration.
     pub number: u64,
-    /// Edge to cloud.
+    /// Delay from edge to cloud.
     pub up: Delay,
-    /// Cloud to edge.
+    /// Delay from cloud to edge.
     pub down: Delay,
 }
 
@@ -50,7 +50,7 @@ LEFT JOIN source ON source.id = t.source
 WHERE t.received_ns IS NOT NULL AND name.text IN ('upload', 'download')
 ORDER BY t.run, t.iteration, name.text DESC";
 
-/// Reads all iterations of an aggregator's database that came back.
+/// Reads all answered iterations of an aggregator's database.
 ///
 /// # Panics
 /// As [`ask`].
@@ -70,10 +70,10 @@ pub fn iterations(database: &Path) -> Vec<Iteration> {
     pairs.collect()
 }
 
-/// Asks a database: a line for each row, columns apart by `|`.
+/// Runs an SQL query. Returns one line per row, with columns separated by `|`.
 ///
 /// # Panics
-/// When it cannot be read.
+/// If the database cannot be read.
 pub fn ask(database: &Path, sql: &str) -> String {
     let output = Command::new("sqlite3")
         .args(["-readonly", "-batch", "-noheader", "-list"])

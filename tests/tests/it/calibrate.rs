@@ -1,12 +1,13 @@
-//! `peernet calibrate` against a host whose clock is a second ahead, and `peernet recompute` of a stored run.
+//! Tests of `peernet calibrate` against a host whose clock is a second ahead, and of `peernet recompute` with a
+//! stored run.
 
 use std::process::{Command, Stdio};
 
-use peernet_tests::{AGGREGATOR, Api, Ended, Process, Site, program, until};
+use peernet_tests::{AGGREGATOR, Api, LoopbackDeployment, Process, ProcessEnd, program, until};
 use rustix::process::{Pid, Signal, kill_process};
 use serde_json::Value;
 
-/// Another clock than that of `peernet`: a second ahead, under a name of its own.
+/// Cloud whose clock differs from that of `peernet`: a second ahead, with another clock identity.
 const CLOUD: &str = r#"
 [agent]
 name = "cloud"
@@ -53,34 +54,34 @@ const FILES: [&str; 11] = [
     "throughput-caption.txt",
 ];
 
-struct Plant {
-    site: Site,
+struct CalibratedHosts {
+    deployment: LoopbackDeployment,
     peer: String,
 }
 
-impl Plant {
+impl CalibratedHosts {
     fn new() -> Self {
-        let site = Site::new();
-        let peer = format!("127.0.0.1:{}", site.data);
-        Self { site, peer }
+        let deployment = LoopbackDeployment::new();
+        let peer = format!("127.0.0.1:{}", deployment.data);
+        Self { deployment, peer }
     }
 
     fn start(&self, name: &str, file: &str) -> Process {
-        self.site.write(name, file);
-        let process = self.site.start(name);
+        self.deployment.write(name, file);
+        let process = self.deployment.start(name);
         process.wait_for("ready");
         process
     }
 
     fn peernet(&self, arguments: &[&str]) -> Process {
-        Process::start(&program("peernet"), arguments, self.site.folder(), &[])
+        Process::start(&program("peernet"), arguments, self.deployment.folder(), &[])
     }
 
-    fn calibrate(&self, arguments: &[&str]) -> Ended {
+    fn calibrate(&self, arguments: &[&str]) -> ProcessEnd {
         self.peernet(&[&["calibrate", &self.peer, "--result-loc", "results"], arguments].concat()).ended()
     }
 
-    /// A sweep that goes on until something ends it.
+    /// Starts a calibration that runs until it is ended.
     fn endless(&self) -> Process {
         let endless = ["--sizes", "100,1kB,10kB", "--repeats", "1000000", "--seconds", "600"];
         let running =
@@ -90,7 +91,7 @@ impl Plant {
     }
 
     fn results(&self) -> Value {
-        let file = self.site.folder().join("results/calibration.json");
+        let file = self.deployment.folder().join("results/calibration.json");
         serde_json::from_slice(&std::fs::read(file).expect("it was written")).expect("it is JSON")
     }
 }
@@ -100,20 +101,20 @@ fn number(value: &Value) -> f64 {
 }
 
 #[test]
-fn a_link_is_calibrated_whatever_the_clocks_show() {
-    let plant = Plant::new();
-    let _cloud = plant.start("cloud.toml", CLOUD);
+fn calibration_is_right_despite_clock_errors() {
+    let hosts = CalibratedHosts::new();
+    let _cloud = hosts.start("cloud.toml", CLOUD);
     let sweep = ["--sizes", "100,1kB,10kB,100kB,1MB", "--repeats", "60", "--seconds", "50"];
-    let done = plant.calibrate(&sweep);
+    let done = hosts.calibrate(&sweep);
     assert_eq!(done.code(), 0, "{}", done.log);
     assert!(done.log.contains("the intercepts, ") && done.log.contains("clock bounds"), "{}", done.log);
 
-    let study = plant.results();
+    let study = hosts.results();
     assert_eq!(study["counts"], serde_json::json!({ "measured": 300, "warm_up": 10, "failed": 0 }));
     assert_eq!((&study["setting"]["cloud"], &study["setting"]["rehearsed"]), (&"cloud".into(), &true.into()));
     for (direction, ahead) in [("up", 1.0), ("down", -1.0)] {
         let direction = &study[direction];
-        // Both hosts read one kernel's clock: without the rehearsed second the raw stamps are the truth.
+        // Both hosts read the same kernel's clock, so that the raw stamps without the injected second are the truth.
         let over_samples =
             |path: &str| number(&direction["fits"].pointer(path).expect("a fit")["intercept"]["value"]);
         let (reported, raw) = (over_samples("/samples/least_squares"), over_samples("/raw"));
@@ -128,13 +129,13 @@ fn a_link_is_calibrated_whatever_the_clocks_show() {
             "the intercept is wrong by {error} s, claimed are {allowed} s"
         );
     }
-    // Which of them depends on how busy the machine is; a verdict about the clocks would be wrong.
+    // The verdict depends on the load of the machine; a verdict about the clocks would be wrong.
     let verdict = study["verdict"]["kind"].as_str().expect("there is a verdict");
     assert!(["trusted", "inconclusive", "contradicted"].contains(&verdict), "{}", study["verdict"]);
     let offset = number(&study["clocks"]["offset"]);
     assert!((offset - 1.0).abs() < 1e-3, "the cloud is 1 s ahead, not {offset} s");
 
-    let folder = plant.site.folder().join("results");
+    let folder = hosts.deployment.folder().join("results");
     assert!(FILES.iter().all(|name| folder.join(name).is_file()), "{folder:?}");
     for name in ["latency.png", "throughput.png"] {
         let picture = image::open(folder.join(name)).expect("a picture");
@@ -142,15 +143,15 @@ fn a_link_is_calibrated_whatever_the_clocks_show() {
     }
     let samples = std::fs::read_to_string(folder.join("samples.csv")).expect("it was written");
     assert_eq!(samples.lines().count(), 311);
-    every_delay_lies_within_its_bounds(&samples);
+    assert_delays_within_bounds(&samples);
 
-    let again = plant.calibrate(&sweep);
+    let again = hosts.calibrate(&sweep);
     assert_eq!(again.code(), 64, "{}", again.log);
     assert!(again.log.contains("--overwrite"), "{}", again.log);
 }
 
-/// Of every iteration that was answered, warm-up included: raw less the rehearsed second is the truth.
-fn every_delay_lies_within_its_bounds(samples: &str) {
+/// Checks every answered iteration, warm-up included: the raw delay without the injected second is the truth.
+fn assert_delays_within_bounds(samples: &str) {
     let mut rows = samples.lines().map(|line| line.split(',').collect::<Vec<_>>());
     let header = rows.next().expect("there is a header");
     let outcome = header.iter().position(|column| *column == "outcome").expect("the column is there");
@@ -162,7 +163,8 @@ fn every_delay_lies_within_its_bounds(samples: &str) {
         for (stage, ahead) in [("upload", 1.0), ("download", -1.0)] {
             let [raw, lo, hi] = ["raw", "lo", "hi"].map(|column| cell(format!("{stage}-{column}")));
             let truth = raw - ahead;
-            // The interval is of the free-running clocks, the raw difference of the wall clocks, which are read up to 3 µs later.
+            // The interval is for the free-running clocks, the raw difference for the wall clocks, which are read up
+            // to 3 µs later.
             const APART: f64 = 3e-6;
             assert!(
                 (lo - APART..=hi + APART).contains(&truth),
@@ -173,53 +175,53 @@ fn every_delay_lies_within_its_bounds(samples: &str) {
 }
 
 #[test]
-fn what_was_measured_until_ctrl_c_is_written() {
-    let plant = Plant::new();
-    let _cloud = plant.start("cloud.toml", CLOUD);
+fn ctrl_c_writes_partial_calibration() {
+    let hosts = CalibratedHosts::new();
+    let _cloud = hosts.start("cloud.toml", CLOUD);
     let arguments =
-        ["calibrate", &plant.peer, "--result-loc", "results", "--repeats", "1000000", "--seconds", "600"];
-    let running = plant.peernet(&arguments);
+        ["calibrate", &hosts.peer, "--result-loc", "results", "--repeats", "1000000", "--seconds", "600"];
+    let running = hosts.peernet(&arguments);
     running.wait_for("s left");
     running.signal(Signal::INT);
     let ended = running.ended();
     assert_eq!(ended.code(), 130, "{}", ended.log);
-    let study = plant.results();
+    let study = hosts.results();
     assert_eq!(study["setting"]["interrupted"], true);
     assert!(number(&study["counts"]["measured"]) > 0.0, "{}", study["counts"]);
-    assert!(FILES.iter().all(|name| plant.site.folder().join("results").join(name).is_file()));
+    assert!(FILES.iter().all(|name| hosts.deployment.folder().join("results").join(name).is_file()));
 }
 
 #[test]
-fn who_cannot_be_calibrated_is_told_why() {
-    let plant = Plant::new();
-    let nobody = plant.calibrate(&[]);
+fn unsuitable_peer_is_refused_with_reason() {
+    let hosts = CalibratedHosts::new();
+    let nobody = hosts.calibrate(&[]);
     assert_eq!(nobody.code(), 69, "{}", nobody.log);
-    assert!(nobody.log.contains(&plant.peer), "{}", nobody.log);
-    let few = plant.calibrate(&["--sizes", "100,1kB"]);
+    assert!(nobody.log.contains(&hosts.peer), "{}", nobody.log);
+    let few = hosts.calibrate(&["--sizes", "100,1kB"]);
     assert_eq!(few.code(), 64, "{}", few.log);
-    let none = plant.calibrate(&["--repeats", "0"]);
+    let none = hosts.calibrate(&["--repeats", "0"]);
     assert_eq!(none.code(), 64, "{}", none.log);
     assert!(none.log.contains("at least 1"), "{}", none.log);
 
     let closed = CLOUD.replace("[serve]", "[serve]\ncalibration = false");
-    let _cloud = plant.start("closed.toml", &closed);
-    let refused = plant.calibrate(&[]);
+    let _cloud = hosts.start("closed.toml", &closed);
+    let refused = hosts.calibrate(&[]);
     assert_eq!(refused.code(), 69, "{}", refused.log);
     assert!(refused.log.contains("[serve] calibration = true"), "{}", refused.log);
-    assert!(!plant.site.folder().join("results").exists(), "there is nothing to keep");
+    assert!(!hosts.deployment.folder().join("results").exists(), "there is nothing to keep");
 
-    let wrong = plant.site.write("wrong.toml", "[agent]\n[clock]\nmax_drift = 3\n");
-    let wrong = plant.calibrate(&["--config", &wrong.display().to_string()]);
+    let wrong = hosts.deployment.write("wrong.toml", "[agent]\n[clock]\nmax_drift = 3\n");
+    let wrong = hosts.calibrate(&["--config", &wrong.display().to_string()]);
     assert_eq!(wrong.code(), 78, "{}", wrong.log);
     assert!(wrong.log.contains("max_drift"), "{}", wrong.log);
 }
 
 #[test]
-fn the_port_of_something_else_is_told_from_a_slow_peer() {
-    let plant = Plant::new();
-    let (_aggregator, _) = plant.site.aggregator();
-    let peer = format!("tcp://127.0.0.1:{}", plant.site.events);
-    let slip = plant.peernet(&["calibrate", &peer, "--result-loc", "results"]).ended();
+fn foreign_port_is_distinguished_from_slow_peer() {
+    let hosts = CalibratedHosts::new();
+    let (_aggregator, _) = hosts.deployment.aggregator();
+    let peer = format!("tcp://127.0.0.1:{}", hosts.deployment.events);
+    let slip = hosts.peernet(&["calibrate", &peer, "--result-loc", "results"]).ended();
     assert_eq!(slip.code(), 69, "{}", slip.log);
     let told = format!("something listens at {peer} but does not answer like an agent's [serve]");
     assert!(slip.log.contains(&told) && slip.log.contains("port of an aggregator"), "{}", slip.log);
@@ -227,43 +229,43 @@ fn the_port_of_something_else_is_told_from_a_slow_peer() {
 }
 
 #[test]
-fn a_size_beyond_the_peers_limit_is_refused_at_the_start() {
-    let plant = Plant::new();
-    let _cloud = plant.start("cloud.toml", CLOUD);
-    let large = plant.calibrate(&["--sizes", "1,2kB,100MB"]);
+fn calibration_size_beyond_peer_limit_is_refused() {
+    let hosts = CalibratedHosts::new();
+    let _cloud = hosts.start("cloud.toml", CLOUD);
+    let large = hosts.calibrate(&["--sizes", "1,2kB,100MB"]);
     assert_eq!(large.code(), 69, "{}", large.log);
     for part in ["payloads of 100 MB", "max_message_bytes", "67108864", "--sizes"] {
         assert!(large.log.contains(part), "{part} is missing in\n{}", large.log);
     }
-    assert!(!plant.site.folder().join("results").exists(), "there is nothing to keep");
+    assert!(!hosts.deployment.folder().join("results").exists(), "there is nothing to keep");
 }
 
 #[test]
 fn on_one_clock_bounds_are_exact() {
-    let plant = Plant::new();
-    let _cloud = plant.start("cloud.toml", &CLOUD.replace("[rehearsal]\noffset_ms = 1000\n", ""));
-    let done = plant.calibrate(&["--sizes", "100,1kB,10kB", "--repeats", "20"]);
+    let hosts = CalibratedHosts::new();
+    let _cloud = hosts.start("cloud.toml", &CLOUD.replace("[rehearsal]\noffset_ms = 1000\n", ""));
+    let done = hosts.calibrate(&["--sizes", "100,1kB,10kB", "--repeats", "20"]);
     assert_eq!(done.code(), 0, "{}", done.log);
-    assert_eq!(plant.results()["verdict"]["kind"], "exact");
+    assert_eq!(hosts.results()["verdict"]["kind"], "exact");
     let exact = done.log.lines().filter(|line| line.contains(" exact")).count();
-    // Three sizes, what the clock bounds allow either way, and the verdict.
+    // Three sizes, the clock bounds in both directions, and the verdict.
     assert_eq!(exact, 6, "{}", done.log);
 }
 
 #[test]
-fn a_peer_that_comes_back_with_another_clock_ends_the_study() {
-    let plant = Plant::new();
-    let cloud = plant.start("cloud.toml", CLOUD);
-    let running = plant.endless();
+fn peer_with_new_clock_ends_the_calibration() {
+    let hosts = CalibratedHosts::new();
+    let cloud = hosts.start("cloud.toml", CLOUD);
+    let running = hosts.endless();
     cloud.kill();
     running.wait_for("cloud is away");
-    let _other = plant.start("other.toml", &CLOUD.replace("offset_ms = 1000", "offset_ms = 300"));
+    let _other = hosts.start("other.toml", &CLOUD.replace("offset_ms = 1000", "offset_ms = 300"));
     let ended = running.ended();
     assert_eq!(ended.code(), 69, "{}", ended.log);
     for part in ["came back with another clock", "made wrong on purpose (offset +300 ms)"] {
         assert!(ended.log.contains(part), "{part} is missing in\n{}", ended.log);
     }
-    let study = plant.results();
+    let study = hosts.results();
     assert_eq!(
         (&study["setting"]["interrupted"], &study["setting"]["rehearsed"]),
         (&true.into(), &true.into())
@@ -271,34 +273,35 @@ fn a_peer_that_comes_back_with_another_clock_ends_the_study() {
     let why = study["setting"]["ended"].as_str().expect("it says why");
     assert!(why.contains("another clock"), "{why}");
     assert_eq!(study["clocks"]["steps"], 0);
-    // Nothing of the second clock is in it.
+    // The study contains no data of the second clock.
     let offset = number(&study["clocks"]["offset"]);
     assert!((offset - 1.0).abs() < 1e-3, "the clock of the study is 1 s ahead, not {offset} s");
-    let samples = std::fs::read_to_string(plant.site.folder().join("results/samples.csv")).expect("written");
-    every_delay_lies_within_its_bounds(&samples);
+    let samples =
+        std::fs::read_to_string(hosts.deployment.folder().join("results/samples.csv")).expect("written");
+    assert_delays_within_bounds(&samples);
 }
 
 #[test]
-fn a_peer_that_was_away_and_comes_back_is_told() {
-    let plant = Plant::new();
-    // Another name for the system's clock: related by exchanges, and the same after a restart.
+fn calibration_reports_interruption_of_peer() {
+    let hosts = CalibratedHosts::new();
+    // Another name for the system's clock, which is related by exchanges and is the same after a restart.
     let same = CLOUD
         .replace("[rehearsal]\noffset_ms = 1000\n", "")
         .replace("[probes]", "clock_identity = \"cloud\"\n\n[probes]");
-    let cloud = plant.start("cloud.toml", &same);
-    let running = plant.endless();
-    // Stopped at first, so that a payload is lost for certain.
+    let cloud = hosts.start("cloud.toml", &same);
+    let running = hosts.endless();
+    // The cloud is stopped first, so that a payload is certainly lost.
     cloud.signal(Signal::STOP);
     running.wait_for("cloud is away");
     cloud.kill();
     let lines = running.log().matches("s left").count();
-    let _again = plant.start("cloud.toml", &same);
+    let _again = hosts.start("cloud.toml", &same);
     running.wait_for_nth("s left", lines + 1);
     running.signal(Signal::INT);
     let ended = running.ended();
     assert_eq!(ended.code(), 130, "{}", ended.log);
     assert!(ended.log.contains("the peer went away once during the study and came back"), "{}", ended.log);
-    let study = plant.results();
+    let study = hosts.results();
     assert_eq!((&study["setting"]["reconnections"], &study["clocks"]["steps"]), (&1.into(), &0.into()));
     let lost = &study["failures"][0];
     assert_eq!(lost["outcome"], "lost", "{study:#}");
@@ -307,20 +310,20 @@ fn a_peer_that_was_away_and_comes_back_is_told() {
 }
 
 #[test]
-fn a_reader_that_has_gone_is_no_reason_to_panic() {
-    let site = Site::new();
+fn closed_output_causes_no_panic() {
+    let deployment = LoopbackDeployment::new();
     let start = |name: &str, arguments: &[&str]| {
         let mut program = Command::new(program(name));
-        let program = program.args(arguments).current_dir(site.folder());
+        let program = program.args(arguments).current_dir(deployment.folder());
         program.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().expect("it starts")
     };
-    site.write("aggregator.toml", AGGREGATOR);
+    deployment.write("aggregator.toml", AGGREGATOR);
     let mut daemon = start("peernetd", &["run", "aggregator.toml"]);
     drop((daemon.stdout.take(), daemon.stderr.take()));
-    let api = Api::at(site.http);
+    let api = Api::at(deployment.http);
     until("the dashboard", || api.get("/healthz").filter(|(status, _)| *status == 200));
 
-    let url = format!("http://127.0.0.1:{}", site.http);
+    let url = format!("http://127.0.0.1:{}", deployment.http);
     let mut asked = start("peernet", &["status", "--url", &url]);
     drop(asked.stdout.take());
     let asked = asked.wait_with_output().expect("it ends");
@@ -333,30 +336,30 @@ fn a_reader_that_has_gone_is_no_reason_to_panic() {
 }
 
 #[test]
-fn a_stored_run_is_computed_again_and_left_as_it_was() {
-    let plant = Plant::new();
-    let (_aggregator, api) = plant.site.aggregator();
-    let _cloud = plant.start("cloud.toml", CLOUD);
-    let edge = plant.site.agent("edge", EDGE);
+fn recompute_leaves_stored_run_unchanged() {
+    let hosts = CalibratedHosts::new();
+    let (_aggregator, api) = hosts.deployment.aggregator();
+    let _cloud = hosts.start("cloud.toml", CLOUD);
+    let edge = hosts.deployment.agent("edge", EDGE);
     let run = api.finished_run();
-    let url = format!("http://127.0.0.1:{}", plant.site.http);
-    let status = plant.peernet(&["status", "--url", &url]).ended();
+    let url = format!("http://127.0.0.1:{}", hosts.deployment.http);
+    let status = hosts.peernet(&["status", "--url", &url]).ended();
     assert_eq!(status.code(), 0, "{}", status.log);
     for part in ["connected, rehearsed", "REHEARSAL: edge's clock", "offset -500 ms"] {
         assert!(status.log.contains(part), "{part} is missing in\n{}", status.log);
     }
-    // With all that was learnt of the clocks, also after the run.
+    // The stored relation contains what was learnt about the clocks after the run as well.
     assert_eq!(edge.stop().code(), 0);
     let before = api.json(&format!("/api/v1/runs/{run}/stages"));
 
     let number = run.to_string();
-    let shown = plant.peernet(&["recompute", &number, "--url", &url]).ended();
+    let shown = hosts.peernet(&["recompute", &number, "--url", &url]).ended();
     assert_eq!(shown.code(), 0, "{}", shown.log);
     let rehearsal = "wrong on purpose: cloud's (offset +1000 ms), the edge's (offset -500 ms)";
     for part in ["upload", "download", "before", "after", "nothing stored was changed", rehearsal] {
         assert!(shown.log.contains(part), "{part} is missing in\n{}", shown.log);
     }
-    let json = plant.peernet(&["recompute", &number, "--url", &url, "--json"]).ended();
+    let json = hosts.peernet(&["recompute", &number, "--url", &url, "--json"]).ended();
     let json: Value = serde_json::from_str(&json.log).unwrap_or_else(|error| panic!("{error}: {}", json.log));
     for stage in json["stages"].as_array().expect("a list") {
         let after = &stage["after"];
@@ -369,7 +372,7 @@ fn a_stored_run_is_computed_again_and_left_as_it_was() {
     }
     assert_eq!(before, api.json(&format!("/api/v1/runs/{run}/stages")));
 
-    let unknown = plant.peernet(&["recompute", "4711", "--url", &url]).ended();
+    let unknown = hosts.peernet(&["recompute", "4711", "--url", &url]).ended();
     assert_eq!(unknown.code(), 69, "{}", unknown.log);
     assert!(unknown.log.contains("4711"), "{}", unknown.log);
 }

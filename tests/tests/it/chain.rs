@@ -1,6 +1,7 @@
-//! From the sensor to the store and the page, over three processes, with a real model on real pictures.
+//! Tests of the whole chain from the sensor to the store and the page, over three processes, with a real model on
+//! real pictures.
 
-use peernet_tests::{Process, Site, program, root};
+use peernet_tests::{LoopbackDeployment, Process, program, root};
 use serde_json::Value;
 
 const CLOUD: &str = r#"
@@ -43,19 +44,19 @@ fn number(value: &Value, key: &str) -> f64 {
 }
 
 #[test]
-fn an_offloaded_picture_is_measured_stage_by_stage_and_stored() {
-    let site = Site::new();
-    let (_aggregator, api) = site.aggregator();
-    let cloud = site.agent("cloud", CLOUD);
-    let edge = site.agent("edge", EDGE);
+fn offloaded_picture_is_stored_with_all_stages() {
+    let deployment = LoopbackDeployment::new();
+    let (_aggregator, api) = deployment.aggregator();
+    let cloud = deployment.agent("cloud", CLOUD);
+    let edge = deployment.agent("edge", EDGE);
 
-    // Live, before anything else: the page and the API show the pipeline while it runs.
+    // Page and API show the pipeline while it runs.
     api.until("/api/v1/pipelines/edge/offload", |pipeline| {
         (number(&pipeline["windows"][2]["counts"], "ok") > 0.0).then_some(())
     });
     let run = api.finished_run();
 
-    // Exactly what was asked for, warm-up kept and flagged.
+    // The run has exactly the configured iterations; warm-up is kept and flagged.
     let detail = api.json(&format!("/api/v1/runs/{run}"));
     assert_eq!(
         (detail["counts"]["ok"].as_u64(), detail["warm_up"].as_u64()),
@@ -64,15 +65,16 @@ fn an_offloaded_picture_is_measured_stage_by_stage_and_stored() {
     );
     assert_eq!(detail["placement"]["peer"], "cloud");
 
-    // One machine, one clock: every delay is exact, and stages plus the unattributed rest are the total.
+    // Both hosts share one clock, so that every delay is exact, and the stages with the unattributed time add up to
+    // the total.
     for name in STAGES {
         let stage = api.figures(run, name).unwrap_or_else(|| panic!("{name} is missing"));
         assert_eq!(stage["count"], 40, "{stage}");
         assert!(number(&stage, "min") >= 0.0, "{stage}");
     }
-    api.stages_are_the_total(run, &STAGES);
+    api.assert_stages_sum_to_total(run, &STAGES);
 
-    // One tree from two hosts.
+    // One tree contains the nodes of both hosts.
     let iteration = api.json(&format!("/api/v1/runs/{run}/iterations/10"));
     assert_eq!(iteration["tree"]["anchors"].as_array().map(Vec::len), Some(2), "{iteration}");
     let nodes = iteration["tree"]["nodes"].as_array().expect("a list");
@@ -81,7 +83,7 @@ fn an_offloaded_picture_is_measured_stage_by_stage_and_stored() {
     let inference = nodes.iter().find(|node| node["name"] == "inference").expect("an inference");
     assert_eq!(inference["host"], 1, "{inference}");
 
-    // The pages show it to a browser without script, too.
+    // The pages show the run to a browser without scripts as well.
     for page in ["/", "/runs", &format!("/runs/{run}"), &format!("/runs/{run}/iterations/10"), "/hosts"] {
         let (status, text) = api.get(page).expect("the dashboard answers");
         assert_eq!(status, 200, "{page}");
@@ -92,8 +94,8 @@ fn an_offloaded_picture_is_measured_stage_by_stage_and_stored() {
 }
 
 #[test]
-fn all_roles_in_one_process_lose_nothing_at_the_end() {
-    let site = Site::new();
+fn stop_of_combined_process_loses_nothing() {
+    let deployment = LoopbackDeployment::new();
     let all = std::fs::read_to_string(root().join("configs/all-in-one.toml"))
         .expect("the configuration is shipped");
     let all = all
@@ -101,15 +103,15 @@ fn all_roles_in_one_process_lose_nothing_at_the_end() {
         .replace("tcp://127.0.0.1:5551", "tcp://127.0.0.1:{data}")
         .replace("127.0.0.1:8040", "127.0.0.1:{http}")
         .replace("models/quality-control", "{root}/models/quality-control");
-    site.write("all.toml", &all);
-    let api = peernet_tests::Api::at(site.http);
+    deployment.write("all.toml", &all);
+    let api = peernet_tests::Api::at(deployment.http);
 
-    let first = site.start("all.toml");
+    let first = deployment.start("all.toml");
     api.until("/api/v1/runs", |runs| (number(&runs["runs"].get(1)?["counts"], "ok") > 20.0).then_some(()));
     assert_eq!(first.stop().code(), 0);
 
-    // A second start finds the runs of the first ended, with all that was measured before it stopped.
-    let second = site.start("all.toml");
+    // A second start finds the runs of the first one ended, with everything that was measured before it stopped.
+    let second = deployment.start("all.toml");
     let runs = api.until("/api/v1/runs", |runs| {
         let runs: Vec<Value> =
             runs["runs"].as_array()?.iter().filter(|run| run["reason"] == "stopped").cloned().collect();
@@ -124,7 +126,7 @@ fn all_roles_in_one_process_lose_nothing_at_the_end() {
             .map(|n| n as usize)
             .collect();
         assert_eq!(numbers, (1..=numbers.len()).collect::<Vec<_>>(), "contiguous from the first to the last");
-        // On a busy machine the one under way at the end may be given up, which is told as well.
+        // On a busy machine the last iteration may be given up, which is counted as well.
         let ended = ["ok", "failed", "lost", "timeout"].map(|outcome| number(&run["counts"], outcome));
         let told = ended.iter().sum::<f64>() + number(run, "warm_up");
         assert_eq!(told as usize, numbers.len(), "{run}");
@@ -133,19 +135,19 @@ fn all_roles_in_one_process_lose_nothing_at_the_end() {
 }
 
 #[test]
-fn the_command_line_shows_what_runs_and_says_when_nobody_answers() {
-    let site = Site::new();
-    let url = format!("http://127.0.0.1:{}", site.http);
+fn status_command_shows_runs_and_missing_aggregator() {
+    let deployment = LoopbackDeployment::new();
+    let url = format!("http://127.0.0.1:{}", deployment.http);
     let peernet = || {
         let arguments = ["status", "--url", url.as_str()];
-        Process::start(&program("peernet"), &arguments, site.folder(), &[]).ended()
+        Process::start(&program("peernet"), &arguments, deployment.folder(), &[]).ended()
     };
     let nobody = peernet();
     assert_eq!(nobody.code(), 69, "{}", nobody.log);
     assert!(nobody.log.contains("--url"), "{}", nobody.log);
 
-    let (_aggregator, api) = site.aggregator();
-    let edge = site.agent("edge", EDGE);
+    let (_aggregator, api) = deployment.aggregator();
+    let edge = deployment.agent("edge", EDGE);
     api.until("/api/v1/pipelines/edge/offload", |pipeline| (pipeline["state"] == "waiting").then_some(()));
     let status = peernet();
     assert_eq!(status.code(), 0, "{}", status.log);

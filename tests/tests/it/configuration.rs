@@ -1,22 +1,23 @@
-//! `peernetd check` and the errors of a start: what, where, and what to do; with documented exit codes.
+//! Tests of `peernetd check` and of start errors: problem, place and remedy, with documented exit codes.
 
 use std::net::TcpListener;
 
-use peernet_tests::Site;
+use peernet_tests::LoopbackDeployment;
 
 const USAGE: i32 = 64;
 const CONFIGURATION: i32 = 78;
 
-/// Checks one file and returns the exit code and what was said.
-fn check(site: &Site, text: &str) -> (i32, String) {
-    site.write("it.toml", text);
-    let ended = site.peernetd(&["check", "it.toml"]).ended();
+/// Checks a file; returns the exit code and the output.
+fn check(deployment: &LoopbackDeployment, text: &str) -> (i32, String) {
+    deployment.write("it.toml", text);
+    let ended = deployment.peernetd(&["check", "it.toml"]).ended();
     (ended.code(), ended.log)
 }
 
 #[test]
-fn an_unknown_key_is_named_with_file_line_and_what_exists() {
-    let (code, said) = check(&Site::new(), "[agent]\nname = \"edge\"\nagregator = \"tcp://127.0.0.1:1\"\n");
+fn unknown_key_error_names_line_and_known_keys() {
+    let (code, said) =
+        check(&LoopbackDeployment::new(), "[agent]\nname = \"edge\"\nagregator = \"tcp://127.0.0.1:1\"\n");
     assert_eq!(code, CONFIGURATION, "{said}");
     for part in ["it.toml:3", "agregator", "aggregator"] {
         assert!(said.contains(part), "{part} is missing in:\n{said}");
@@ -24,11 +25,11 @@ fn an_unknown_key_is_named_with_file_line_and_what_exists() {
 }
 
 #[test]
-fn every_problem_is_reported_at_once_with_its_line() {
-    let site = Site::new();
-    std::fs::create_dir(site.folder().join("empty")).expect("the temporary folder is writable");
+fn all_problems_are_reported_with_their_lines() {
+    let deployment = LoopbackDeployment::new();
+    std::fs::create_dir(deployment.folder().join("empty")).expect("the temporary folder is writable");
     let (code, said) = check(
-        &site,
+        &deployment,
         r#"
 [agent]
 name = "edge"
@@ -56,46 +57,47 @@ placement = { kind = "remote", peer = "tcp://127.0.0.1:{data}", network = "zmq-t
 }
 
 #[test]
-fn a_value_that_cannot_be_read_is_named_with_its_key() {
-    let (code, said) = check(&Site::new(), "[agent]\nname = \"edge\"\naggregator = \"somewhere\"\n");
+fn invalid_value_is_named_with_its_key() {
+    let (code, said) =
+        check(&LoopbackDeployment::new(), "[agent]\nname = \"edge\"\naggregator = \"somewhere\"\n");
     assert_eq!(code, CONFIGURATION, "{said}");
     assert!(said.contains("it.toml:3: agent.aggregator: \"somewhere\""), "{said}");
 }
 
 #[test]
-fn a_file_without_roles_or_without_existence_is_refused() {
-    let site = Site::new();
-    let (code, said) = check(&site, "[log]\nlevel = \"info\"\n");
+fn missing_or_empty_configuration_is_refused() {
+    let deployment = LoopbackDeployment::new();
+    let (code, said) = check(&deployment, "[log]\nlevel = \"info\"\n");
     assert_eq!(code, CONFIGURATION, "{said}");
     assert!(said.contains("[agent]") && said.contains("[aggregator]"), "{said}");
 
-    let ended = site.peernetd(&["check", "nowhere.toml"]).ended();
+    let ended = deployment.peernetd(&["check", "nowhere.toml"]).ended();
     assert_eq!(ended.code(), CONFIGURATION, "{}", ended.log);
     assert!(ended.log.contains("nowhere.toml"), "{}", ended.log);
 
-    assert_eq!(site.peernetd(&["dance"]).ended().code(), USAGE);
+    assert_eq!(deployment.peernetd(&["dance"]).ended().code(), USAGE);
 }
 
 #[test]
-fn a_port_in_use_is_named_at_the_start() {
-    let site = Site::new();
-    let taken = TcpListener::bind(("127.0.0.1", site.events)).expect("the port was free a moment ago");
-    site.write(
+fn used_port_is_named_at_start() {
+    let deployment = LoopbackDeployment::new();
+    let taken = TcpListener::bind(("127.0.0.1", deployment.events)).expect("the port was free a moment ago");
+    deployment.write(
         "it.toml",
         "[aggregator]\nlisten = \"tcp://127.0.0.1:{events}\"\ndatabase = \"{folder}/a.sqlite\"\n",
     );
-    let ended = site.start("it.toml").ended();
+    let ended = deployment.start("it.toml").ended();
     assert_ne!(ended.code(), 0);
-    assert!(ended.log.contains(&format!("127.0.0.1:{}", site.events)), "{}", ended.log);
+    assert!(ended.log.contains(&format!("127.0.0.1:{}", deployment.events)), "{}", ended.log);
     drop(taken);
 }
 
 #[test]
 fn a_database_that_cannot_be_written_is_named() {
-    let site = Site::new();
-    std::fs::write(site.folder().join("file"), "in the way").expect("the temporary folder is writable");
+    let deployment = LoopbackDeployment::new();
+    std::fs::write(deployment.folder().join("file"), "in the way").expect("the temporary folder is writable");
     let (code, said) = check(
-        &site,
+        &deployment,
         "[aggregator]\nlisten = \"tcp://127.0.0.1:{events}\"\ndatabase = \"{folder}/file/a.sqlite\"\n",
     );
     assert_eq!(code, CONFIGURATION, "{said}");
@@ -104,9 +106,9 @@ fn a_database_that_cannot_be_written_is_named() {
 
 #[test]
 fn listening_beyond_loopback_must_be_asked_for() {
-    let site = Site::new();
+    let deployment = LoopbackDeployment::new();
     let (code, said) = check(
-        &site,
+        &deployment,
         "[aggregator]\nlisten = \"tcp://127.0.0.1:{events}\"\ndatabase = \"{folder}/a.sqlite\"\n\n[web]\nlisten = \"0.0.0.0:{http}\"\n",
     );
     assert_eq!(code, CONFIGURATION, "{said}");
@@ -114,9 +116,9 @@ fn listening_beyond_loopback_must_be_asked_for() {
 }
 
 #[test]
-fn a_key_of_the_second_table_is_not_laid_at_the_first() {
+fn error_names_the_second_table_of_an_array() {
     let (code, said) = check(
-        &Site::new(),
+        &LoopbackDeployment::new(),
         "[agent]\nname = \"edge\"\nstate_dir = \"{folder}/edge\"\n\n[[model]]\nname = \"a\"\nkind = \"echo\"\n\n[[model]]\nname = \"b\"\nkind = \"echo\"\nworkres = 2\n",
     );
     assert_eq!(code, CONFIGURATION, "{said}");
@@ -124,9 +126,9 @@ fn a_key_of_the_second_table_is_not_laid_at_the_first() {
 }
 
 #[test]
-fn an_agent_may_not_take_longer_to_stop_than_the_process() {
+fn agent_stop_timeout_must_fit_process_timeout() {
     let (code, said) = check(
-        &Site::new(),
+        &LoopbackDeployment::new(),
         "[lifecycle]\nshutdown_deadline_s = 3\n\n[agent]\nname = \"edge\"\nstate_dir = \"{folder}/edge\"\nstop_timeout_ms = 4000\n",
     );
     assert_eq!(code, CONFIGURATION, "{said}");
@@ -137,9 +139,9 @@ fn an_agent_may_not_take_longer_to_stop_than_the_process() {
 }
 
 #[test]
-fn what_is_wrong_with_clocks_and_probes_is_named_with_its_line() {
+fn clock_and_probe_errors_name_their_line() {
     let (code, said) = check(
-        &Site::new(),
+        &LoopbackDeployment::new(),
         r#"
 [agent]
 name = "edge"
@@ -168,22 +170,22 @@ steps = [{ at_s = 20, by_ms = 3000 },
         assert!(said.contains(part), "{part} is missing in:\n{said}");
     }
 
-    let (code, said) = check(&Site::new(), "[aggregator]\n[rehearsal]\noffset_ms = 1000\n");
+    let (code, said) = check(&LoopbackDeployment::new(), "[aggregator]\n[rehearsal]\noffset_ms = 1000\n");
     assert_eq!(code, CONFIGURATION, "{said}");
     assert!(said.contains("[rehearsal]") && said.contains("[agent]"), "{said}");
 }
 
 #[test]
-fn a_log_level_that_is_none_and_an_endless_file_are_refused() {
-    let site = Site::new();
+fn invalid_log_level_and_endless_file_are_refused() {
+    let deployment = LoopbackDeployment::new();
     let (code, said) = check(
-        &site,
+        &deployment,
         "[log]\nlevel = \"loud=very\"\n[agent]\nname = \"edge\"\nstate_dir = \"{folder}/edge\"\n",
     );
     assert_eq!(code, CONFIGURATION, "{said}");
     assert!(said.contains("it.toml:2: log.level"), "{said}");
 
-    let ended = site.peernetd(&["check", "/dev/zero"]).ended();
+    let ended = deployment.peernetd(&["check", "/dev/zero"]).ended();
     assert_eq!(ended.code(), CONFIGURATION, "{}", ended.log);
     assert!(ended.log.contains("right file"), "{}", ended.log);
 }

@@ -1,8 +1,8 @@
-//! What is sent and received on the connections of a link, from the kernel to the page.
+//! Tests of the statistics of connections, from the kernel to the page.
 
-use peernet_tests::network::Way;
+use peernet_tests::network::WireProperties;
 use peernet_tests::truth::ask;
-use peernet_tests::{Network, Plant, Site, until};
+use peernet_tests::{LoopbackDeployment, Network, TwoHostTestbed, until};
 
 const CLOUD: &str = r#"
 [serve]
@@ -22,11 +22,11 @@ load = { mode = "rate", hz = 50.0 }
 "#;
 
 #[test]
-fn connection_is_on_page_and_in_api_and_metrics() {
-    let site = Site::new();
-    let (aggregator, api) = site.aggregator();
-    let cloud = site.agent("cloud", CLOUD);
-    let edge = site.agent("edge", EDGE);
+fn page_api_and_metrics_show_connection() {
+    let deployment = LoopbackDeployment::new();
+    let (aggregator, api) = deployment.aggregator();
+    let cloud = deployment.agent("cloud", CLOUD);
+    let edge = deployment.agent("edge", EDGE);
     let connection = api.until("/api/v1/links/edge~cloud", |link| {
         let connection = link["now"]["connections"].get(0)?;
         let at_cloud = connection["cloud"]["up"]["messages"].as_u64()?;
@@ -34,13 +34,13 @@ fn connection_is_on_page_and_in_api_and_metrics() {
     });
     let (up, down) = (&connection["up"], &connection["down"]);
     assert_eq!((&connection["pipeline"], &connection["network"]), (&"offload".into(), &"zmq-tcp".into()));
-    // An echo sends back what it got, and each direction has a message for opening the session.
+    // An echo sends back what it received, and each direction has a message that opens the session.
     assert!(up["bytes"].as_u64() >= Some(500_000) && down["bytes"].as_u64() >= Some(500_000), "{connection}");
     assert!(up["datagrams"].as_u64() >= Some(50) && up["retransmitted_datagrams"].is_u64(), "{connection}");
     assert!(up["lost_datagrams"].is_null() && down["retransmitted_datagrams"].is_null(), "{connection}");
     let trip = &connection["transport_round_trip"];
     assert!(trip["smoothed_s"].as_f64().is_some_and(|trip| trip > 0.0 && trip < 1.0), "{connection}");
-    // What the cloud tells is older than what the edge counts at the moment.
+    // The cloud's counts are older than those of the edge.
     let at_cloud = &connection["cloud"];
     for (direction, counted) in [("up", up), ("down", down)] {
         let told = at_cloud[direction]["bytes"].as_u64();
@@ -50,7 +50,7 @@ fn connection_is_on_page_and_in_api_and_metrics() {
     assert!(at_cloud["transport_round_trip"]["smoothed_s"].is_f64(), "{connection}");
     let interface = &connection["interface"];
     assert_eq!((&interface["name"], &interface["type"]), (&"lo".into(), &"loopback".into()));
-    let remote = format!("127.0.0.1:{}", site.data);
+    let remote = format!("127.0.0.1:{}", deployment.data);
     assert_eq!(connection["remote_address"], remote.as_str());
 
     let (status, page) = api.get("/links/edge~cloud").expect("the aggregator answers");
@@ -70,7 +70,7 @@ fn connection_is_on_page_and_in_api_and_metrics() {
         assert_eq!(ended.code(), 0, "{}", ended.log);
     }
     // The totals of a connection are stored when it has ended.
-    let database = site.folder().join("aggregator.sqlite");
+    let database = deployment.folder().join("aggregator.sqlite");
     let stored = until("the account of the cloud in the database", || {
         let sql = "SELECT sent_bytes, cloud_received_bytes, received_bytes, cloud_sent_bytes FROM connection_total \
                    WHERE edge = 'edge' AND cloud = 'cloud' AND pipeline = 'offload'";
@@ -90,12 +90,12 @@ fn connection_is_on_page_and_in_api_and_metrics() {
 
 #[test]
 fn lossy_link_shows_retransmissions() {
-    let plant = Plant::new(|_| Network::direct());
-    plant.network.cloud().lose(10);
-    let _cloud = plant.cloud("");
+    let testbed = TwoHostTestbed::new(|_| Network::direct());
+    testbed.network.cloud().drop_percent(10);
+    let _cloud = testbed.cloud("");
     let load = "load = { mode = \"rate\", hz = 20.0 }";
-    let _edge = plant.edge(&plant.pipeline("offload", 100_000, load), &[]);
-    let connection = plant.api.until("/api/v1/links/edge~cloud", |link| {
+    let _edge = testbed.edge(&testbed.pipeline("offload", 100_000, load), &[]);
+    let connection = testbed.api.until("/api/v1/links/edge~cloud", |link| {
         let connection = link["now"]["connections"].get(0)?;
         (connection["up"]["retransmitted_datagrams"].as_u64()? > 5).then(|| connection.clone())
     });
@@ -103,21 +103,21 @@ fn lossy_link_shows_retransmissions() {
         connection["interface"],
         serde_json::json!({ "name": "data", "type": "ethernet", "mtu_bytes": 1500 })
     );
-    // Those that were sent again count as datagrams, too.
+    // Retransmitted datagrams are counted as datagrams as well.
     let segments = connection["up"]["datagrams"].as_u64();
     assert!(segments > connection["up"]["retransmitted_datagrams"].as_u64(), "{connection}");
-    let address = plant.network.cloud().address;
+    let address = testbed.network.cloud().address;
     assert_eq!(connection["remote_address"], format!("{address}:5551").as_str());
 }
 
 #[test]
-fn lost_and_reordered_datagrams_are_on_page_and_in_api_and_metrics() {
-    let way = |delay_ms| Way { delay_ms, jitter_ms: 3, loss_percent: 2 };
-    let plant = Plant::over("udp", |folder| Network::reordering_wire(folder, way(30), way(5)));
-    let _cloud = plant.cloud("");
+fn page_api_metrics_show_lost_and_reordered_datagrams() {
+    let way = |delay_ms| WireProperties { delay_ms, jitter_ms: 3, loss_percent: 2 };
+    let testbed = TwoHostTestbed::over("udp", |folder| Network::reordering_wire(folder, way(30), way(5)));
+    let _cloud = testbed.cloud("");
     let load = "load = { mode = \"rate\", hz = 20.0 }";
-    let _edge = plant.edge(&plant.pipeline("offload", 20_000, load), &[]);
-    let connection = plant.api.until("/api/v1/links/edge~cloud~zmq-udp", |link| {
+    let _edge = testbed.edge(&testbed.pipeline("offload", 20_000, load), &[]);
+    let connection = testbed.api.until("/api/v1/links/edge~cloud~zmq-udp", |link| {
         let connection = link["now"]["connections"].get(0)?;
         let is_counted = ["up", "down"].iter().all(|direction| {
             let counts =
@@ -134,10 +134,10 @@ fn lost_and_reordered_datagrams_are_on_page_and_in_api_and_metrics() {
     let trip = connection["transport_round_trip"]["smoothed_s"].as_f64();
     assert!(trip.is_some_and(|trip| (0.03..1.0).contains(&trip)), "{connection}");
     assert_eq!(connection["interface"]["name"], "data");
-    let remote = format!("{}:5551", plant.network.cloud().address);
+    let remote = format!("{}:5551", testbed.network.cloud().address);
     assert_eq!(connection["remote_address"], remote.as_str());
 
-    let (_, page) = plant.api.get("/links/edge~cloud~zmq-udp").expect("the aggregator answers");
+    let (_, page) = testbed.api.get("/links/edge~cloud~zmq-udp").expect("the aggregator answers");
     for text in [
         "zmq-udp",
         "by data, ",
@@ -147,7 +147,7 @@ fn lost_and_reordered_datagrams_are_on_page_and_in_api_and_metrics() {
     ] {
         assert!(page.contains(text), "the page lacks {text:?}: {page}");
     }
-    let (_, metrics) = plant.api.get("/metrics").expect("the aggregator answers");
+    let (_, metrics) = testbed.api.get("/metrics").expect("the aggregator answers");
     let series = "peernet_link_lost_datagrams_total{edge=\"edge\",cloud=\"cloud\",network=\"zmq-udp\",pipeline=\"offload\",\
                   direction=\"download\"} ";
     assert!(metrics.contains(series), "{metrics}");

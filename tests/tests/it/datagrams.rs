@@ -1,119 +1,119 @@
-//! A pipeline over `zmq-udp` whose path, cloud or port fails.
+//! Tests of a pipeline over `zmq-udp` whose path, cloud or port fails.
 
 use std::net::Ipv4Addr;
 use std::time::Duration;
 
-use peernet_tests::network::{DATA, Network, Way};
-use peernet_tests::{Plant, Since, until};
+use peernet_tests::network::{DATA, Network, WireProperties};
+use peernet_tests::{Stopwatch, TwoHostTestbed, until};
 
 const LINK: &str = "/api/v1/links/edge~cloud~zmq-udp";
 
 const LOAD: &str = "load = { mode = \"rate\", hz = 20.0 }";
 
-/// Iterations of the only run that were answered.
-fn answered(plant: &Plant) -> u64 {
-    let runs = plant.api.json("/api/v1/runs");
+/// Returns the number of answered iterations of the only run.
+fn answered(testbed: &TwoHostTestbed) -> u64 {
+    let runs = testbed.api.json("/api/v1/runs");
     let ok = runs["runs"].get(0).and_then(|run| run["counts"]["ok"].as_u64());
     ok.unwrap_or_default()
 }
 
-/// Waits until so many more are answered.
-fn until_answered(plant: &Plant, more: u64) {
-    let enough = answered(plant) + more;
-    until("answers", || (answered(plant) >= enough).then_some(()));
+/// Waits until this many more iterations are answered.
+fn until_answered(testbed: &TwoHostTestbed, more: u64) {
+    let enough = answered(testbed) + more;
+    until("answers", || (answered(testbed) >= enough).then_some(()));
 }
 
-/// Waits until an end of the only connection is at an address.
-fn until_at(plant: &Plant, end: &str, address: Ipv4Addr) {
-    plant.api.until(LINK, |link| {
+/// Waits until one end of the only connection is at an address.
+fn until_at(testbed: &TwoHostTestbed, end: &str, address: Ipv4Addr) {
+    testbed.api.until(LINK, |link| {
         let shown = link["now"]["connections"].get(0)?[end].as_str()?;
         shown.starts_with(&format!("{address}:")).then_some(())
     });
 }
 
-/// Waits until the page of the link shows a text.
-fn shows(plant: &Plant, text: &str) {
+/// Waits until the page of the link contains a text.
+fn shows(testbed: &TwoHostTestbed, text: &str) {
     until(text, || {
-        let (_, page) = plant.api.get("/links/edge~cloud~zmq-udp")?;
+        let (_, page) = testbed.api.get("/links/edge~cloud~zmq-udp")?;
         page.contains(text).then_some(())
     });
 }
 
 #[test]
 fn session_survives_small_mtu_and_moved_hosts() {
-    let plant = Plant::over("udp", |_| Network::direct());
-    let cloud = plant.cloud("");
-    // More than any system allows without being told to.
-    let pipeline = plant.pipeline("line", 20_000, LOAD);
+    let testbed = TwoHostTestbed::over("udp", |_| Network::direct());
+    let cloud = testbed.cloud("");
+    // More than any system permits by default.
+    let pipeline = testbed.pipeline("line", 20_000, LOAD);
     let large = "session = { socket_buffer_bytes = 1073741824 }, model =";
-    let edge = plant.edge(&pipeline.replace("model =", large), &[]);
-    until_answered(&plant, 20);
+    let edge = testbed.edge(&pipeline.replace("model =", large), &[]);
+    until_answered(&testbed, 20);
     let capped = "the system caps the buffers of UDP sockets at ";
     let said = edge.wait_for(capped);
     assert!(said.contains("sysctl -w net.core.rmem_max=1073741824"), "{said}");
-    shows(&plant, capped);
-    let (here, there) = (plant.network.edge(), plant.network.cloud());
+    shows(&testbed, capped);
+    let (here, there) = (testbed.network.edge(), testbed.network.cloud());
     for host in [here, there] {
         host.set_mtu(DATA, 1_280);
     }
-    until_answered(&plant, 20);
+    until_answered(&testbed, 20);
 
     let elsewhere = Ipv4Addr::from_bits(here.address.to_bits() + 8);
     here.move_to(elsewhere);
-    until_at(&plant, "local_address", elsewhere);
-    until_answered(&plant, 20);
+    until_at(&testbed, "local_address", elsewhere);
+    until_answered(&testbed, 20);
     let elsewhere = Ipv4Addr::from_bits(there.address.to_bits() + 8);
     there.move_to(elsewhere);
-    until_at(&plant, "remote_address", elsewhere);
-    until_answered(&plant, 20);
+    until_at(&testbed, "remote_address", elsewhere);
+    until_answered(&testbed, 20);
     let (edge, cloud) = (edge.stop(), cloud.stop());
     assert_eq!((edge.code(), cloud.code()), (0, 0), "{}\n{}", edge.log, cloud.log);
     assert!(!edge.log.contains("lost cloud"), "{}", edge.log);
 }
 
 #[test]
-fn pipeline_recovers_from_cut_link_restart_and_blocked_port() {
-    let plant = Plant::over("udp", |_| Network::direct());
-    let cloud = plant.cloud("");
-    let edge = plant.edge(&plant.pipeline("line", 20_000, LOAD), &[]);
-    until_answered(&plant, 20);
+fn pipeline_recovers_from_link_and_restart_faults() {
+    let testbed = TwoHostTestbed::over("udp", |_| Network::direct());
+    let cloud = testbed.cloud("");
+    let edge = testbed.edge(&testbed.pipeline("line", 20_000, LOAD), &[]);
+    until_answered(&testbed, 20);
 
-    let (path, cut) = (plant.network.cloud(), Since::now());
+    let (path, cut) = (testbed.network.cloud(), Stopwatch::now());
     path.cut();
     let said = edge.wait_for("lost cloud");
     assert!(said.contains("udp://") && said.contains("nothing was heard of the peer for 5 s"), "{said}");
-    // A cut of ten seconds is what is to be survived.
+    // The session must survive a cut of ten seconds.
     std::thread::sleep(Duration::from_secs(10).saturating_sub(cut.elapsed()));
-    path.let_in();
+    path.clear_rules();
     edge.wait_for_nth("connected to cloud", 2);
-    until_answered(&plant, 20);
+    until_answered(&testbed, 20);
 
     cloud.kill();
     edge.wait_for_nth("lost cloud", 2);
-    let _cloud = plant.cloud("");
+    let _cloud = testbed.cloud("");
     edge.wait_for_nth("connected to cloud", 3);
-    until_answered(&plant, 20);
+    until_answered(&testbed, 20);
 
     path.block_udp(5551);
     edge.wait_for_nth("lost cloud", 3);
-    path.let_in();
+    path.clear_rules();
     edge.wait_for_nth("connected to cloud", 4);
-    until_answered(&plant, 20);
-    let runs = plant.api.json("/api/v1/runs");
+    until_answered(&testbed, 20);
+    let runs = testbed.api.json("/api/v1/runs");
     assert_eq!(runs["runs"].as_array().map(Vec::len), Some(1), "the run goes on: {runs}");
 }
 
 #[test]
-fn shrunken_path_is_named_and_session_goes_on_with_short_datagrams() {
-    let way = Way { delay_ms: 0, jitter_ms: 0, loss_percent: 0 };
-    let plant = Plant::over("udp", |folder| Network::wire(folder, way, way));
-    let _cloud = plant.cloud("[serve.session]\ndatagram_bytes = 1400\n");
-    let pipeline = plant.pipeline("line", 20_000, LOAD);
+fn reduced_path_mtu_is_reported_and_session_continues() {
+    let way = WireProperties { delay_ms: 0, jitter_ms: 0, loss_percent: 0 };
+    let testbed = TwoHostTestbed::over("udp", |folder| Network::wire(folder, way, way));
+    let _cloud = testbed.cloud("[serve.session]\ndatagram_bytes = 1400\n");
+    let pipeline = testbed.pipeline("line", 20_000, LOAD);
     let pipeline = pipeline.replace("model =", "session = { datagram_bytes = 1400 }, model =");
-    let edge = plant.edge(&pipeline, &[]);
-    until_answered(&plant, 20);
+    let edge = testbed.edge(&pipeline, &[]);
+    until_answered(&testbed, 20);
 
-    plant.network.cloud().drop_longer(1_300);
+    testbed.network.cloud().drop_longer(1_300);
     let said = edge.wait_for("lost cloud");
     assert!(
         said.contains("long datagrams do not arrive any more") && said.contains("datagram_bytes"),
@@ -121,6 +121,6 @@ fn shrunken_path_is_named_and_session_goes_on_with_short_datagrams() {
     );
     edge.wait_for("going on with 1200 bytes");
     edge.wait_for_nth("connected to cloud", 2);
-    until_answered(&plant, 20);
-    shows(&plant, "long datagrams do not arrive any more");
+    until_answered(&testbed, 20);
+    shows(&testbed, "long datagrams do not arrive any more");
 }

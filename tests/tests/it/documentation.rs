@@ -1,26 +1,26 @@
-//! The documents keep their word: examples pass the check, every key is described, links lead somewhere.
+//! Tests of the documents: examples pass the check, every key is described, and links lead to existing targets.
 //!
-//! A block of TOML whose first line is a comment with a bare file name, `# edge.toml`, is a complete file that passes
-//! `peernetd check` in the root of the checkout, where the documents have built their example in C. A block with the tables
-//! `[experiment]` and `[pipeline]` is an experiment, which passes `peernet run --check` there. Any other block of TOML is an
-//! excerpt.
+//! A TOML block whose first line is a comment with a bare file name, `# edge.toml`, is a complete file, which must
+//! pass `peernetd check` in the root of the checkout, where the example in C has been built. A block with the tables
+//! `[experiment]` and `[pipeline]` is an experiment, which must pass `peernet run --check` there. Any other TOML
+//! block is an excerpt.
 
 use std::os::unix::fs::symlink;
 use std::path::{Path, PathBuf};
 
-use peernet_tests::{Document, Process, Site, onnxruntime, program, root};
+use peernet_tests::{Document, LoopbackDeployment, Process, onnxruntime, program, root};
 
 use crate::external::build;
 
 const REFERENCE: &str = "docs/configuration.md";
 
-/// The name of a complete file.
+/// Returns the name of a complete file.
 fn name(block: &str) -> Option<&str> {
     let name = block.lines().next()?.strip_prefix("# ")?;
     (name.ends_with(".toml") && !name.contains([' ', '/'])).then_some(name)
 }
 
-/// Whether a block is the whole file of an experiment.
+/// Returns whether a block is the complete file of an experiment.
 fn is_experiment(block: &str) -> bool {
     let tables: Result<toml::Table, _> = toml::from_str(block);
     tables.is_ok_and(|tables| ["experiment", "pipeline"].iter().all(|name| tables.contains_key(*name)))
@@ -28,11 +28,11 @@ fn is_experiment(block: &str) -> bool {
 
 #[test]
 fn experiments_in_the_documents_pass_the_check() {
-    let site = Site::new();
+    let deployment = LoopbackDeployment::new();
     let mut checked = Vec::new();
     for document in Document::all() {
         for (line, block) in document.fenced("toml").into_iter().filter(|(_, block)| is_experiment(block)) {
-            let file = site.write("experiment.toml", &block);
+            let file = deployment.write("experiment.toml", &block);
             let arguments = [Path::new("run"), Path::new("--check"), &file];
             let ended = Process::start(&program("peernet"), &arguments, root(), &[]).ended();
             assert_eq!(ended.code(), 0, "{}:{line}:\n{}", document.path.display(), ended.log);
@@ -46,13 +46,13 @@ fn experiments_in_the_documents_pass_the_check() {
 }
 
 #[test]
-fn examples_that_are_complete_files_pass_the_check_and_excerpts_can_be_read() {
-    let site = Site::new();
+fn complete_examples_pass_check_and_excerpts_parse() {
+    let deployment = LoopbackDeployment::new();
     let _needed = onnxruntime();
     for name in ["configs", "docs", "models", "onnxruntime"] {
-        symlink(root().join(name), site.folder().join(name)).expect("the temporary folder is writable");
+        symlink(root().join(name), deployment.folder().join(name)).expect("the temporary folder is writable");
     }
-    build(site.folder());
+    build(deployment.folder());
     let mut wrong = Vec::new();
     for document in Document::all() {
         for (line, block) in document.fenced("toml") {
@@ -63,10 +63,11 @@ fn examples_that_are_complete_files_pass_the_check_and_excerpts_can_be_read() {
                 }
                 continue;
             };
-            // The check tries this port, and a demo may be running.
+            // The check binds this port, and a demo may be running.
             let block = block.replace("tcp://127.0.0.1:5551", "tcp://127.0.0.1:{data}");
-            site.write(name, &block);
-            let ended = Process::start(&program("peernetd"), &["check", name], site.folder(), &[]).ended();
+            deployment.write(name, &block);
+            let ended =
+                Process::start(&program("peernetd"), &["check", name], deployment.folder(), &[]).ended();
             if ended.code() != 0 {
                 wrong.push(format!("{at}:\n{}", ended.log));
             }
@@ -105,7 +106,8 @@ fn links_lead_to_files_and_sections_that_exist() {
     assert!(broken.is_empty(), "links that lead nowhere:\n{}", broken.join("\n"));
 }
 
-/// A section of the reference, and a file with a key or a value `zz` in what the section describes.
+/// Sections of the reference, each with a file that has a key or value `zz` where the section describes keys or
+/// values.
 const PROBES: [(&str, &str); 31] = [
     ("configuration", "zz = 1"),
     ("log", "[log]\nzz = 1"),
@@ -143,7 +145,7 @@ const PROBES: [(&str, &str); 31] = [
     ("actuator", "[[pipeline]]\nactuator = { kind = \"zz\" }"),
 ];
 
-/// The same for experiments.
+/// The corresponding list for experiments.
 const EXPERIMENTS: [(&str, &str); 4] = [
     ("experiment", "[experiment]\nzz = 1\n[pipeline]"),
     ("pipeline-and-the-agents-tables", "[experiment]\nname = 'e'\n[pipeline]\n[network]\nzz = 1"),
@@ -151,7 +153,7 @@ const EXPERIMENTS: [(&str, &str); 4] = [
     ("axis", "[experiment]\nname = 'e'\n[pipeline]\n[[axis]]\nname = 'a'\n[[axis.value]]\nzz = 1"),
 ];
 
-/// The same for tables whose keys depend on their kind, which stands for `KIND`.
+/// The corresponding list for tables whose keys depend on their kind, which replaces `KIND`.
 const KINDS: [(&str, &str); 6] = [
     ("model", "[[model]]\nname = \"m\"\nkind = \"KIND\"\nzz = 1"),
     ("sensor", "[[pipeline]]\nsensor = { kind = \"KIND\", zz = 1 }"),
@@ -161,21 +163,21 @@ const KINDS: [(&str, &str); 6] = [
     ("load", "[[pipeline]]\nload = { mode = \"KIND\", zz = 1 }"),
 ];
 
-/// What is said of a file by the program that checks it.
-type Check = fn(&Site, &str) -> String;
+/// Runs a program's check on a file; returns the output.
+type Check = fn(&LoopbackDeployment, &str) -> String;
 
-fn configuration(site: &Site, file: &str) -> String {
-    site.write("probe.toml", file);
-    site.peernetd(&["check", "probe.toml"]).ended().log
+fn configuration(deployment: &LoopbackDeployment, file: &str) -> String {
+    deployment.write("probe.toml", file);
+    deployment.peernetd(&["check", "probe.toml"]).ended().log
 }
 
-fn experiment(site: &Site, file: &str) -> String {
-    site.write("probe.toml", file);
+fn experiment(deployment: &LoopbackDeployment, file: &str) -> String {
+    deployment.write("probe.toml", file);
     let arguments = ["run", "--check", "probe.toml"];
-    Process::start(&program("peernet"), &arguments, site.folder(), &[]).ended().log
+    Process::start(&program("peernet"), &arguments, deployment.folder(), &[]).ended().log
 }
 
-/// What a check says could stand in the place of `zz`.
+/// Returns the names that a check offers instead of `zz`.
 fn known(said: &str) -> Vec<String> {
     let told = ["unknown field `zz`, ", "unknown variant `zz`, "];
     let known = told.iter().find_map(|told| said.split_once(told));
@@ -183,7 +185,7 @@ fn known(said: &str) -> Vec<String> {
     known.lines().take(1).flat_map(|known| known.split('`').skip(1).step_by(2)).map(str::to_owned).collect()
 }
 
-/// The words that a section lacks.
+/// Returns the words that are missing in a section.
 fn lacking(document: &Document, section: &str, words: &[String]) -> Vec<String> {
     let text = document.section(section);
     let described = |word: &str| {
@@ -195,19 +197,19 @@ fn lacking(document: &Document, section: &str, words: &[String]) -> Vec<String> 
 
 #[test]
 fn the_reference_describes_every_key_and_kind() {
-    let site = Site::new();
+    let deployment = LoopbackDeployment::new();
     let mut missing = Vec::new();
     let mut look = |document: &str, said: Check, probes: &[(&str, &str)]| {
         let document = Document::read(document);
         for (section, file) in probes {
-            missing.extend(lacking(&document, section, &known(&said(&site, file))));
+            missing.extend(lacking(&document, section, &known(&said(&deployment, file))));
         }
     };
     look(REFERENCE, configuration, &PROBES);
     look("docs/experiments.md", experiment, &EXPERIMENTS);
     let reference = Document::read(REFERENCE);
     for (section, file) in KINDS {
-        let of = |kind: &str| known(&configuration(&site, &file.replace("KIND", kind)));
+        let of = |kind: &str| known(&configuration(&deployment, &file.replace("KIND", kind)));
         let kinds = of("zz");
         missing.extend(lacking(&reference, section, &kinds));
         missing.extend(kinds.iter().flat_map(|kind| lacking(&reference, section, &of(kind))));

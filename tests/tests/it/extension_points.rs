@@ -1,5 +1,5 @@
-//! Kinds of sensors, transforms, models, actuators and networks: each is named in its own file and where it is registered, and
-//! nowhere else in the programs.
+//! Tests that each kind of sensor, transform, model, actuator and network is named in its own file and where it is
+//! registered, and in no other program file.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -10,7 +10,7 @@ use syn::{GenericArgument, Item, PathArguments, Type};
 
 use crate::layers::modules::{Names, Segments};
 
-/// The enum of each extension point, and the file that declares it. The same stands in CONTRIBUTING.md.
+/// Enum of each extension point, and the file that declares it. CONTRIBUTING.md has the same list.
 const REGISTRATIONS: [(&str, &str); 5] = [
     ("SensorConfig", "daemon/sensors/src/sensor/mod.rs"),
     ("TransformConfig", "daemon/sensors/src/transform/mod.rs"),
@@ -19,31 +19,31 @@ const REGISTRATIONS: [(&str, &str); 5] = [
     ("NetworkKind", "daemon/networks/src/transport/mod.rs"),
 ];
 
-/// Files that name a kind beside its own: the file or folder, the kind's module, and why.
+/// Files that name a kind outside its file: the file or folder, the kind's module, and the reason.
 const EXCEPTIONS: [(&str, &str, &str); 2] = [
     ("daemon/inference/src/bank", "onnx", "a folder of models holds ONNX models with their cards"),
     ("daemon/inference/src/lib.rs", "onnx", "[onnxruntime] is a table of its own, and commands show cards"),
 ];
 
-/// One kind of an extension point.
+/// Kind of an extension point.
 struct Kind {
-    /// The enum that it is a variant of.
+    /// Enum of which it is a variant.
     registry: &'static str,
     variant: String,
-    /// The module above that of the kind.
+    /// Parent of the kind's module.
     parent: String,
-    /// The module of the kind.
+    /// Module of the kind.
     module: String,
-    /// The configuration that the kind's own file declares.
+    /// Configuration that the kind's own file declares.
     config: Option<String>,
-    /// The kind's own file, or all of its folder.
+    /// File or folder of the kind.
     own: PathBuf,
-    /// Where it is registered.
+    /// File in which it is registered.
     registration: PathBuf,
 }
 
 impl Kind {
-    /// Whether a path names the kind.
+    /// Returns whether a path names the kind.
     fn is_named_by(&self, path: &Segments) -> bool {
         let pair = |first: &str, second: &str| path.windows(2).any(|two| two[0] == first && two[1] == second);
         pair(self.registry, &self.variant)
@@ -57,11 +57,11 @@ fn items(file: &Path) -> Vec<Item> {
     syn::parse_file(&text).unwrap_or_else(|error| panic!("{}: {error}", file.display())).items
 }
 
-/// All kinds of an extension point.
+/// Returns all kinds of an extension point.
 fn kinds(registry: &'static str, registration: &str) -> Vec<Kind> {
     let registration = peernet_tests::root().join(registration);
     let folder = registration.parent().expect("in a folder");
-    // What is right below the root is reached by the name of the crate.
+    // A module directly below the root is reached by the name of the crate.
     let parent = match folder.file_name().and_then(|name| name.to_str()).expect("has a name") {
         "src" => {
             let name = folder.parent().and_then(Path::file_name).expect("in the folder of the crate");
@@ -105,7 +105,7 @@ fn kinds(registry: &'static str, registration: &str) -> Vec<Kind> {
     found.into_iter().map(kind).collect()
 }
 
-/// The path of the configuration of a kind: of `ModelTable<onnx::OnnxConfig>` what is in the brackets.
+/// Returns the path of a kind's configuration: the type argument of `ModelTable<onnx::OnnxConfig>`.
 fn configuration(of: &Type) -> Segments {
     let Type::Path(path) = of else { panic!("a configuration is named by a path") };
     let inner = path.path.segments.iter().find_map(|segment| match &segment.arguments {
@@ -118,13 +118,13 @@ fn configuration(of: &Type) -> Segments {
     }
 }
 
-/// Whether a file, or one of a folder, declares a struct.
+/// Returns whether a file, or a file in a folder, declares a struct.
 fn declares(own: &Path, name: &str) -> bool {
     let is_it = |item: &Item| matches!(item, Item::Struct(item) if item.ident == name);
     sources(own).iter().any(|file| items(file).iter().any(is_it))
 }
 
-/// The source files of a folder and of those below it, or the file itself, without those of tests.
+/// Returns the source files of a folder and of those below it, or the file itself, without test files.
 fn sources(at: &Path) -> Vec<PathBuf> {
     if at.is_file() {
         return vec![at.to_owned()];
@@ -143,7 +143,7 @@ fn sources(at: &Path) -> Vec<PathBuf> {
     found
 }
 
-/// The source files of all programs and libraries.
+/// Returns the source files of all programs and libraries.
 fn all_sources() -> Vec<PathBuf> {
     let root = peernet_tests::root();
     let crates = fs::read_dir(root.join("daemon")).expect("the crates are there");
@@ -156,7 +156,7 @@ fn all_sources() -> Vec<PathBuf> {
 }
 
 #[test]
-fn kind_is_named_in_its_own_file_and_where_it_is_registered() {
+fn kind_is_named_in_its_file_and_registration() {
     let kinds: Vec<Kind> = REGISTRATIONS.iter().flat_map(|(registry, file)| kinds(registry, file)).collect();
     for (registry, file) in REGISTRATIONS {
         assert!(kinds.iter().any(|kind| kind.registry == registry), "{file} registers no {registry}");
@@ -188,7 +188,7 @@ fn kind_is_named_in_its_own_file_and_where_it_is_registered() {
     }
 }
 
-/// The variant's name as configurations write it: `ZmqTcp` is `zmq-tcp`.
+/// Returns the variant's name as configurations write it: `zmq-tcp` for `ZmqTcp`.
 fn kebab_case(variant: &str) -> String {
     let mut name = String::new();
     for letter in variant.chars() {
@@ -200,8 +200,8 @@ fn kebab_case(variant: &str) -> String {
     name
 }
 
-/// The values of `kind` in the JSON and TOML of a source file, such as `"kind": "text"` or `kind = 'text'`, without those of
-/// comments and of its tests, which stand at the end.
+/// Returns the values of `kind` in the JSON and TOML of a source file, such as `"kind": "text"` or `kind = 'text'`,
+/// without those in comments and in tests, which are at the end of the file.
 fn kinds_in_text(source: &str) -> Vec<String> {
     let code = source.split("#[cfg(test)]\nmod tests").next().unwrap_or_default();
     let lines = code.lines().filter(|line| !line.trim_start().starts_with("//"));
@@ -225,7 +225,7 @@ fn text_of_configurations_names_no_kind() {
     let mut wrong = Vec::new();
     for file in all_sources() {
         let named = kinds_in_text(&fs::read_to_string(&file).expect("is readable"));
-        // A name that several extension points have may stand in the files of each.
+        // A name that several extension points share may occur in the files of each.
         let is_own = |kind: &Kind| file.starts_with(&kind.own) || file == kind.registration;
         for name in named {
             let mut same = kinds.iter().filter(|kind| kebab_case(&kind.variant) == name).peekable();
@@ -242,7 +242,7 @@ fn text_of_configurations_names_no_kind() {
 }
 
 #[test]
-fn contributing_names_the_registration_file_of_each_extension_point() {
+fn contributing_names_all_registration_files() {
     let text = fs::read_to_string(peernet_tests::root().join("CONTRIBUTING.md")).expect("is there");
     for (_, file) in REGISTRATIONS {
         assert!(text.contains(&format!("]({file})")), "CONTRIBUTING.md does not name {file}");

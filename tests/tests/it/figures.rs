@@ -1,18 +1,18 @@
-//! `peernet plot`: figures of results, those of the published program too.
+//! Tests of `peernet plot`: figures of results, including those of the published program.
 
 use std::path::Path;
 
-use peernet_tests::{Ended, Process, Site, program};
+use peernet_tests::{LoopbackDeployment, Process, ProcessEnd, program};
 
 use crate::results::of_the_published_program;
 
-/// One of the uploads took very long.
-fn site() -> Site {
+/// Returns a deployment with results in which one upload took very long.
+fn deployment() -> LoopbackDeployment {
     of_the_published_program(|n| if n == 90 { 9.0 } else { 0.0175 + f64::from(n % 13) * 1e-4 })
 }
 
-fn plot(site: &Site, arguments: &[&str]) -> Ended {
-    Process::start(&program("peernet"), &[&["plot"], arguments].concat(), site.folder(), &[]).ended()
+fn plot(deployment: &LoopbackDeployment, arguments: &[&str]) -> ProcessEnd {
+    Process::start(&program("peernet"), &[&["plot"], arguments].concat(), deployment.folder(), &[]).ended()
 }
 
 fn read(path: &Path) -> String {
@@ -21,46 +21,46 @@ fn read(path: &Path) -> String {
 
 #[test]
 fn the_published_figures_stand_beside_published_results() {
-    let site = site();
-    let done = plot(&site, &["all/small", "--kind", "histograms"]);
+    let deployment = deployment();
+    let done = plot(&deployment, &["all/small", "--kind", "histograms"]);
     assert_eq!(done.code(), 0, "{}", done.log);
     let times = ["sensing-time", "upload-time", "inference-time", "download-time"];
     for stem in times.into_iter().chain(["upload-throughput", "download-throughput"]) {
-        let png = site.folder().join(format!("all/small/{stem}.png"));
+        let png = deployment.folder().join(format!("all/small/{stem}.png"));
         assert!(std::fs::read(png).expect("written").starts_with(b"\x89PNG"), "{stem}");
         assert!(done.log.contains(&format!("{stem}.svg")), "{}", done.log);
     }
-    let upload = read(&site.folder().join("all/small/upload-time.svg"));
+    let upload = read(&deployment.folder().join("all/small/upload-time.svg"));
     assert!(upload.contains("n = 200") && upload.contains("1 beyond 18.7 ms →"), "{upload}");
-    let words = read(&site.folder().join("all/small/upload-time-caption.txt"));
+    let words = read(&deployment.folder().join("all/small/upload-time-caption.txt"));
     assert!(words.contains("n = 200 · left out: 5 warm-up"), "{words}");
-    let pdf = std::fs::read(site.folder().join("all/small/upload-time.pdf")).expect("written");
+    let pdf = std::fs::read(deployment.folder().join("all/small/upload-time.pdf")).expect("written");
     assert!(pdf.starts_with(b"%PDF"));
 }
 
 #[test]
-fn several_runs_have_figures_of_their_own_and_one_together() {
-    let site = site();
-    let done = plot(&site, &["all", "--out", "figures"]);
+fn several_runs_get_own_and_joint_figures() {
+    let deployment = deployment();
+    let done = plot(&deployment, &["all", "--out", "figures"]);
     assert_eq!(done.code(), 0, "{}", done.log);
-    let stacked = read(&site.folder().join("figures/stacked.svg"));
+    let stacked = read(&deployment.folder().join("figures/stacked.svg"));
     assert!(
         ["small", "large", "inference", "Latency, ms"].iter().all(|text| stacked.contains(text)),
         "{stacked}"
     );
-    assert!(site.folder().join("figures/large/series.png").is_file(), "{}", done.log);
-    assert!(!site.folder().join("all/large/series.png").exists(), "elsewhere means elsewhere");
+    assert!(deployment.folder().join("figures/large/series.png").is_file(), "{}", done.log);
+    assert!(!deployment.folder().join("all/large/series.png").exists(), "elsewhere means elsewhere");
     assert!(!done.log.contains("payload"), "all messages have one size: {}", done.log);
 }
 
 #[test]
-fn a_run_without_an_answer_is_named_when_all_is_drawn() {
-    let site = site();
-    let folder = site.folder().join("all/silent");
+fn plot_names_runs_without_answers() {
+    let deployment = deployment();
+    let folder = deployment.folder().join("all/silent");
     std::fs::create_dir(&folder).expect("made");
     let rows = "iteration,sensing,warm-up,outcome\n1,0.001,0,lost\n2,0.001,0,lost\n";
     std::fs::write(folder.join("data.csv"), rows).expect("written");
-    let done = plot(&site, &["all", "--out", "figures"]);
+    let done = plot(&deployment, &["all", "--out", "figures"]);
     assert_eq!(done.code(), 0, "{}", done.log);
     let told = "figures/silent: cannot draw series: no iteration was answered";
     assert!(done.log.contains(told), "{}", done.log);
@@ -68,8 +68,8 @@ fn a_run_without_an_answer_is_named_when_all_is_drawn() {
 }
 
 #[test]
-fn what_cannot_be_drawn_is_said() {
-    let site = site();
+fn plot_errors_are_named() {
+    let deployment = deployment();
     let cases: [(&[&str], i32, &str); 5] = [
         (&["all", "--kind", "payload"], 65, "it needs messages over one network"),
         (&["all", "--kind", "paired"], 65, "two places"),
@@ -78,7 +78,7 @@ fn what_cannot_be_drawn_is_said() {
         (&["all", "--y", "total"], 64, "name the kind"),
     ];
     for (arguments, code, text) in cases {
-        let done = plot(&site, arguments);
+        let done = plot(&deployment, arguments);
         assert_eq!(done.code(), code, "{arguments:?}: {}", done.log);
         assert!(done.log.contains(text), "{arguments:?}: {}", done.log);
     }

@@ -1,8 +1,8 @@
-//! Start, readiness, watchdog, stop and exit codes, as systemd sees them.
+//! Tests of start, readiness, watchdog, stop and exit codes, as systemd sees them.
 
 use std::os::unix::net::UnixDatagram;
 
-use peernet_tests::{PATIENCE, Process, Site, program};
+use peernet_tests::{LoopbackDeployment, PATIENCE, Process, program};
 use rustix::process::Signal;
 
 const AGENT: &str = r#"
@@ -21,15 +21,15 @@ placement = { kind = "local", model = "echo" }
 load = { mode = "rate", hz = 50.0 }
 "#;
 
-/// The end of systemd's notification socket that systemd holds.
+/// systemd's end of the notification socket.
 struct Manager {
     socket: UnixDatagram,
     path: String,
 }
 
 impl Manager {
-    fn new(site: &Site) -> Self {
-        let path = site.folder().join("notify.sock");
+    fn new(deployment: &LoopbackDeployment) -> Self {
+        let path = deployment.folder().join("notify.sock");
         let socket = UnixDatagram::bind(&path).expect("the temporary folder is writable");
         socket.set_read_timeout(Some(PATIENCE)).expect("a timeout can be set");
         Self { socket, path: path.display().to_string() }
@@ -47,14 +47,14 @@ impl Manager {
 }
 
 #[test]
-fn the_service_manager_hears_ready_watchdog_and_stopping() {
-    let site = Site::new();
-    let manager = Manager::new(&site);
-    site.write("edge.toml", AGENT);
+fn service_manager_receives_ready_watchdog_and_stopping() {
+    let deployment = LoopbackDeployment::new();
+    let manager = Manager::new(&deployment);
+    deployment.write("edge.toml", AGENT);
     let daemon = Process::start(
         &program("peernetd"),
         &["run", "edge.toml"],
-        site.folder(),
+        deployment.folder(),
         &[("NOTIFY_SOCKET", &manager.path), ("WATCHDOG_USEC", "400000")],
     );
     manager.wait_for("READY=1");
@@ -68,9 +68,9 @@ fn the_service_manager_hears_ready_watchdog_and_stopping() {
 
 #[test]
 fn ctrl_c_ends_it_as_sigterm_does() {
-    let site = Site::new();
-    site.write("edge.toml", AGENT);
-    let daemon = site.start("edge.toml");
+    let deployment = LoopbackDeployment::new();
+    deployment.write("edge.toml", AGENT);
+    let daemon = deployment.start("edge.toml");
     daemon.wait_for("ready");
     daemon.signal(Signal::INT);
     assert_eq!(daemon.ended().code(), 0);
@@ -78,12 +78,12 @@ fn ctrl_c_ends_it_as_sigterm_does() {
 
 #[test]
 fn under_journald_lines_carry_priorities_instead_of_times() {
-    let site = Site::new();
-    site.write("edge.toml", AGENT);
+    let deployment = LoopbackDeployment::new();
+    deployment.write("edge.toml", AGENT);
     let daemon = Process::start(
         &program("peernetd"),
         &["run", "edge.toml"],
-        site.folder(),
+        deployment.folder(),
         &[("JOURNAL_STREAM", "8:1")],
     );
     let line = daemon.wait_for("ready");
@@ -93,15 +93,15 @@ fn under_journald_lines_carry_priorities_instead_of_times() {
 
 #[test]
 fn a_second_signal_ends_it_at_once() {
-    // A model that computes for ten minutes is what the first signal would wait for.
-    let site = Site::new();
+    // The first signal would wait for a model that computes for ten minutes.
+    let deployment = LoopbackDeployment::new();
     let slow = AGENT.replace("kind = \"echo\"", "kind = \"sleep\"\ninference_ms = 600000");
-    site.write("edge.toml", &slow.replace("[agent]", "[agent]\nstop_timeout_ms = 9000"));
-    let daemon = site.start("edge.toml");
+    deployment.write("edge.toml", &slow.replace("[agent]", "[agent]\nstop_timeout_ms = 9000"));
+    let daemon = deployment.start("edge.toml");
     daemon.wait_for("loaded echo");
     daemon.terminate();
     daemon.wait_for("SIGTERM: stopping");
-    // Another SIGTERM so soon would be the same wish.
+    // A second SIGTERM within half a second would count as the same signal.
     daemon.signal(Signal::INT);
     daemon.wait_for("ending at once");
     assert_eq!(daemon.ended().code(), 70);
@@ -109,8 +109,8 @@ fn a_second_signal_ends_it_at_once() {
 
 #[test]
 fn the_version_names_the_commit() {
-    let site = Site::new();
-    let ended = site.peernetd(&["--version"]).ended();
+    let deployment = LoopbackDeployment::new();
+    let ended = deployment.peernetd(&["--version"]).ended();
     assert_eq!(ended.code(), 0);
     let words: Vec<&str> = ended.log.split_whitespace().collect();
     assert_eq!(words[0], "peernetd");

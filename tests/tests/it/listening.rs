@@ -1,6 +1,6 @@
-//! One agent that listens at several addresses.
+//! Tests of an agent that listens at several addresses.
 
-use peernet_tests::{Site, free_port};
+use peernet_tests::{LoopbackDeployment, free_port};
 
 const CLOUD: &str = r#"
 [serve]
@@ -21,15 +21,15 @@ fn edge(port: &str) -> String {
 
 #[test]
 fn two_addresses_are_served_at_the_same_time() {
-    let (site, second) = (Site::new(), free_port().to_string());
-    let (_aggregator, api) = site.aggregator();
-    let cloud = site.agent("cloud", &CLOUD.replace("SECOND", &second));
-    for port in [site.data.to_string(), second.clone()] {
+    let (deployment, second) = (LoopbackDeployment::new(), free_port().to_string());
+    let (_aggregator, api) = deployment.aggregator();
+    let cloud = deployment.agent("cloud", &CLOUD.replace("SECOND", &second));
+    for port in [deployment.data.to_string(), second.clone()] {
         cloud.wait_for(&format!("tcp://127.0.0.1:{port}"));
     }
-    let edges = [site.agent("left", &edge("{data}")), site.agent("right", &edge(&second))];
+    let edges = [deployment.agent("left", &edge("{data}")), deployment.agent("right", &edge(&second))];
 
-    // Neither ends, so that both are served when the second answers are there.
+    // Both pipelines still run when the answers of the second one are checked.
     for host in ["left", "right"] {
         api.until(&format!("/api/v1/pipelines/{host}/line"), |pipeline| {
             (pipeline["windows"][2]["counts"]["ok"].as_f64()? > 10.0).then_some(())
@@ -40,7 +40,7 @@ fn two_addresses_are_served_at_the_same_time() {
         assert_eq!(same["name"], link["name"], "the network may be named");
     }
     let hosts = api.json("/api/v1/hosts/cloud");
-    let serves = format!("tcp://127.0.0.1:{}, tcp://127.0.0.1:{second}", site.data);
+    let serves = format!("tcp://127.0.0.1:{}, tcp://127.0.0.1:{second}", deployment.data);
     assert_eq!(hosts["description"]["serves"], serves.as_str(), "{hosts}");
     for edge in edges {
         assert_eq!(edge.stop().code(), 0);
@@ -49,14 +49,15 @@ fn two_addresses_are_served_at_the_same_time() {
 }
 
 #[test]
-fn a_network_that_disagrees_with_the_address_is_refused() {
-    let site = Site::new();
+fn network_and_address_must_agree() {
+    let deployment = LoopbackDeployment::new();
     for tables in [
         "[serve]\nlisten = \"tcp://127.0.0.1:{data}\"\nnetwork = \"zmq-udp\"\n".to_owned(),
         edge("{data}").replace("model =", "network = \"zmq-udp\", model ="),
     ] {
-        site.write("it.toml", &format!("[agent]\nname = \"a\"\nstate_dir = \"{{folder}}/a\"\n{tables}"));
-        let ended = site.peernetd(&["check", "it.toml"]).ended();
+        deployment
+            .write("it.toml", &format!("[agent]\nname = \"a\"\nstate_dir = \"{{folder}}/a\"\n{tables}"));
+        let ended = deployment.peernetd(&["check", "it.toml"]).ended();
         assert_eq!(ended.code(), 78, "{}", ended.log);
         for part in ["it.toml:", "zmq-udp", "zmq-tcp"] {
             assert!(ended.log.contains(part), "{part} is missing in:\n{}", ended.log);
@@ -66,18 +67,18 @@ fn a_network_that_disagrees_with_the_address_is_refused() {
 
 #[test]
 fn wrong_lists_of_addresses_are_refused() {
-    let site = Site::new();
+    let deployment = LoopbackDeployment::new();
     for (listen, said) in [
         ("[]", "the list is empty"),
         ("[\"tcp://127.0.0.1:7001\", \"tcp://127.0.0.1:7001\"]", "tcp://127.0.0.1:7001 stands there twice"),
         ("[\"tcp://127.0.0.1:7001\", \"127.0.0.1:7002\"]", "the scheme is missing"),
         ("[\"tcp://127.0.0.1:7001\", \"carrier-pigeon://b:1\"]", "unknown scheme"),
     ] {
-        site.write(
+        deployment.write(
             "it.toml",
             &format!("[agent]\nname = \"a\"\nstate_dir = \"{{folder}}/a\"\n[serve]\nlisten = {listen}\n"),
         );
-        let ended = site.peernetd(&["check", "it.toml"]).ended();
+        let ended = deployment.peernetd(&["check", "it.toml"]).ended();
         assert_eq!(ended.code(), 78, "{}", ended.log);
         assert!(ended.log.contains(said) && ended.log.contains("serve.listen"), "{said} in {}", ended.log);
     }

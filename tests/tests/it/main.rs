@@ -1,4 +1,4 @@
-//! End-to-end tests: the real programs, started as a user or systemd starts them.
+//! End-to-end tests of the built programs, which are started as a user or systemd does.
 
 mod access;
 mod calibrate;

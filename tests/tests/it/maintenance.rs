@@ -1,11 +1,11 @@
-//! What an operator does with the database: copies, looks at its health, roll-ups made anew.
+//! Tests of an operator's work with the database: backups, health checks, rebuilt roll-ups.
 
 use std::os::unix::fs::FileExt;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
 use peernet_tests::truth::ask;
-use peernet_tests::{AGGREGATOR, Api, Ended, Process, Site, free_port, until};
+use peernet_tests::{AGGREGATOR, Api, LoopbackDeployment, Process, ProcessEnd, free_port, until};
 use serde_json::Value;
 
 const EDGE: &str = r#"
@@ -20,22 +20,22 @@ placement = { kind = "local", model = "echo" }
 load = { mode = "rate", hz = 200.0 }
 "#;
 
-/// A site whose aggregator and agent run, with some iterations stored.
-fn measuring() -> (Site, Process, Process, Api) {
-    let site = Site::new();
-    let (aggregator, api) = site.aggregator();
-    let edge = site.agent("edge", EDGE);
+/// Starts aggregator and agent of a deployment; returns when some iterations are stored.
+fn measuring() -> (LoopbackDeployment, Process, Process, Api) {
+    let deployment = LoopbackDeployment::new();
+    let (aggregator, api) = deployment.aggregator();
+    let edge = deployment.agent("edge", EDGE);
     until("stored iterations", || (stored(&api) > 300).then_some(()));
-    (site, aggregator, edge, api)
+    (deployment, aggregator, edge, api)
 }
 
-/// Successful iterations of the first run.
+/// Returns the number of successful iterations of the first run.
 fn stored(api: &Api) -> u64 {
     api.json("/api/v1/runs")["runs"][0]["counts"]["ok"].as_u64().unwrap_or_default()
 }
 
-fn run(site: &Site, arguments: &[&str]) -> Ended {
-    site.peernetd(arguments).ended()
+fn run(deployment: &LoopbackDeployment, arguments: &[&str]) -> ProcessEnd {
+    deployment.peernetd(arguments).ended()
 }
 
 fn number(database: &Path, sql: &str) -> u64 {
@@ -43,11 +43,11 @@ fn number(database: &Path, sql: &str) -> u64 {
     text.trim().parse().unwrap_or_else(|_| panic!("{sql}: {text}"))
 }
 
-fn database(site: &Site) -> PathBuf {
-    site.folder().join("aggregator.sqlite")
+fn database(deployment: &LoopbackDeployment) -> PathBuf {
+    deployment.folder().join("aggregator.sqlite")
 }
 
-/// The whole-run statistics in a form that can be compared: mean and spread to nine digits.
+/// Returns the statistics of whole runs in a form that can be compared: mean and spread to nine digits.
 fn statistics(database: &Path) -> String {
     ask(
         database,
@@ -56,13 +56,13 @@ fn statistics(database: &Path) -> String {
     )
 }
 
-/// Changes a database that nobody uses.
+/// Changes a database that no process uses.
 fn change(database: &Path, sql: &str) {
     let changed = Command::new("sqlite3").arg(database).arg(sql).status();
     assert!(changed.is_ok_and(|status| status.success()), "{sql}");
 }
 
-/// Overwrites the head of a table's first page.
+/// Overwrites the beginning of a table's first page.
 fn damage(file: &Path, table: &str) {
     let page = number(file, &format!("SELECT rootpage FROM sqlite_schema WHERE name = '{table}'"));
     let size = number(file, "SELECT page_size FROM pragma_page_size");
@@ -71,53 +71,57 @@ fn damage(file: &Path, table: &str) {
 }
 
 #[test]
-fn a_backup_of_a_busy_aggregator_is_the_database_of_one_moment() {
-    let (site, aggregator, edge, api) = measuring();
+fn backup_of_busy_aggregator_is_consistent() {
+    let (deployment, aggregator, edge, api) = measuring();
     let before = stored(&api);
-    let ended = run(&site, &["backup", "--config", "aggregator.toml", "copy.sqlite"]);
+    let ended = run(&deployment, &["backup", "--config", "aggregator.toml", "copy.sqlite"]);
     assert_eq!(ended.code(), 0, "{}", ended.log);
     assert!(ended.log.contains("copy.sqlite"), "it says where the copy is: {}", ended.log);
     let after = until("more iterations", || Some(stored(&api)).filter(|now| *now > before + 100));
 
-    // What is counted in one table is there in the others: nothing was copied of a later moment.
-    let copy = site.folder().join("copy.sqlite");
+    // What one table counts is in the others: the copy contains nothing of a later time.
+    let copy = deployment.folder().join("copy.sqlite");
     let counted = number(&copy, "SELECT ok + failed + lost + timeout + warm_up FROM run");
     assert_eq!(number(&copy, "SELECT count(*) FROM iteration"), counted);
     assert_eq!(number(&copy, "SELECT max(number) FROM iteration"), counted);
     assert_eq!(number(&copy, "SELECT count(*) FROM node"), number(&copy, "SELECT sum(nodes) FROM host"));
     let ok = number(&copy, "SELECT ok FROM run");
     assert!((before..after).contains(&ok), "{before} ≤ {ok} < {after}");
-    assert!(!site.folder().join("copy.sqlite.partial").exists());
-    let ended = run(&site, &["doctor", "--full", "--database", "copy.sqlite"]);
+    assert!(!deployment.folder().join("copy.sqlite.partial").exists());
+    let ended = run(&deployment, &["doctor", "--full", "--database", "copy.sqlite"]);
     assert_eq!(ended.code(), 0, "{}", ended.log);
     assert!(ended.log.contains("healthy"), "{}", ended.log);
 
-    let again = run(&site, &["backup", "--config", "aggregator.toml", "copy.sqlite"]);
+    let again = run(&deployment, &["backup", "--config", "aggregator.toml", "copy.sqlite"]);
     assert_eq!(again.code(), 69, "{}", again.log);
     assert!(again.log.contains("exists already"), "{}", again.log);
-    let nowhere = run(&site, &["backup", "--database", "none.sqlite", "other.sqlite"]);
+    let nowhere = run(&deployment, &["backup", "--database", "none.sqlite", "other.sqlite"]);
     assert_eq!(nowhere.code(), 69, "{}", nowhere.log);
-    assert!(!site.folder().join("none.sqlite").exists() && !site.folder().join("other.sqlite").exists());
+    assert!(
+        !deployment.folder().join("none.sqlite").exists()
+            && !deployment.folder().join("other.sqlite").exists()
+    );
     assert_eq!(edge.stop().code(), 0);
     assert_eq!(aggregator.stop().code(), 0);
 }
 
 #[test]
-fn an_aggregator_goes_on_from_a_backup_and_says_what_is_missing() {
-    let (site, aggregator, edge, api) = measuring();
-    let ended = run(&site, &["backup", "--config", "aggregator.toml", "copy.sqlite"]);
+fn aggregator_continues_from_backup_and_reports_gap() {
+    let (deployment, aggregator, edge, api) = measuring();
+    let ended = run(&deployment, &["backup", "--config", "aggregator.toml", "copy.sqlite"]);
     assert_eq!(ended.code(), 0, "{}", ended.log);
     let then = stored(&api);
     until("more iterations", || (stored(&api) > then + 300).then_some(()));
     aggregator.kill();
     for file in ["aggregator.sqlite", "aggregator.sqlite-wal", "aggregator.sqlite-shm"] {
-        // A log that was taken over whole is not there.
-        let _gone = std::fs::remove_file(site.folder().join(file));
+        // After a checkpoint the log does not exist.
+        let _gone = std::fs::remove_file(deployment.folder().join(file));
     }
-    std::fs::rename(site.folder().join("copy.sqlite"), database(&site)).expect("the copy is there");
+    std::fs::rename(deployment.folder().join("copy.sqlite"), database(&deployment))
+        .expect("the copy is there");
 
-    // What was acknowledged and deleted between the copy and the end is gone, and is told of as a gap.
-    let (aggregator, api) = site.aggregator();
+    // Events that were acknowledged and deleted between the copy and the end are reported as a gap.
+    let (aggregator, api) = deployment.aggregator();
     let missing =
         api.until("/api/v1/hosts/edge", |host| host["stored"]["gaps"].as_u64().filter(|gaps| *gaps > 0));
     assert!(missing > 0);
@@ -125,16 +129,16 @@ fn an_aggregator_goes_on_from_a_backup_and_says_what_is_missing() {
     until("new iterations", || (stored(&api) > now + 100).then_some(()));
     assert_eq!(edge.stop().code(), 0);
     assert_eq!(aggregator.stop().code(), 0);
-    let ended = run(&site, &["doctor", "--config", "aggregator.toml"]);
+    let ended = run(&deployment, &["doctor", "--config", "aggregator.toml"]);
     assert_eq!(ended.code(), 0, "a gap is known and no damage: {}", ended.log);
     assert!(ended.log.contains("never arrived"), "{}", ended.log);
 }
 
 #[test]
-fn the_doctor_tells_health_from_damage_by_its_exit_code() {
-    let (site, aggregator, edge, _api) = measuring();
-    // Both at work.
-    let ended = run(&site, &["doctor", "--json", "--config", "aggregator.toml"]);
+fn doctor_exit_code_reports_damage() {
+    let (deployment, aggregator, edge, _api) = measuring();
+    // Both processes are running.
+    let ended = run(&deployment, &["doctor", "--json", "--config", "aggregator.toml"]);
     assert_eq!(ended.code(), 0, "{}", ended.log);
     let report: Value =
         serde_json::from_str(&ended.log).unwrap_or_else(|error| panic!("{error}: {}", ended.log));
@@ -144,17 +148,17 @@ fn the_doctor_tells_health_from_damage_by_its_exit_code() {
         .as_array()
         .and_then(|tables| tables.iter().find(|one| one["table"] == "node"));
     assert!(node.and_then(|node| node["rows"].as_u64()).is_some_and(|rows| rows > 1_000), "{report}");
-    let spool = run(&site, &["doctor", "--config", "edge.toml"]);
+    let spool = run(&deployment, &["doctor", "--config", "edge.toml"]);
     assert_eq!(spool.code(), 0, "{}", spool.log);
     assert!(spool.log.contains("stream"), "{}", spool.log);
     assert_eq!(aggregator.stop().code(), 0);
     assert_eq!(edge.stop().code(), 0);
 
-    // What the agent could not deliver waits in its spool; a bit that turned is found.
-    let file = site.folder().join("edge/spool.sqlite");
+    // Undelivered batches wait in the agent's spool; a flipped bit is found.
+    let file = deployment.folder().join("edge/spool.sqlite");
     let waiting = number(&file, "SELECT count(*) FROM batch");
     assert!(waiting > 0);
-    let ended = run(&site, &["doctor", "--json", "--spool", "edge/spool.sqlite"]);
+    let ended = run(&deployment, &["doctor", "--json", "--spool", "edge/spool.sqlite"]);
     let report: Value =
         serde_json::from_str(&ended.log).unwrap_or_else(|error| panic!("{error}: {}", ended.log));
     assert_eq!((ended.code(), report["spool"]["batches"].as_u64()), (0, Some(waiting)));
@@ -163,47 +167,47 @@ fn the_doctor_tells_health_from_damage_by_its_exit_code() {
         "UPDATE batch SET body = CAST(substr(body, 1, length(body) - 1) || x'ff' AS BLOB) \
          WHERE number = (SELECT max(number) FROM batch)",
     );
-    let ended = run(&site, &["doctor", "--spool", "edge/spool.sqlite"]);
+    let ended = run(&deployment, &["doctor", "--spool", "edge/spool.sqlite"]);
     assert_eq!(ended.code(), 65, "{}", ended.log);
     assert!(ended.log.contains("not what was spooled"), "{}", ended.log);
 
-    let ended = run(&site, &["backup", "--database", "aggregator.sqlite", "damaged.sqlite"]);
+    let ended = run(&deployment, &["backup", "--database", "aggregator.sqlite", "damaged.sqlite"]);
     assert_eq!(ended.code(), 0, "{}", ended.log);
-    damage(&site.folder().join("damaged.sqlite"), "node");
-    let ended = run(&site, &["doctor", "--database", "damaged.sqlite"]);
+    damage(&deployment.folder().join("damaged.sqlite"), "node");
+    let ended = run(&deployment, &["doctor", "--database", "damaged.sqlite"]);
     assert_eq!(ended.code(), 65, "{}", ended.log);
     assert!(ended.log.contains("damaged") && ended.log.contains("restore"), "{}", ended.log);
-    assert_eq!(run(&site, &["doctor", "--database", "none.sqlite"]).code(), 69);
-    assert_eq!(run(&site, &["doctor"]).code(), 64);
-    assert_eq!(run(&site, &["doctor", "--config", "none.toml"]).code(), 78);
+    assert_eq!(run(&deployment, &["doctor", "--database", "none.sqlite"]).code(), 69);
+    assert_eq!(run(&deployment, &["doctor"]).code(), 64);
+    assert_eq!(run(&deployment, &["doctor", "--config", "none.toml"]).code(), 78);
 }
 
 #[test]
-fn one_process_at_a_time_writes_a_database() {
-    let (site, aggregator, edge, _api) = measuring();
-    let refused = run(&site, &["rebuild-rollups", "--config", "aggregator.toml"]);
+fn database_has_one_writing_process() {
+    let (deployment, aggregator, edge, _api) = measuring();
+    let refused = run(&deployment, &["rebuild-rollups", "--config", "aggregator.toml"]);
     assert_eq!(refused.code(), 69, "{}", refused.log);
     let holder = format!("pid {}", aggregator.pid());
     assert!(refused.log.contains("in use") && refused.log.contains(&holder), "{}", refused.log);
     let other =
         AGGREGATOR.replace("{events}", &free_port().to_string()).replace("{http}", &free_port().to_string());
-    site.write("other.toml", &other);
-    let second = site.start("other.toml").ended();
+    deployment.write("other.toml", &other);
+    let second = deployment.start("other.toml").ended();
     assert_eq!(second.code(), 69, "{}", second.log);
     assert!(second.log.contains("in use") && second.log.contains(&holder), "{}", second.log);
     assert_eq!(edge.stop().code(), 0);
     assert_eq!(aggregator.stop().code(), 0);
 
-    let path = database(&site);
+    let path = database(&deployment);
     let before = statistics(&path);
     assert!(!before.is_empty());
-    let ended = run(&site, &["rebuild-rollups", "--database", "aggregator.sqlite"]);
+    let ended = run(&deployment, &["rebuild-rollups", "--database", "aggregator.sqlite"]);
     assert_eq!(ended.code(), 0, "{}", ended.log);
     assert_eq!(statistics(&path), before);
     change(&path, "DELETE FROM rollup");
-    let ended = run(&site, &["rebuild-rollups", "--config", "aggregator.toml", "--run", "1"]);
+    let ended = run(&deployment, &["rebuild-rollups", "--config", "aggregator.toml", "--run", "1"]);
     assert_eq!(ended.code(), 0, "{}", ended.log);
     assert_eq!(statistics(&path), before);
-    let unknown = run(&site, &["rebuild-rollups", "--config", "aggregator.toml", "--run", "99"]);
+    let unknown = run(&deployment, &["rebuild-rollups", "--config", "aggregator.toml", "--run", "99"]);
     assert_eq!(unknown.code(), 64, "{}", unknown.log);
 }

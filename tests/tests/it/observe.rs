@@ -1,9 +1,9 @@
-//! A ROS system is profiled between two of its topics, without a change of its nodes.
+//! Tests of profiling a ROS system between two of its topics, without changes to its nodes.
 
-use peernet_tests::{Api, Process, Ros1System, Site, until};
+use peernet_tests::{Api, LoopbackDeployment, Process, Ros1System, until};
 use serde_json::Value;
 
-/// A pipeline that observes the nodes between two topics.
+/// Returns a pipeline that observes the nodes between two topics.
 fn observer(name: &str, input: &str, output: &str, keys: &str) -> String {
     format!(
         "[[pipeline]]\nname = \"{name}\"\ntimeout_ms = 500\n\
@@ -11,7 +11,7 @@ fn observer(name: &str, input: &str, output: &str, keys: &str) -> String {
     )
 }
 
-/// The numbers of runs by their pipelines' names, once all have ended by themselves.
+/// Waits until all runs have ended by themselves; returns their numbers with their pipelines' names.
 fn finished(api: &Api, pipelines: usize) -> Vec<(String, i64)> {
     api.until("/api/v1/runs", |runs| {
         let runs = runs["runs"].as_array()?;
@@ -23,16 +23,16 @@ fn finished(api: &Api, pipelines: usize) -> Vec<(String, i64)> {
     })
 }
 
-/// The median of a stage or value of a run, within 1 %.
+/// Returns the median of a stage or value of a run, within 1 %.
 fn median(api: &Api, run: i64, name: &str) -> f64 {
     let figures = api.figures(run, name).unwrap_or_else(|| panic!("run {run} has no {name}"));
     figures["p50"].as_f64().unwrap_or_else(|| panic!("{figures}"))
 }
 
-/// Messages that a median is taken of, here as by a relay.
+/// Number of messages of a median, as in a relay.
 const WINDOW: usize = 20;
 
-/// The median latency of the newest iterations of a pipeline's only run, in seconds.
+/// Returns the median latency of the newest iterations of a pipeline's only run, seconds.
 fn latency(api: &Api, pipeline: &str) -> Option<f64> {
     let runs = api.json("/api/v1/runs");
     let run = runs["runs"].as_array()?.iter().find(|run| run["pipeline"] == pipeline)?["number"].as_i64()?;
@@ -43,14 +43,14 @@ fn latency(api: &Api, pipeline: &str) -> Option<f64> {
     (totals.len() == WINDOW).then(|| totals[WINDOW / 2])
 }
 
-/// The median of what a relay says it took lately, in seconds.
+/// Returns the latest median of a relay's own delay, seconds.
 fn taken(relay: &Process) -> Option<f64> {
     let log = relay.log();
     let line = log.lines().rfind(|line| line.starts_with("median"))?;
     Some(line.split(' ').nth(1)?.parse::<f64>().ok()? * 1e-6)
 }
 
-/// Stored iterations of a pipeline's only run that were answered.
+/// Returns the number of stored and answered iterations of a pipeline's only run.
 fn answered(api: &Api, pipeline: &str) -> u64 {
     let runs: Value = api.json("/api/v1/runs");
     let mut runs = runs["runs"].as_array().expect("a list").iter();
@@ -59,9 +59,9 @@ fn answered(api: &Api, pipeline: &str) -> u64 {
 }
 
 #[test]
-fn latencies_of_a_chain_are_reported_within_a_millisecond() {
-    let (site, ros) = (Site::new(), Ros1System::new());
-    let (_aggregator, api) = site.aggregator();
+fn chain_latencies_are_right_within_a_millisecond() {
+    let (deployment, ros) = (LoopbackDeployment::new(), Ros1System::new());
+    let (_aggregator, api) = deployment.aggregator();
     let hops = [("5", "/camera", "/a"), ("20", "/a", "/b"), ("50", "/b", "/c")];
     let relay = |(delay, from, to): &(&str, &str, &str)| {
         ros.node(&["relay", &format!("relay{delay}"), from, to, delay, "0"])
@@ -70,10 +70,10 @@ fn latencies_of_a_chain_are_reported_within_a_millisecond() {
     let tables: String =
         hops.iter().map(|(delay, from, to)| observer(&format!("hop{delay}"), from, to, "")).collect();
     let limit = "limit = { iterations = 40 }";
-    let agent = ros.agent(&site, "robot", &(tables + &observer("whole", "/camera", "/c", limit)));
+    let agent = ros.agent(&deployment, "robot", &(tables + &observer("whole", "/camera", "/c", limit)));
     let _camera = ros.node(&["camera", "camera", "/camera", "10"]);
 
-    // A machine that is busy with other tests lets nodes and agent wait for a processor: until it does not for two seconds.
+    // On a busy machine nodes and agent wait for a processor; this repeats until they did not for two seconds.
     let mut sum = 0.0;
     for ((delay, ..), relay) in hops.iter().zip(&relays) {
         let seconds = until(&format!("a median within a millisecond of {delay} ms"), || {
@@ -87,9 +87,9 @@ fn latencies_of_a_chain_are_reported_within_a_millisecond() {
     let (_, whole) = finished(&api, 1).remove(0);
     // A median of the API is within 1 % of the true one.
     assert!(median(&api, whole, "total") >= sum * 0.99);
-    api.stages_are_the_total(whole, &["inference"]);
+    api.assert_stages_sum_to_total(whole, &["inference"]);
 
-    // Rate and jitter of both topics, the age since the stamp, and where the publishers run.
+    // Rate and jitter of both topics, the age since the stamp, and the hosts of the publishers.
     for topic in ["input", "output"] {
         let period = median(&api, whole, &format!("{topic}-period"));
         assert!((period - 0.1).abs() < 2e-2, "{topic}: {period}");
@@ -108,12 +108,12 @@ fn latencies_of_a_chain_are_reported_within_a_millisecond() {
 
 #[test]
 fn unanswered_input_messages_are_lost_iterations() {
-    let (site, ros) = (Site::new(), Ros1System::new());
-    let (_aggregator, api) = site.aggregator();
+    let (deployment, ros) = (LoopbackDeployment::new(), Ros1System::new());
+    let (_aggregator, api) = deployment.aggregator();
     let _camera = ros.node(&["camera", "camera", "/camera", "20"]);
     let _relay = ros.node(&["relay", "relay", "/camera", "/out", "2", "4"]);
     let keys = "warm_up = { iterations = 0 }\nlimit = { iterations = 40 }";
-    let _agent = ros.agent(&site, "robot", &observer("lossy", "/camera", "/out", keys));
+    let _agent = ros.agent(&deployment, "robot", &observer("lossy", "/camera", "/out", keys));
     let (_, run) = finished(&api, 1).remove(0);
     let detail = api.json(&format!("/api/v1/runs/{run}"));
     let count = |outcome: &str| detail["counts"][outcome].as_u64().expect("a count");
@@ -124,11 +124,14 @@ fn unanswered_input_messages_are_lost_iterations() {
 }
 
 #[test]
-fn observing_goes_on_after_master_and_nodes_were_restarted() {
-    let (site, mut ros) = (Site::new(), Ros1System::new());
-    let (_aggregator, api) = site.aggregator();
-    let agent =
-        ros.agent(&site, "robot", &observer("chain", "/camera", "/out", "warm_up = { iterations = 0 }"));
+fn observation_continues_after_ros_restart() {
+    let (deployment, mut ros) = (LoopbackDeployment::new(), Ros1System::new());
+    let (_aggregator, api) = deployment.aggregator();
+    let agent = ros.agent(
+        &deployment,
+        "robot",
+        &observer("chain", "/camera", "/out", "warm_up = { iterations = 0 }"),
+    );
     let state = |wanted: &str| {
         api.until("/api/v1/pipelines/robot/chain", |pipeline| {
             pipeline.to_string().contains(wanted).then(|| pipeline["run"].clone())
@@ -163,14 +166,14 @@ fn observing_goes_on_after_master_and_nodes_were_restarted() {
 }
 
 #[test]
-fn topic_without_header_is_refused_with_the_next_step() {
-    let (site, ros) = (Site::new(), Ros1System::new());
-    let (_aggregator, api) = site.aggregator();
+fn topic_without_header_is_refused_with_advice() {
+    let (deployment, ros) = (LoopbackDeployment::new(), Ros1System::new());
+    let (_aggregator, api) = deployment.aggregator();
     let _nodes = [ros.node(&["talk", "one", "/one"]), ros.node(&["talk", "two", "/two"])];
     let stamped = observer("stamped", "/one", "/two", "");
     let ordered =
         observer("ordered", "/one", "/two", "").replace("ros_version", "pair_by = \"order\", ros_version");
-    let _agent = ros.agent(&site, "robot", &(stamped + &ordered));
+    let _agent = ros.agent(&deployment, "robot", &(stamped + &ordered));
     api.until("/api/v1/pipelines/robot/stamped", |pipeline| {
         let text = pipeline.to_string();
         (text.contains("has the type std_msgs/String") && text.contains("pair_by")).then_some(())
@@ -180,10 +183,10 @@ fn topic_without_header_is_refused_with_the_next_step() {
 
 #[test]
 fn agent_waits_for_a_master() {
-    let (site, mut ros) = (Site::new(), Ros1System::new());
-    let (_aggregator, api) = site.aggregator();
+    let (deployment, mut ros) = (LoopbackDeployment::new(), Ros1System::new());
+    let (_aggregator, api) = deployment.aggregator();
     ros.kill_master();
-    let _agent = ros.agent(&site, "robot", &observer("chain", "/camera", "/out", ""));
+    let _agent = ros.agent(&deployment, "robot", &observer("chain", "/camera", "/out", ""));
     api.until("/api/v1/pipelines/robot/chain", |pipeline| {
         pipeline.to_string().contains("no ROS master answers at http://127.0.0.1").then_some(())
     });
@@ -194,12 +197,13 @@ fn agent_waits_for_a_master() {
 }
 
 #[test]
-fn check_says_what_cannot_be_observed_of_ros_2() {
-    let site = Site::new();
+fn check_refuses_observation_of_ros_2() {
+    let deployment = LoopbackDeployment::new();
     let check = |keys: &str| {
         let pipeline = observer("two", "/in", "/out", "").replace("ros_version = 1", keys);
-        site.write("it.toml", &format!("[agent]\nname = \"a\"\nstate_dir = \"{{folder}}/a\"\n{pipeline}"));
-        let ended = site.peernetd(&["check", "it.toml"]).ended();
+        deployment
+            .write("it.toml", &format!("[agent]\nname = \"a\"\nstate_dir = \"{{folder}}/a\"\n{pipeline}"));
+        let ended = deployment.peernetd(&["check", "it.toml"]).ended();
         (ended.code(), ended.log)
     };
     let (code, log) = check("ros_version = 2, pair_by = \"sequence\"");
@@ -220,12 +224,12 @@ fn check_says_what_cannot_be_observed_of_ros_2() {
 }
 
 #[test]
-fn keys_of_an_active_pipeline_are_refused_beside_observe() {
-    let site = Site::new();
+fn observed_pipeline_refuses_keys_of_active_one() {
+    let deployment = LoopbackDeployment::new();
     let pipeline = observer("wrong", "/a", "/a", "load = { mode = \"rate\", hz = 1.0 }")
         .replace("timeout_ms", "sensor = { kind = \"synthetic\", size_bytes = 1 }\ntimeout_ms");
-    site.write("it.toml", &format!("[agent]\nname = \"a\"\nstate_dir = \"{{folder}}/a\"\n{pipeline}"));
-    let ended = site.peernetd(&["check", "it.toml"]).ended();
+    deployment.write("it.toml", &format!("[agent]\nname = \"a\"\nstate_dir = \"{{folder}}/a\"\n{pipeline}"));
+    let ended = deployment.peernetd(&["check", "it.toml"]).ended();
     assert_eq!(ended.code(), 78, "{}", ended.log);
     for part in [
         "pipeline[0].sensor: a system that is only observed has its own",

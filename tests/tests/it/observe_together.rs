@@ -1,14 +1,16 @@
-//! Two agents observe the same ROS system, each on its host: the network's share is told apart.
+//! Tests of two agents that observe the same ROS system, each on its host, so that the network's share is known.
 
 use std::path::Path;
 
 use peernet_clock::Span;
-use peernet_tests::network::{Host, Network, Way};
+use peernet_tests::network::{Host, Network, WireProperties};
 use peernet_tests::truth::{HostClock, Iteration, compare};
-use peernet_tests::{Api, Plant, Process, Ros1System, Site, program, root, say, until};
+use peernet_tests::{
+    Api, LoopbackDeployment, Process, Ros1System, TwoHostTestbed, program, root, say, until,
+};
 use serde_json::Value;
 
-/// A pipeline that observes `/camera` and `/result` together with the agent at `peer`.
+/// Returns a pipeline that observes `/camera` and `/result` together with the agent at `peer`.
 fn robot(peer: &str, more: &str) -> String {
     format!(
         "[[pipeline]]\nname = \"detector\"\ntimeout_ms = 1000\nplacement = {{ kind = \"observe\", ros_version = 1, \
@@ -16,7 +18,7 @@ fn robot(peer: &str, more: &str) -> String {
     )
 }
 
-/// The pipeline of the other agent.
+/// Returns the pipeline of the other agent.
 fn model(input: &str, output: &str) -> String {
     format!(
         "[[pipeline]]\nname = \"model\"\nplacement = {{ kind = \"observe\", ros_version = 1, input = \"{input}\", \
@@ -24,7 +26,7 @@ fn model(input: &str, output: &str) -> String {
     )
 }
 
-/// A run of the robot's pipeline that has ended by itself.
+/// Waits for a run of the robot's pipeline that has ended by itself; returns its number and details.
 fn finished(api: &Api) -> (i64, Value) {
     let number = api.until("/api/v1/runs", |runs| {
         let mut runs = runs["runs"].as_array()?.iter();
@@ -34,18 +36,18 @@ fn finished(api: &Api) -> (i64, Value) {
     (number, api.json(&format!("/api/v1/runs/{number}")))
 }
 
-/// The median of a stage of a run, within 1 %. Seconds.
+/// Returns the median of a stage of a run, within 1 %, seconds.
 fn median(api: &Api, run: i64, name: &str) -> f64 {
     let figures = api.figures(run, name).unwrap_or_else(|| panic!("run {run} has no {name}"));
     figures["p50"].as_f64().unwrap_or_else(|| panic!("{figures}"))
 }
 
-/// How many iterations of a run have a value.
+/// Returns the number of iterations of a run with a value.
 fn count(api: &Api, run: i64, name: &str) -> u64 {
     api.figures(run, name).and_then(|figures| figures["count"].as_u64()).unwrap_or_default()
 }
 
-/// The environment variables of ROS on a host.
+/// Returns the environment variables of ROS on a host.
 fn ros(master: &Host, own: &Host) -> [(&'static str, String); 2] {
     let uri = format!("http://{}:11311", master.address);
     [("ROS_MASTER_URI", uri), ("ROS_IP", own.address.to_string())]
@@ -61,24 +63,24 @@ fn node(host: &Host, variables: &[(&'static str, String); 2], arguments: &[&str]
     node
 }
 
-/// A ROS system on two hosts: a camera on the edge, and a node on the cloud that answers. A message takes 30 ms to the cloud, and 5 ms
-/// back.
+/// ROS system on two hosts: a camera on the edge, and a node on the cloud that answers. A message takes 30 ms to the
+/// cloud and 5 ms back.
 struct RosOverWire {
-    /// The environment variables of ROS on the edge and on the cloud.
+    /// Environment variables of ROS on the edge and on the cloud.
     variables: [[(&'static str, String); 2]; 2],
     /// The node on the cloud.
     answering: Process,
     _camera: Process,
     _master: Process,
-    plant: Plant,
+    testbed: TwoHostTestbed,
 }
 
 impl RosOverWire {
     /// Starts the master, the camera, and the node on the cloud with these arguments.
     fn new(answering: &[&str]) -> Self {
-        let way = |delay_ms| Way { delay_ms, jitter_ms: 0, loss_percent: 0 };
-        let plant = Plant::new(|folder| Network::wire(folder, way(30), way(5)));
-        let (edge, cloud) = (plant.network.edge(), plant.network.cloud());
+        let way = |delay_ms| WireProperties { delay_ms, jitter_ms: 0, loss_percent: 0 };
+        let testbed = TwoHostTestbed::new(|folder| Network::wire(folder, way(30), way(5)));
+        let (edge, cloud) = (testbed.network.edge(), testbed.network.cloud());
         let (on_edge, on_cloud) = (ros(edge, edge), ros(edge, cloud));
         let home = std::env::temp_dir().display().to_string();
         let environment = [&borrowed(&on_edge)[..], &[("ROS_HOME", home.as_str())]].concat();
@@ -89,74 +91,86 @@ impl RosOverWire {
         });
         let camera = node(edge, &on_edge, &["camera", "camera", "/camera", "20"]);
         let answering = node(cloud, &on_cloud, answering);
-        Self { variables: [on_edge, on_cloud], answering, _camera: camera, _master: master, plant }
+        Self { variables: [on_edge, on_cloud], answering, _camera: camera, _master: master, testbed }
     }
 
     /// Starts the agent on the cloud, with these tables.
     fn cloud(&self, tables: &str) -> Process {
-        self.plant.cloud_with(tables, &borrowed(&self.variables[1]))
+        self.testbed.cloud_with(tables, &borrowed(&self.variables[1]))
     }
 
     /// Starts the agent on the edge, with these tables.
     fn edge(&self, tables: &str) -> Process {
-        self.plant.edge(tables, &borrowed(&self.variables[0]))
+        self.testbed.edge(tables, &borrowed(&self.variables[0]))
     }
 
-    /// Holds stored delays to the truth and to the delays of the wire, and the share of the node to what it says itself. `clocks` are
-    /// the edge's and the cloud's.
-    fn hold(&self, what: &str, run: i64, iterations: &[Iteration], clocks: [&HostClock; 2]) {
+    /// Compares stored delays with the truth and with the delays of the wire, and the node's share with its own
+    /// measurement. `clocks` are the edge's and the cloud's.
+    fn assert_delays_contain_truth(
+        &self,
+        what: &str,
+        run: i64,
+        iterations: &[Iteration],
+        clocks: [&HostClock; 2],
+    ) {
         let (up, down) = compare(iterations, clocks[0], clocks[1]);
         for (direction, comparison) in [("upload", &up), ("download", &down)] {
             say(&format!("{what}, {direction}: {}", comparison.in_words()));
             assert!(comparison.outside.is_empty(), "{direction}:\n{}", comparison.outside.join("\n"));
             assert!(comparison.compared >= 250, "{direction}: {}", comparison.in_words());
-            // Nothing tells a network that is slower in one direction from an offset: the estimate lies half of the difference beside.
+            // An asymmetric network cannot be distinguished from an offset: the estimate is wrong by half of the
+            // difference.
             assert!(comparison.error(0.5) < Span::from_millis(14), "{direction}: {}", comparison.in_words());
         }
-        // What each way really took: the wire's delay, and what programs and a busy machine add.
+        // True delays: the delay of the wire, and the time that programs on a busy machine add.
         for (truth, least) in [(up.truth(0.5), 30), (down.truth(0.5), 5)] {
             let (least, most) = (Span::from_millis(least - 1), Span::from_millis(least + 15));
             assert!(least < truth && truth < most, "{truth} is not between {least} and {most}");
         }
         let taken = self.answering.log().lines().rfind(|line| line.starts_with("median")).map(str::to_owned);
         let taken: f64 = taken.and_then(|line| line.split(' ').nth(1)?.parse().ok()).expect("a median");
-        let inference = median(&self.plant.api, run, "inference");
+        let inference = median(&self.testbed.api, run, "inference");
         assert!((inference - taken * 1e-6).abs() < 3e-3, "{inference} s, and the node says {taken} us");
-        // The stages are all that there is.
-        assert!(self.plant.api.mean(run, "unattributed").abs() < 1e-4);
-        assert_eq!(self.plant.api.figures(run, "upload-throughput"), None);
+        // The stages cover the whole time.
+        assert!(self.testbed.api.mean(run, "unattributed").abs() < 1e-4);
+        assert_eq!(self.testbed.api.figures(run, "upload-throughput"), None);
     }
 }
 
-/// The keys of a run that [`RosOverWire::hold`] looks at.
+/// Keys of a run that [`RosOverWire::assert_delays_contain_truth`] examines.
 const KEYS: &str = "warm_up = { iterations = 20 }\nlimit = { iterations = 300 }";
 
 #[test]
-fn delays_of_observed_messages_contain_the_truth_whatever_the_clocks_show() {
+fn observed_delays_contain_truth_despite_clock_errors() {
     let scene = RosOverWire::new(&["relay", "model", "/camera", "/result", "20", "0"]);
-    let plant = &scene.plant;
+    let testbed = &scene.testbed;
     let wrong = |offset_ms: f64, drift_ppm: f64| {
         format!("[rehearsal]\noffset_ms = {offset_ms:?}\ndrift_ppm = {drift_ppm:?}\n")
     };
-    // In the middle of the run the cloud's clock is stepped, too.
+    // In the middle of the run the cloud's clock is stepped as well.
     let stepped = wrong(5_000.0, 20.0) + "steps = [{ at_s = 10.0, by_ms = 2000.0 }]\n";
     let _cloud = scene.cloud(&(stepped + &model("/camera", "/result")));
-    let agent = scene.edge(&(wrong(-3_000.0, -20.0) + &robot(&plant.peer(), KEYS)));
-    let clocks = (plant.clock_of("edge"), plant.clock_of("cloud"));
-    let (run, detail) = finished(&plant.api);
-    scene.hold("observed together", run, &plant.iterations(), [&clocks.0, &clocks.1]);
+    let agent = scene.edge(&(wrong(-3_000.0, -20.0) + &robot(&testbed.peer(), KEYS)));
+    let clocks = (testbed.clock_of("edge"), testbed.clock_of("cloud"));
+    let (run, detail) = finished(&testbed.api);
+    scene.assert_delays_contain_truth(
+        "observed together",
+        run,
+        &testbed.iterations(),
+        [&clocks.0, &clocks.1],
+    );
 
-    // What was learnt later narrows these delays, too.
-    let recomputed = plant.api.json(&format!("/api/v1/runs/{run}/recomputed"));
+    // Exchanges after the run narrow these delays as well.
+    let recomputed = testbed.api.json(&format!("/api/v1/runs/{run}/recomputed"));
     assert!(recomputed["samples"].as_u64() > Some(0), "{recomputed}");
     let stages = recomputed["stages"].as_array().expect("a list");
     let width = |stage: &Value, when: &str| stage[when]["half_width"]["mean"].as_f64().expect("a width");
     assert_eq!(stages.len(), 2, "{recomputed}");
     assert!(stages.iter().all(|stage| width(stage, "after") <= width(stage, "before")), "{recomputed}");
 
-    // The publisher on the other host is not said to be without an agent.
+    // The publisher on the other host must not be reported as one without an agent.
     let facts = detail["facts"].to_string();
-    let place = format!("/model at {}, where the peer measures", plant.network.cloud().address);
+    let place = format!("/model at {}, where the peer measures", testbed.network.cloud().address);
     for part in [place.as_str(), "/camera on this host", "cloud with its pipeline model"] {
         assert!(facts.contains(part), "{part} is missing in {facts}");
     }
@@ -165,40 +179,47 @@ fn delays_of_observed_messages_contain_the_truth_whatever_the_clocks_show() {
     assert_eq!(agent.stop().code(), 0);
 }
 
-/// The node stamps its answers anew, so that no answer has the stamp of its input message.
+/// The node stamps its answers again, so that no answer has the stamp of its input message.
 #[test]
-fn delays_of_messages_with_one_sequence_number_contain_the_truth() {
+fn equal_sequence_numbers_keep_delays_true() {
     let scene = RosOverWire::new(&["restamp", "model", "/camera", "/result", "20"]);
-    let plant = &scene.plant;
+    let testbed = &scene.testbed;
     let by_sequence =
         |pipeline: String| pipeline.replace("ros_version", "pair_by = \"sequence\", ros_version");
     let ahead = "[rehearsal]\noffset_ms = 5000.0\ndrift_ppm = 20.0\n";
     let _cloud = scene.cloud(&(ahead.to_owned() + &by_sequence(model("/camera", "/result"))));
-    let agent = scene.edge(&by_sequence(robot(&plant.peer(), KEYS)));
-    let cloud = plant.clock_of("cloud");
-    let (run, detail) = finished(&plant.api);
-    scene.hold("observed together by sequence", run, &plant.iterations(), [&HostClock::kernels(), &cloud]);
+    let agent = scene.edge(&by_sequence(robot(&testbed.peer(), KEYS)));
+    let cloud = testbed.clock_of("cloud");
+    let (run, detail) = finished(&testbed.api);
+    scene.assert_delays_contain_truth(
+        "observed together by sequence",
+        run,
+        &testbed.iterations(),
+        [&HostClock::of_kernel(), &cloud],
+    );
     assert_eq!(detail["counts"]["lost"], 0, "{detail}");
     assert!(detail["facts"].to_string().contains("sequence number"), "{detail}");
-    // The answer is as old as its way back, and its input message as old as all of it: the two stamps differ.
-    let (age, total) = (median(&plant.api, run, "output-age"), median(&plant.api, run, "total"));
+    // The answer is as old as its way back, and its input message as old as the whole iteration: the two stamps
+    // differ.
+    let (age, total) = (median(&testbed.api, run, "output-age"), median(&testbed.api, run, "total"));
     assert!(age < 0.025 && total > 0.05, "the answer is {age} s old after {total} s");
     assert_eq!(agent.stop().code(), 0);
 }
 
-/// A robot and a rack on this machine. The rack's agent has another topic for its input, which lacks each fourth message.
+/// A robot and a rack on this machine. The rack's agent has another topic for its input, which lacks every fourth
+/// message.
 #[test]
 fn messages_that_the_peer_missed_are_counted() {
-    let (site, ros) = (Site::new(), Ros1System::new());
-    let (_aggregator, api) = site.aggregator();
+    let (deployment, ros) = (LoopbackDeployment::new(), Ros1System::new());
+    let (_aggregator, api) = deployment.aggregator();
     let _nodes = [
         ros.node(&["relay", "copy", "/camera", "/copied", "0", "4"]),
         ros.node(&["relay", "model", "/camera", "/result", "10", "0"]),
     ];
     let serve = "[serve]\nlisten = \"tcp://127.0.0.1:{data}\"\ncalibration = false\n";
-    let _rack = ros.agent(&site, "rack", &format!("{serve}{}", model("/copied", "/result")));
+    let _rack = ros.agent(&deployment, "rack", &format!("{serve}{}", model("/copied", "/result")));
     let keys = "warm_up = { iterations = 0 }\nlimit = { iterations = 60 }";
-    let agent = ros.agent(&site, "robot", &robot("tcp://127.0.0.1:{data}", keys));
+    let agent = ros.agent(&deployment, "robot", &robot("tcp://127.0.0.1:{data}", keys));
     api.until("/api/v1/pipelines/robot/detector", |pipeline| {
         pipeline.to_string().contains("no node publishes /camera").then_some(())
     });
@@ -214,9 +235,9 @@ fn messages_that_the_peer_missed_are_counted() {
 }
 
 #[test]
-fn peer_that_is_away_or_knows_no_such_pipeline_is_named() {
-    let (site, ros) = (Site::new(), Ros1System::new());
-    let (_aggregator, api) = site.aggregator();
+fn missing_peer_or_pipeline_is_named() {
+    let (deployment, ros) = (LoopbackDeployment::new(), Ros1System::new());
+    let (_aggregator, api) = deployment.aggregator();
     let _nodes = [
         ros.node(&["camera", "camera", "/camera", "20"]),
         ros.node(&["relay", "model", "/camera", "/result", "5", "0"]),
@@ -227,12 +248,13 @@ fn peer_that_is_away_or_knows_no_such_pipeline_is_named() {
             parts.iter().all(|part| text.contains(part)).then_some(())
         });
     };
-    let agent = ros.agent(&site, "robot", &robot("tcp://127.0.0.1:{data}", "warm_up = { iterations = 0 }"));
-    let address = format!("tcp://127.0.0.1:{}", site.data);
+    let agent =
+        ros.agent(&deployment, "robot", &robot("tcp://127.0.0.1:{data}", "warm_up = { iterations = 0 }"));
+    let address = format!("tcp://127.0.0.1:{}", deployment.data);
     state(&["cannot reach a cloud at", &address]);
 
     let serve = "[serve]\nlisten = \"tcp://127.0.0.1:{data}\"\n";
-    let rack = |pipeline: &str| ros.agent(&site, "rack", &format!("{serve}{pipeline}"));
+    let rack = |pipeline: &str| ros.agent(&deployment, "rack", &format!("{serve}{pipeline}"));
     let blind = rack("");
     state(&["refused the session: host rack observes no topics", "kind = \\\"observe\\\""]);
     assert_eq!(blind.stop().code(), 0);
@@ -249,7 +271,7 @@ fn peer_that_is_away_or_knows_no_such_pipeline_is_named() {
     let run = api.until("/api/v1/pipelines/robot/detector", |pipeline| pipeline["run"].as_i64());
     until("iterations with the peer's stamps", || (count(&api, run, "inference") > 10).then_some(()));
 
-    // The run goes on without it, and with it again.
+    // The run continues without the peer, and with it again.
     here.kill();
     until("iterations without the peer's stamps", || {
         (count(&api, run, "peer-unanswered") > 10).then_some(())
@@ -271,11 +293,12 @@ fn peer_that_is_away_or_knows_no_such_pipeline_is_named() {
 }
 
 #[test]
-fn check_refuses_a_peer_without_a_key_of_messages() {
-    let site = Site::new();
+fn check_refuses_peer_without_message_key() {
+    let deployment = LoopbackDeployment::new();
     let check = |pipeline: &str| {
-        site.write("it.toml", &format!("[agent]\nname = \"a\"\nstate_dir = \"{{folder}}/a\"\n{pipeline}"));
-        let ended = site.peernetd(&["check", "it.toml"]).ended();
+        deployment
+            .write("it.toml", &format!("[agent]\nname = \"a\"\nstate_dir = \"{{folder}}/a\"\n{pipeline}"));
+        let ended = deployment.peernetd(&["check", "it.toml"]).ended();
         (ended.code(), ended.log)
     };
     let with_peer = robot("tcp://rack:5551", "");

@@ -1,4 +1,4 @@
-//! ARCHITECTURE.md keeps its word: the tests that it names for each promise are there, and so are the files.
+//! Tests of the documents for developers: the tests, files, functions and libraries that they name exist.
 
 use std::collections::BTreeSet;
 use std::fs;
@@ -6,9 +6,10 @@ use std::path::{Path, PathBuf};
 
 use peernet_tests::{Document, root};
 
-const DOCUMENT: &str = "ARCHITECTURE.md";
-const SECTION: &str = "what-is-promised-and-what-keeps-it";
-/// Where code is; not the folders of what was built.
+const ARCHITECTURE: &str = "ARCHITECTURE.md";
+const DEPENDENCIES: &str = "docs/development/dependencies.md";
+const GUARANTEES: &str = "docs/development/guarantees.md";
+/// Folders with code, without those of build results.
 const CODE: [&str; 10] = [
     "configs",
     "daemon",
@@ -22,10 +23,10 @@ const CODE: [&str; 10] = [
     "web",
 ];
 
-/// What the table of libraries names beside crates of the workspace: a crate under another name, and a command.
+/// Names in the table of libraries that are not crates of the workspace: a renamed crate, and a command.
 const OTHER_NAMES: [&str; 2] = ["omq-tokio", "chronyc"];
 
-/// All files and folders below a folder.
+/// Adds all files and folders below a folder to `found`.
 fn below(folder: &Path, found: &mut Vec<PathBuf>) {
     for entry in fs::read_dir(folder).expect("it can be listed") {
         let path = entry.expect("it can be listed").path();
@@ -42,29 +43,35 @@ fn code() -> Vec<PathBuf> {
     found
 }
 
-/// What stands between backquotes, without white space.
+/// Returns the texts between back quotes that contain no white space.
 fn quoted(text: &str) -> impl Iterator<Item = &str> {
     text.lines().flat_map(|line| line.split('`').skip(1).step_by(2)).filter(|code| !code.contains(' '))
 }
 
-/// Names of tests: small letters, digits and several underscores.
+/// Returns names of tests: lower-case letters, digits and at least two underscores.
 fn tests(text: &str) -> impl Iterator<Item = &str> {
     let small = |c: char| c.is_ascii_lowercase() || c.is_ascii_digit() || c == '_';
     quoted(text).filter(move |code| code.matches('_').count() > 1 && code.chars().all(small))
 }
 
-#[test]
-fn every_promise_names_tests_that_exist() {
+/// Returns the names of all functions in the code.
+fn functions() -> BTreeSet<String> {
     let mut functions = BTreeSet::new();
     for file in code().iter().filter(|path| path.extension().is_some_and(|ending| ending == "rs")) {
         let text = fs::read_to_string(file).expect("it is text");
-        functions
-            .extend(text.split("fn ").filter_map(|after| Some(after.split_once('(')?.0.trim().to_owned())));
+        let names = text.split("fn ").filter_map(|after| after.split_once(['(', '<']));
+        functions.extend(names.map(|(name, _)| name.trim().to_owned()));
     }
-    let architecture = Document::read(DOCUMENT);
-    let rows = architecture.section(SECTION).lines().filter(|line| line.starts_with('|')).skip(2);
+    functions
+}
+
+#[test]
+fn every_promise_names_tests_that_exist() {
+    let functions = functions();
+    let guarantees = Document::read(GUARANTEES);
+    let rows = guarantees.section("promises-and-their-tests").lines();
     let mut promises = 0;
-    for row in rows {
+    for row in rows.filter(|line| line.starts_with('|')).skip(2) {
         promises += 1;
         assert!(tests(row).next().is_some(), "no test keeps {row}");
         for test in tests(row) {
@@ -78,33 +85,47 @@ fn every_promise_names_tests_that_exist() {
 fn every_path_leads_to_a_file_or_a_folder() {
     let code = code();
     let plain = |c: char| c.is_ascii_alphanumeric() || "_-./".contains(c);
-    let architecture = Document::read(DOCUMENT);
-    let paths = quoted(&architecture.text)
-        .filter(|code| code.trim_matches('/').contains('/') && code.chars().all(plain))
-        .filter(|path| !path.starts_with('/'));
-    let mut looked_at = 0;
-    for path in paths {
-        looked_at += 1;
-        let (file, module) = (Path::new(path), format!("{path}.rs"));
-        let leads = |there: &PathBuf| there.ends_with(file) || there.ends_with(&module);
-        assert!(code.iter().any(leads), "{path} is nowhere");
+    let mut checked = 0;
+    for name in [ARCHITECTURE, DEPENDENCIES, GUARANTEES, "docs/development/protocol-versions.md"] {
+        let document = Document::read(name);
+        let paths = quoted(&document.text)
+            .filter(|code| code.trim_matches('/').contains('/') && code.chars().all(plain))
+            .filter(|path| !path.starts_with('/'));
+        for path in paths {
+            checked += 1;
+            let (file, module) = (Path::new(path), format!("{path}.rs"));
+            let leads = |there: &PathBuf| there.ends_with(file) || there.ends_with(&module);
+            assert!(code.iter().any(leads), "{name}: {path} does not exist");
+        }
     }
-    assert!(looked_at > 20, "{looked_at}");
+    assert!(checked > 20, "{checked}");
 }
 
 #[test]
-fn every_library_stands_there_with_its_reason() {
+fn every_function_of_the_walks_exists() {
+    let functions = functions();
+    let architecture = Document::read(ARCHITECTURE);
+    let calls: Vec<&str> = quoted(&architecture.text).filter_map(|code| code.strip_suffix("()")).collect();
+    for call in &calls {
+        let name = call.rsplit("::").next().expect("a split has a part");
+        assert!(functions.contains(name), "there is no function {call}");
+    }
+    assert!(calls.len() > 8, "{calls:?}");
+}
+
+#[test]
+fn every_library_is_listed_with_its_reason() {
     let manifest = fs::read_to_string(root().join("Cargo.toml")).expect("it is there");
     let manifest: toml::Table = manifest.parse().expect("it is TOML");
     let libraries = manifest["workspace"]["dependencies"].as_table().expect("it is a table");
-    let architecture = Document::read(DOCUMENT);
-    let rows = architecture.section("libraries").lines().filter(|line| line.starts_with('|')).skip(2);
+    let document = Document::read(DEPENDENCIES);
+    let rows = document.section("libraries").lines().filter(|line| line.starts_with('|')).skip(2);
     let named: BTreeSet<&str> = rows.filter_map(|row| row.split('|').nth(2)).flat_map(quoted).collect();
     let ours = |library: &&String| !library.starts_with("peernet-");
     let unnamed: Vec<_> =
         libraries.keys().filter(ours).filter(|name| !named.contains(name.as_str())).collect();
-    assert!(unnamed.is_empty(), "{DOCUMENT} does not say why these were chosen: {unnamed:?}");
+    assert!(unnamed.is_empty(), "{DEPENDENCIES} does not say why these were chosen: {unnamed:?}");
     let known = |name: &&&str| OTHER_NAMES.contains(*name) || libraries.contains_key(**name);
     let gone: Vec<_> = named.iter().filter(|name| !known(name)).collect();
-    assert!(gone.is_empty(), "{DOCUMENT} names what the workspace does not depend on: {gone:?}");
+    assert!(gone.is_empty(), "{DEPENDENCIES} names libraries that the workspace does not use: {gone:?}");
 }

@@ -1,18 +1,18 @@
-//! Results on a disk that fills up, and `peernet compare` of results of either program.
+//! Tests of results on a disk that fills up, and of `peernet compare` with results of either program.
 
 use std::path::Path;
 
 use peernet_analysis::record::RunRecord;
 use peernet_analysis::rows::{Outcome, Row, Rows};
 use peernet_results::{Overwrite, ResultFolder};
-use peernet_tests::{Ended, Process, Site, SmallDisk, program};
+use peernet_tests::{LoopbackDeployment, Process, ProcessEnd, SmallDisk, program};
 
-/// A folder with results of the published program: `all/small`, and `all/large`, which takes longer; how long the upload
-/// of an iteration took, in seconds, is given.
-pub(crate) fn of_the_published_program(upload: impl Fn(u32) -> f64) -> Site {
+/// Returns a deployment with results of the published program: `all/small`, and `all/large`, which takes longer.
+/// `upload` is the duration of an iteration's upload, seconds.
+pub(crate) fn of_the_published_program(upload: impl Fn(u32) -> f64) -> LoopbackDeployment {
     let header = "iteration,sensing,upload,inference,download,download-bytes,download-logger-bytes,upload-bytes,\
                   upload-logger-bytes,upload-throughput,download-throughput\n";
-    let site = Site::new();
+    let deployment = LoopbackDeployment::new();
     for (name, seconds) in [("all/small", 0.005), ("all/large", 0.009)] {
         let row = |n: u32| {
             let (sensing, inference) = (seconds * 0.1, seconds + f64::from(n % 7) * 1e-5);
@@ -20,25 +20,25 @@ pub(crate) fn of_the_published_program(upload: impl Fn(u32) -> f64) -> Site {
             format!("{n},{sensing},{},{inference},{rest}\n", upload(n))
         };
         let rows: String = std::iter::once(header.to_owned()).chain((1..=205).map(row)).collect();
-        let folder = site.folder().join(name);
+        let folder = deployment.folder().join(name);
         std::fs::create_dir_all(&folder).expect("made");
         std::fs::write(folder.join("data.csv"), rows).expect("written");
     }
-    site
+    deployment
 }
 
-fn folders() -> Site {
+fn folders() -> LoopbackDeployment {
     of_the_published_program(|_| 0.0175)
 }
 
-fn compare(site: &Site, arguments: &[&str]) -> Ended {
-    Process::start(&program("peernet"), &[&["compare"], arguments].concat(), site.folder(), &[]).ended()
+fn compare(deployment: &LoopbackDeployment, arguments: &[&str]) -> ProcessEnd {
+    Process::start(&program("peernet"), &[&["compare"], arguments].concat(), deployment.folder(), &[]).ended()
 }
 
 #[test]
 fn results_of_the_published_program_are_compared() {
-    let site = folders();
-    let done = compare(&site, &["all"]);
+    let deployment = folders();
+    let done = compare(&deployment, &["all"]);
     assert_eq!(done.code(), 0, "{}", done.log);
     let lines: Vec<&str> = done.log.lines().collect();
     let find =
@@ -46,18 +46,18 @@ fn results_of_the_published_program_are_compared() {
     assert!(find("run ").contains("inference"), "{}", done.log);
     assert!(find("small").ends_with(" *") && find("small").contains(" 200 "), "{}", done.log);
     assert!(find("The smallest mean total (stages)").contains("the other differs"), "{}", done.log);
-    // The differences, because there are two: 4 ms and nothing.
+    // The differences of the two results: 4 ms and none.
     assert!(find("A: large. B: small.").len() > 1 && find("inference ").contains("−4.0"), "{}", done.log);
 
-    let file = compare(&site, &["all", "--format", "csv", "--out", "table.csv"]);
+    let file = compare(&deployment, &["all", "--format", "csv", "--out", "table.csv"]);
     assert_eq!((file.code(), file.log.trim()), (0, ""));
-    let table = std::fs::read_to_string(site.folder().join("table.csv")).expect("written");
+    let table = std::fs::read_to_string(deployment.folder().join("table.csv")).expect("written");
     assert!(table.starts_with("run,runs,count,unanswered,best,tie,sensing-mean,"), "{table}");
     assert!(table.contains("\nlarge,1,200,0,0,0,"), "{table}");
 
-    // One way to the same run is as good as another.
+    // All paths to the same run are equivalent.
     let baseline =
-        compare(&site, &["all/large/data.csv", "all", "--baseline", "./all/small", "--format", "csv"]);
+        compare(&deployment, &["all/large/data.csv", "all", "--baseline", "./all/small", "--format", "csv"]);
     assert_eq!(baseline.code(), 0, "{}", baseline.log);
     assert_eq!(
         baseline.log.lines().filter(|line| line.starts_with("small,large,")).count(),
@@ -68,16 +68,17 @@ fn results_of_the_published_program_are_compared() {
 }
 
 #[test]
-fn what_cannot_be_compared_is_said() {
-    let site = folders();
-    let nothing = compare(&site, &["nowhere"]);
+fn comparison_errors_are_named() {
+    let deployment = folders();
+    let nothing = compare(&deployment, &["nowhere"]);
     assert_eq!(nothing.code(), 66, "{}", nothing.log);
     assert!(nothing.log.contains("no results in nowhere: it is not there"), "{}", nothing.log);
-    std::fs::write(site.folder().join("all/small/data.csv"), "iteration,sensing\n1,fast\n").expect("written");
-    let broken = compare(&site, &["all"]);
+    std::fs::write(deployment.folder().join("all/small/data.csv"), "iteration,sensing\n1,fast\n")
+        .expect("written");
+    let broken = compare(&deployment, &["all"]);
     assert_eq!(broken.code(), 65, "{}", broken.log);
     assert!(broken.log.contains("line 2, column sensing: \"fast\" is no number"), "{}", broken.log);
-    let unwritten = compare(&site, &["all/large", "--out", "nowhere/table.txt"]);
+    let unwritten = compare(&deployment, &["all/large", "--out", "nowhere/table.txt"]);
     assert_eq!(unwritten.code(), 73, "{}", unwritten.log);
 }
 
@@ -96,7 +97,7 @@ fn row(iteration: u64) -> Row {
     }
 }
 
-/// The numbers of the rows that stand in a file; all of them are whole.
+/// Returns the numbers of the rows in a file, all of which must be complete.
 fn numbers(path: &Path) -> Vec<u64> {
     let text = std::fs::read_to_string(path).expect("readable");
     assert!(text.ends_with('\n'), "the last row is whole");
@@ -110,14 +111,14 @@ fn numbers(path: &Path) -> Vec<u64> {
 }
 
 #[test]
-fn a_disk_that_is_too_small_has_the_rows_that_fit() {
+fn full_disk_keeps_rows_that_fit() {
     const SIZE: u64 = 200 << 10;
     let disk = SmallDisk::new(SIZE);
     let folder =
         ResultFolder::create(&disk.folder().join("results"), Overwrite::Refuse).expect("there is room");
     let mut writer = folder.writer().expect("there is room");
     let path = writer.path().to_owned();
-    // All in one second: they are written together.
+    // All rows belong to one second, so that they are written together.
     (1..=9000).for_each(|number| writer.write(&Row { at: 0.5, ..row(number) }));
     assert!(writer.end().is_err(), "there is no room for all");
     let there = numbers(&path);

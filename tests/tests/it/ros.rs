@@ -1,4 +1,5 @@
-//! Sensor and actuator `ros` in real agents, with the master of ROS 1 and a node of this process as the robot.
+//! Tests of sensor and actuator `ros` in real agents, with the master of ROS 1 and a node in this process as the
+//! robot.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -11,7 +12,7 @@ use peernet_ros::ros1::{
     Environment, Node, Publisher, PublisherOptions, RpcUri, Subscriber, SubscriberOptions, TopicType,
     topic_types,
 };
-use peernet_tests::{Process, Site, until};
+use peernet_tests::{LoopbackDeployment, Process, until};
 use tokio::runtime::Runtime;
 
 /// A master, and a node that stands for the robot's.
@@ -38,13 +39,13 @@ fn clock() -> SystemClock {
 }
 
 impl Robot {
-    /// Starts the master on the site's port of data, which no cloud needs here.
-    fn start(site: &Site) -> Self {
-        let port = site.data;
+    /// Starts the master on the deployment's data port, which no cloud uses here.
+    fn start(deployment: &LoopbackDeployment) -> Self {
+        let port = deployment.data;
         let arguments = ["--core", "-p", &port.to_string()];
-        let home = site.folder().display().to_string();
+        let home = deployment.folder().display().to_string();
         let master =
-            Process::start(Path::new("rosmaster"), &arguments, site.folder(), &[("ROS_HOME", &home)]);
+            Process::start(Path::new("rosmaster"), &arguments, deployment.folder(), &[("ROS_HOME", &home)]);
         let runtime = Runtime::new().expect("a runtime");
         let environment = environment(port);
         until("the ROS master", || runtime.block_on(topic_types(&environment)).ok());
@@ -73,13 +74,13 @@ impl Robot {
     }
 }
 
-/// Writes and starts an agent among ROS nodes.
-fn agent(site: &Site, tables: &str) -> Process {
+/// Writes the configuration of an agent that uses the ROS master, and starts it.
+fn agent(deployment: &LoopbackDeployment, tables: &str) -> Process {
     let head = "[agent]\nname = \"edge\"\nstate_dir = \"{folder}/edge\"\naggregator = \"tcp://127.0.0.1:{events}\"\n";
-    site.write("edge.toml", &(head.to_owned() + tables));
-    site.start_with(
+    deployment.write("edge.toml", &(head.to_owned() + tables));
+    deployment.start_with(
         "edge.toml",
-        &[("ROS_MASTER_URI", &uri(site.data)), ("ROS_IP", "127.0.0.1"), ("ROS_VERSION", "1")],
+        &[("ROS_MASTER_URI", &uri(deployment.data)), ("ROS_IP", "127.0.0.1"), ("ROS_VERSION", "1")],
     )
 }
 
@@ -99,12 +100,12 @@ limit = { total = 10 }
 
 #[test]
 fn topic_is_sensed_and_answers_are_published() {
-    let site = Site::new();
-    let (_aggregator, api) = site.aggregator();
-    let robot = Robot::start(&site);
+    let deployment = LoopbackDeployment::new();
+    let (_aggregator, api) = deployment.aggregator();
+    let robot = Robot::start(&deployment);
     let camera = robot.publish::<CompressedImage>("/camera");
     let mut seen = robot.subscribe::<UInt8MultiArray>("/seen");
-    let edge = agent(&site, ECHO);
+    let edge = agent(&deployment, ECHO);
     robot.wait_for_subscriber(&camera);
     robot.runtime.block_on(seen.wait_for_publishers(1)).expect("the node runs");
     for number in 0..10_u8 {
@@ -119,7 +120,7 @@ fn topic_is_sensed_and_answers_are_published() {
     let run = api.finished_run();
     assert_eq!(api.json(&format!("/api/v1/runs/{run}"))["counts"]["ok"].as_u64(), Some(10));
     assert_eq!((api.mean(run, "dropped-samples"), api.mean(run, "dropped-answers")), (0.0, 0.0));
-    // Stamped 20 ms before it was published.
+    // It was stamped 20 ms before it was published.
     let delay = api.mean(run, "capture-delay");
     assert!((0.02..5.0).contains(&delay), "{delay}");
     assert_eq!(edge.stop().code(), 0);
@@ -140,21 +141,22 @@ limit = { total = 2 }
 "#;
 
 #[test]
-fn messages_for_a_busy_pipeline_are_counted_as_dropped() {
-    let site = Site::new();
-    let (_aggregator, api) = site.aggregator();
-    let robot = Robot::start(&site);
+fn busy_pipeline_counts_dropped_messages() {
+    let deployment = LoopbackDeployment::new();
+    let (_aggregator, api) = deployment.aggregator();
+    let robot = Robot::start(&deployment);
     let words = robot.publish::<StringMessage>("/words");
-    let edge = agent(&site, BUSY);
+    let edge = agent(&deployment, BUSY);
     robot.wait_for_subscriber(&words);
     for number in 0..10 {
         robot.send(&words, &StringMessage { data: format!("word {number}") });
     }
     let run = api.finished_run();
-    // One or two were taken, the newest among them: the first one may have been replaced before anybody saw it.
+    // One or two messages were sensed, the newest among them: the first one may have been replaced before the sensor
+    // read it.
     let taken = api.json(&format!("/api/v1/runs/{run}"))["counts"]["ok"].as_f64().expect("a number");
     assert_eq!(taken + taken * api.mean(run, "dropped-samples"), 10.0);
-    // Texts have no header, and so no capture time.
+    // Texts have no header, so that there is no capture time.
     assert!(api.figures(run, "capture-delay").is_none());
     assert_eq!(edge.stop().code(), 0);
 }
@@ -168,15 +170,15 @@ warm_up = { iterations = 0 }
 "#;
 
 #[test]
-fn pipeline_goes_on_when_the_master_comes_late() {
-    let site = Site::new();
-    let (_aggregator, api) = site.aggregator();
-    let edge = agent(&site, ALONE);
+fn pipeline_waits_for_late_master() {
+    let deployment = LoopbackDeployment::new();
+    let (_aggregator, api) = deployment.aggregator();
+    let edge = agent(&deployment, ALONE);
     let incident = |text: &str| {
         api.until("/api/v1/incidents", |found| found.to_string().contains(text).then_some(()));
     };
     incident("start roscore there, or set ROS_MASTER_URI");
-    let robot = Robot::start(&site);
+    let robot = Robot::start(&deployment);
     let words = robot.publish::<StringMessage>("/words");
     robot.wait_for_subscriber(&words);
     robot.send(&words, &StringMessage { data: "at last".into() });
@@ -184,46 +186,46 @@ fn pipeline_goes_on_when_the_master_comes_late() {
     assert_eq!(edge.stop().code(), 0);
 }
 
-/// Checks one pipeline; returns the exit code and what was said.
-fn check(site: &Site, sensor: &str, actuator: &str) -> (i32, String) {
+/// Checks one pipeline; returns the exit code and the output.
+fn check(deployment: &LoopbackDeployment, sensor: &str, actuator: &str) -> (i32, String) {
     let text = format!(
         "[agent]\nstate_dir = \"{{folder}}/edge\"\n[[model]]\nname = \"echo\"\nkind = \"echo\"\n[[pipeline]]\nname = \"one\"\n\
          sensor = {{ kind = \"ros\", {sensor} }}\nactuator = {{ kind = \"ros\", {actuator} }}\n\
          placement = {{ kind = \"local\", model = \"echo\" }}\n"
     );
-    let file = site.write("check.toml", &text).display().to_string();
-    let uri = uri(site.data);
+    let file = deployment.write("check.toml", &text).display().to_string();
+    let uri = uri(deployment.data);
     let environment = [("ROS_MASTER_URI", uri.as_str()), ("ROS_IP", "127.0.0.1")];
     let program = peernet_tests::program("peernetd");
-    let ended = Process::start(&program, &["check", &file], site.folder(), &environment).ended();
+    let ended = Process::start(&program, &["check", &file], deployment.folder(), &environment).ended();
     (ended.code(), ended.log)
 }
 
 #[test]
-fn check_names_what_is_wrong_with_a_topic() {
-    let site = Site::new();
+fn check_names_topic_errors() {
+    let deployment = LoopbackDeployment::new();
     let [sensor, actuator] = ["topic = \"/words\", ros_version = 1", "topic = \"/answers\", ros_version = 1"];
-    let (code, said) = check(&site, "topic = \"/words\"", actuator);
+    let (code, said) = check(&deployment, "topic = \"/words\"", actuator);
     assert_eq!(code, 78, "{said}");
     assert!(said.contains("pipeline[0].sensor: which version of ROS? set ros_version = 1 or 2"), "{said}");
-    let (code, said) = check(&site, "topic = \"/words\", type = \"words\", ros_version = 1", actuator);
+    let (code, said) = check(&deployment, "topic = \"/words\", type = \"words\", ros_version = 1", actuator);
     assert_eq!(code, 78, "{said}");
     assert!(said.contains("`words` cannot be the name of a ROS message type"), "{said}");
     if !peernet_ros::ros2::IS_BUILT {
-        let (code, said) = check(&site, sensor, "topic = \"/answers\", ros_version = 2");
+        let (code, said) = check(&deployment, sensor, "topic = \"/answers\", ros_version = 2");
         assert_eq!(code, 78, "{said}");
         assert!(said.contains("pipeline[0].actuator: this build has no ROS 2"), "{said}");
     }
-    // What may be right in a moment is a note.
-    let (code, said) = check(&site, sensor, actuator);
+    // A condition that may change in a moment is a note.
+    let (code, said) = check(&deployment, sensor, actuator);
     assert_eq!(code, 0, "{said}");
     assert!(said.contains("note: pipeline[0].sensor: no ROS master answers at http://127.0.0.1:"), "{said}");
-    let robot = Robot::start(&site);
-    let (_, said) = check(&site, sensor, actuator);
+    let robot = Robot::start(&deployment);
+    let (_, said) = check(&deployment, sensor, actuator);
     assert!(said.contains("does not know topic /words yet; it knows no topic at all"), "{said}");
     let _words = robot.publish::<StringMessage>("/words");
     let _answers = robot.publish::<CompressedImage>("/answers");
-    let (code, said) = check(&site, &format!("{sensor}, type = \"sensor_msgs/Image\""), actuator);
+    let (code, said) = check(&deployment, &format!("{sensor}, type = \"sensor_msgs/Image\""), actuator);
     assert_eq!(code, 0, "{said}");
     for part in [
         "pipeline[0].sensor: topic /words has the type std_msgs/String, not sensor_msgs/Image",

@@ -1,6 +1,6 @@
-//! When things go wrong between real processes.
+//! Tests of failures between real processes.
 
-use peernet_tests::{Api, Process, Site};
+use peernet_tests::{Api, LoopbackDeployment, Process};
 use serde_json::Value;
 
 const CLOUD: &str = r#"
@@ -19,8 +19,8 @@ inference_ms = 40
 postprocessing_ms = 0
 "#;
 
-fn edge(site: &Site, name: &str, model: &str) -> Process {
-    site.agent(name, &EDGE.replace("MODEL", model))
+fn edge(deployment: &LoopbackDeployment, name: &str, model: &str) -> Process {
+    deployment.agent(name, &EDGE.replace("MODEL", model))
 }
 
 const EDGE: &str = r#"
@@ -31,11 +31,11 @@ placement = { kind = "remote", peer = "tcp://127.0.0.1:{data}", model = "MODEL" 
 load = { mode = "rate", hz = 50.0 }
 "#;
 
-fn cloud(site: &Site) -> Process {
-    site.agent("cloud", CLOUD)
+fn cloud(deployment: &LoopbackDeployment) -> Process {
+    deployment.agent("cloud", CLOUD)
 }
 
-/// Iterations of the newest run by outcome.
+/// Returns the iterations of a host's newest run by outcome.
 fn counts(api: &Api, host: &str) -> Option<Value> {
     let runs = api.json("/api/v1/runs");
     runs["runs"].as_array()?.iter().find(|run| run["host"] == host).map(|run| run["counts"].clone())
@@ -46,14 +46,14 @@ fn count(api: &Api, host: &str, outcome: &str) -> u64 {
 }
 
 #[test]
-fn a_cloud_that_comes_late_and_dies_and_returns() {
-    let site = Site::new();
-    let (_aggregator, api) = site.aggregator();
-    let edge = edge(&site, "edge", "slow");
+fn pipeline_survives_late_and_restarted_cloud() {
+    let deployment = LoopbackDeployment::new();
+    let (_aggregator, api) = deployment.aggregator();
+    let edge = edge(&deployment, "edge", "slow");
     let said = edge.wait_for("cannot reach a cloud");
     assert!(said.contains("goes on by itself"), "{said}");
 
-    let first = cloud(&site);
+    let first = cloud(&deployment);
     peernet_tests::until("answers", || (count(&api, "edge", "ok") > 20).then_some(()));
     assert_eq!(edge.log().matches("cannot reach a cloud").count(), 1, "said once:\n{}", edge.log());
 
@@ -61,7 +61,7 @@ fn a_cloud_that_comes_late_and_dies_and_returns() {
     let lost =
         peernet_tests::until("lost iterations", || Some(count(&api, "edge", "lost")).filter(|n| *n > 0));
     let answered = count(&api, "edge", "ok");
-    let second = cloud(&site);
+    let second = cloud(&deployment);
     peernet_tests::until("answers again", || (count(&api, "edge", "ok") > answered + 20).then_some(()));
 
     let runs = api.json("/api/v1/runs");
@@ -75,11 +75,11 @@ fn a_cloud_that_comes_late_and_dies_and_returns() {
 }
 
 #[test]
-fn an_unknown_model_is_refused_with_what_exists() {
-    let site = Site::new();
-    let cloud = cloud(&site);
+fn unknown_model_error_lists_models() {
+    let deployment = LoopbackDeployment::new();
+    let cloud = cloud(&deployment);
     cloud.wait_for("ready");
-    let edge = edge(&site, "edge", "classifier");
+    let edge = edge(&deployment, "edge", "classifier");
     let said = edge.wait_for("classifier");
     let said = if said.contains("echo") { said } else { edge.wait_for("echo") };
     assert!(said.contains("echo") && said.contains("slow"), "{said}");
@@ -87,18 +87,18 @@ fn an_unknown_model_is_refused_with_what_exists() {
 }
 
 #[test]
-fn agents_work_without_an_aggregator_and_deliver_when_it_comes() {
-    let site = Site::new();
-    let cloud = cloud(&site);
-    let edge = edge(&site, "edge", "echo");
+fn agents_deliver_to_late_aggregator() {
+    let deployment = LoopbackDeployment::new();
+    let cloud = cloud(&deployment);
+    let edge = edge(&deployment, "edge", "echo");
     edge.wait_for("connected to cloud");
     edge.wait_for("aggregator");
-    let (aggregator, api) = site.aggregator();
+    let (aggregator, api) = deployment.aggregator();
     peernet_tests::until("stored iterations", || (count(&api, "edge", "ok") > 100).then_some(()));
 
-    // It dies without a word and comes back on the same file: nothing twice, nothing missing.
+    // It is killed and comes back with the same file: no iteration is stored twice or missing.
     aggregator.kill();
-    let (_aggregator, api) = site.aggregator();
+    let (_aggregator, api) = deployment.aggregator();
     let before = count(&api, "edge", "ok");
     peernet_tests::until("more iterations", || (count(&api, "edge", "ok") > before + 100).then_some(()));
     assert_eq!(edge.stop().code(), 0);
@@ -116,24 +116,24 @@ fn agents_work_without_an_aggregator_and_deliver_when_it_comes() {
 }
 
 #[test]
-fn two_hosts_of_one_name_and_a_host_that_crashed() {
-    let site = Site::new();
-    let (_aggregator, api) = site.aggregator();
-    let cloud = cloud(&site);
-    let first = edge(&site, "edge", "echo");
+fn duplicate_host_name_and_crashed_host_are_reported() {
+    let deployment = LoopbackDeployment::new();
+    let (_aggregator, api) = deployment.aggregator();
+    let cloud = cloud(&deployment);
+    let first = edge(&deployment, "edge", "echo");
     peernet_tests::until("stored iterations", || (count(&api, "edge", "ok") > 0).then_some(()));
 
     // The same file with another folder for its state.
-    let file = std::fs::read_to_string(site.folder().join("edge.toml")).expect("it was written");
-    let state = site.folder().display().to_string();
-    site.write("impostor.toml", &file.replace(&format!("{state}/edge"), &format!("{state}/impostor")));
-    let impostor = site.start("impostor.toml");
+    let file = std::fs::read_to_string(deployment.folder().join("edge.toml")).expect("it was written");
+    let state = deployment.folder().display().to_string();
+    deployment.write("impostor.toml", &file.replace(&format!("{state}/edge"), &format!("{state}/impostor")));
+    let impostor = deployment.start("impostor.toml");
     let said = impostor.wait_for("refused");
     assert!(said.contains("edge"), "{said}");
     assert_eq!(impostor.stop().code(), 0);
 
     first.kill();
-    let again = edge(&site, "edge", "echo");
+    let again = edge(&deployment, "edge", "echo");
     peernet_tests::until("the second run", || {
         let runs = api.json("/api/v1/runs");
         (runs["runs"].as_array()?.len() == 2).then_some(())
@@ -144,16 +144,16 @@ fn two_hosts_of_one_name_and_a_host_that_crashed() {
 
 #[test]
 fn a_broken_picture_is_one_failed_iteration() {
-    let site = Site::new();
-    let (_aggregator, api) = site.aggregator();
-    let pictures = site.folder().join("pictures");
+    let deployment = LoopbackDeployment::new();
+    let (_aggregator, api) = deployment.aggregator();
+    let pictures = deployment.folder().join("pictures");
     std::fs::create_dir(&pictures).expect("the temporary folder is writable");
     let good = peernet_tests::root().join("models/quality-control/pictures/part-0001.jpg");
     std::fs::copy(&good, pictures.join("1.jpg")).expect("the demo's pictures are there");
     std::fs::write(pictures.join("2.jpg"), b"this is not a picture")
         .expect("the temporary folder is writable");
     std::fs::copy(&good, pictures.join("3.jpg")).expect("the demo's pictures are there");
-    let edge = site.agent(
+    let edge = deployment.agent(
         "edge",
         r#"
 [[model]]

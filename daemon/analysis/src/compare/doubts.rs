@@ -63,7 +63,7 @@ fn is_missing(row: RowRef<'_>, name: &str) -> bool {
         verdict.is_some_and(|verdict| !matches!(verdict, Verdict::Ok | Verdict::Limited))
     };
     match (row.value(name), name) {
-        (Some(value), _) => !Summary::takes(value),
+        (Some(value), _) => !Summary::accepts(value),
         (None, "upload") => !unknown(up),
         (None, "download") => !unknown(down),
         (None, "stages-total") => !unknown(up) && !unknown(down),

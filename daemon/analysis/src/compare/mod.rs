@@ -210,7 +210,7 @@ impl Line {
         self.latencies = LATENCIES.map(|name| {
             let mut moments = Moments::default();
             let numbers = of_line().flat_map(|run| run.rows.counted(name));
-            numbers.filter(|number| Summary::takes(*number)).for_each(|number| moments.record(number));
+            numbers.filter(|number| Summary::accepts(*number)).for_each(|number| moments.record(number));
             let Moments { mean, count, .. } = moments;
             (count > 0).then(|| Latency { mean, std: moments.std(), count })
         });
@@ -229,7 +229,7 @@ impl Line {
 
 /// A column's finite numbers in the rows that count, in order.
 fn values(rows: &Rows, column: &str) -> Vec<f64> {
-    rows.counted(column).filter(|value| Summary::takes(*value)).collect()
+    rows.counted(column).filter(|value| Summary::accepts(*value)).collect()
 }
 
 /// Whether a comparison asks for a column: what `peernet_results::ResultFolder::open_columns` is to read.

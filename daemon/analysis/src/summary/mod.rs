@@ -130,7 +130,7 @@ impl Quantity {
     /// What these numbers come to; `None` when there are none. What is not finite, or as good as infinite, is left out.
     pub fn of(column: Column, values: impl IntoIterator<Item = f64>) -> Option<Self> {
         let mut moments = Moments::default();
-        let values = values.into_iter().filter(|value| statistics::Summary::takes(*value));
+        let values = values.into_iter().filter(|value| statistics::Summary::accepts(*value));
         let ordered: Ordered = values.inspect(|value| moments.record(*value)).collect();
         Some(Self {
             column,

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use crate::exit::{Exit, Failure};
 use peernet_analysis::record::RunRecord;
 use peernet_analysis::rows::Rows;
-use peernet_results::{Finished, FolderError, Overwrite, ResultFolder, RowWriter};
+use peernet_results::{FolderError, Overwrite, ResultFolder, RowWriter, WrittenResults};
 
 use super::Order;
 use super::previous_results::PreviousResultsGuard;
@@ -35,12 +35,12 @@ impl Results {
     pub(super) fn begin(order: &Order) -> Result<Self, Failure> {
         // The lock shows that no run is active there; taking it changes nothing.
         if PreviousResultsGuard::is_left(&order.folder)
-            && let Ok(folder) = ResultFolder::take(&order.folder, Overwrite::Replace)
+            && let Ok(folder) = ResultFolder::acquire(&order.folder, Overwrite::Replace)
         {
             PreviousResultsGuard::recover(folder.path())?;
         }
         let was_there = order.folder.exists();
-        let folder = ResultFolder::take(&order.folder, order.overwrite).map_err(failure)?;
+        let folder = ResultFolder::acquire(&order.folder, order.overwrite).map_err(failure)?;
         let replaces = was_there && order.overwrite == Overwrite::Replace;
         let earlier = replaces.then(|| PreviousResultsGuard::move_away(folder.path())).transpose()?;
         let made = !was_there || folder.path() != order.folder;
@@ -74,13 +74,13 @@ impl Results {
     pub(super) fn finish(&mut self, record: &RunRecord, rows: &Rows) -> Written {
         let mut earlier = self.earlier.take();
         match self.folder.finish(record, rows) {
-            Ok(Finished { folder, files, trouble: None }) => {
+            Ok(WrittenResults { folder, files, trouble: None }) => {
                 if let Some(earlier) = &mut earlier {
                     earlier.remove();
                 }
                 Written { folder, files, trouble: None }
             }
-            Ok(Finished { folder, files, trouble: Some(trouble) }) => {
+            Ok(WrittenResults { folder, files, trouble: Some(trouble) }) => {
                 let back = earlier.map_or_else(String::new, PreviousResultsGuard::restore);
                 let trouble =
                     format!("{trouble}; all that was measured is in {} instead{back}", folder.display());

@@ -1,4 +1,4 @@
-//! A program's arguments may hold secrets: what is told of them.
+//! Protection of programs' arguments, which may contain secrets.
 
 use std::cell::Cell;
 use std::fmt;
@@ -10,35 +10,36 @@ use toml::{Table, Value};
 
 use super::CommandLine;
 
-/// Hexadecimal digits of a fingerprint: two commands of one host share one by chance once in 2⁴⁸.
-const DIGITS: usize = 12;
+/// Number of hexadecimal digits of a fingerprint: two commands of one host have the same fingerprint with probability
+/// 2⁻⁴⁸.
+const FINGERPRINT_DIGITS: usize = 12;
 
-/// What the fact about a program begins with.
+/// Prefix of the fact about a program.
 const PROGRAM: &str = "the program ";
 
-/// The facts that name a program.
-const FACTS: [&str; 3] = ["Sensor", "Model", "Actuator"];
+/// Names of the facts about programs.
+const FACT_NAMES: [&str; 3] = ["Sensor", "Model", "Actuator"];
 
-/// The tables of a pipeline that could name a program in earlier builds.
+/// Tables of a pipeline in which earlier builds could name a program.
 const TABLES: [&str; 2] = ["sensor", "actuator"];
 
-/// Makes fingerprints of commands: equal commands have equal ones.
+/// Key for fingerprints of commands. Equal commands have equal fingerprints.
 ///
-/// The key is secret and stays on its host. Without it a short secret among the arguments cannot be found by trying, as
-/// it could with a plain hash.
+/// The key is secret and stays on its host. Without it, a short secret among the arguments cannot be found by trying
+/// values, which a plain hash would allow.
 #[derive(Clone)]
 pub struct FingerprintKey([u8; 32]);
 
 impl FingerprintKey {
-    /// A key of these random bytes.
+    /// Creates a key of random bytes.
     pub const fn new(bytes: [u8; 32]) -> Self {
         Self(bytes)
     }
 
-    /// A fingerprint of the whole command (HMAC-SHA256, RFC 2104, its first 48 bits).
+    /// Returns the fingerprint of the whole command: the first 48 bits of HMAC-SHA256 (RFC 2104).
     fn of(&self, command: &CommandLine) -> String {
         let mut mac = Hmac::<Sha256>::new_from_slice(&self.0).expect("HMAC takes keys of any length");
-        // The length tells where each word ends.
+        // The length marks where each word ends.
         let mut word = |word: &str| {
             mac.update(&(word.len() as u64).to_be_bytes());
             mac.update(word.as_bytes());
@@ -48,7 +49,7 @@ impl FingerprintKey {
             CommandLine::Words(words) => words.iter().for_each(|each| word(each)),
         }
         let code = mac.finalize().into_bytes();
-        code.iter().map(|byte| format!("{byte:02x}")).collect::<String>()[..DIGITS].to_owned()
+        code.iter().map(|byte| format!("{byte:02x}")).collect::<String>()[..FINGERPRINT_DIGITS].to_owned()
     }
 }
 
@@ -59,7 +60,7 @@ impl fmt::Debug for FingerprintKey {
 }
 
 impl CommandLine {
-    /// The number of its arguments and its fingerprint, in words; `None` without arguments.
+    /// Returns the number of arguments and the fingerprint as text; `None` if there are no arguments.
     pub(super) fn fingerprint(&self, key: &FingerprintKey) -> Option<String> {
         let count = self.arguments();
         (count > 0).then(|| format!("{count}, fingerprint {}", key.of(self)))
@@ -67,14 +68,16 @@ impl CommandLine {
 }
 
 thread_local! {
-    // Serde hands no context to nested values. Only they see which keys hold commands: those of a kind are its own.
+    // Serde passes no context to nested values, and only the values know which of their keys hold commands.
     static SHOWS_ARGUMENTS: Cell<bool> = const { Cell::new(false) };
 }
 
-/// Calls `write`, in which each command is serialized with its arguments, which may be secret: for files and programs of the user alone.
-/// Elsewhere a command is serialized as its program and the number of its arguments, whatever its key is.
+/// Calls `write`, in which each command is serialized with its arguments. They may be secret, so that this is for
+/// files and programs of the user only.
+///
+/// Outside of it each command is serialized as its program and the number of its arguments, whatever its key.
 pub fn with_arguments<T>(write: impl FnOnce() -> T) -> T {
-    /// Also when `write` panics.
+    /// Restores the previous mode, also when `write` panics.
     struct Restore(bool);
 
     impl Drop for Restore {
@@ -87,7 +90,7 @@ pub fn with_arguments<T>(write: impl FnOnce() -> T) -> T {
     write()
 }
 
-/// What is told of a command.
+/// Published form of a command.
 #[derive(Serialize)]
 struct PublicCommand<'a> {
     arguments: usize,
@@ -110,9 +113,10 @@ impl Serialize for CommandLine {
     }
 }
 
-/// Leaves the program and the number of its arguments of each command in a pipeline's table (TOML) that an earlier build stored.
+/// Replaces each command in a pipeline's table (TOML) of an earlier build by its program and the number of its
+/// arguments.
 pub fn hide_arguments(configuration: &str) -> String {
-    // Most have none, and stay as they were written.
+    // Most tables have no command and stay exactly as they were written.
     if !configuration.contains("command") {
         return configuration.to_owned();
     }
@@ -133,10 +137,10 @@ pub fn hide_arguments(configuration: &str) -> String {
     toml::to_string(&table).unwrap_or_else(|error| format!("# cannot be written down: {error}\n"))
 }
 
-/// Leaves the program alone of facts that name one with its arguments, as earlier builds stored them.
+/// Removes the arguments from facts that name a program with its arguments, as earlier builds stored them.
 pub fn hide_arguments_in_facts(facts: &mut [(String, String)]) {
     for (name, fact) in facts {
-        if FACTS.contains(&name.as_str())
+        if FACT_NAMES.contains(&name.as_str())
             && let Some(line) = fact.strip_prefix(PROGRAM)
         {
             let line = CommandLine::Shell(line.to_owned());
@@ -145,7 +149,7 @@ pub fn hide_arguments_in_facts(facts: &mut [(String, String)]) {
     }
 }
 
-/// `the program ./blur`.
+/// Returns the value of the fact about a program: `the program ./blur`.
 pub(super) fn fact_of(command: &CommandLine) -> String {
     format!("{PROGRAM}{}", command.program())
 }
@@ -193,7 +197,7 @@ mod tests {
 
     #[test]
     fn commands_lose_their_arguments_whatever_their_key() {
-        /// A kind of program with keys of its own.
+        /// Kind of program with other keys.
         #[derive(Serialize)]
         #[serde(tag = "kind", rename_all = "kebab-case")]
         enum Kind {

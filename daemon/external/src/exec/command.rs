@@ -1,4 +1,4 @@
-//! Which program, in the configuration and on the command line.
+//! The command of an external program, as configured or given on the command line.
 
 use std::collections::BTreeMap;
 use std::ffi::OsStr;
@@ -17,57 +17,60 @@ use super::{FingerprintKey, Role};
 use crate::digest;
 use crate::process::{MAX_TIMEOUT_MS, find_program, impossible_variable};
 
-/// Most files of a command that are told.
-const MOST_FILES: usize = 4;
+/// Largest number of a command's files that are recorded as facts.
+const MAX_FILES: usize = 4;
 
-/// The permission bit of everybody who is neither the owner nor in the group.
+/// Permission bit that lets users read a file who are neither its owner nor in its group.
 const READ_BY_OTHERS: u32 = 0o004;
 
-/// A command: a line for the shell, or a program with its arguments.
+/// Command: a line for the shell, or a program with its arguments.
 ///
-/// It is written as its program and the number of its arguments, and within [`with_arguments`](super::with_arguments) as it is read.
+/// It is serialized as its program and the number of its arguments, because arguments may be secret; within
+/// [`with_arguments`](super::with_arguments) it is serialized as it was read.
 #[derive(Clone, Debug, PartialEq, Eq, Deserialize)]
 #[serde(untagged)]
 pub enum CommandLine {
-    /// Run by `sh -c`, and in the place of that shell where it is one program and its arguments.
+    /// Line that is run by `sh -c`. If it is one program with arguments, that program replaces the shell.
     Shell(String),
-    /// Run as it is: the program first, looked up on the path unless it contains a slash.
+    /// Program and arguments, run without a shell. The program is looked up in `PATH` unless its name contains a
+    /// slash.
     Words(Vec<String>),
 }
 
-/// `{ kind = "exec", … }`
+/// Configuration of an external program: `{ kind = "exec", … }`.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ExecConfig {
-    /// The program: `["./blur", "--fast"]`, or a line for `sh -c`.
+    /// Command: `["./blur", "--fast"]`, or a line for `sh -c`.
     pub command: CommandLine,
-    /// How long it may take for one reply; milliseconds, up to a day. It is killed after that and started anew with
-    /// the next request. Default: 10000.
+    /// Longest time for one reply, milliseconds, up to one day. Afterwards the program is killed; the next request
+    /// restarts it. Default: 10000.
     #[serde(default = "ten_seconds")]
     pub timeout_ms: NonZeroU64,
-    /// The folder it runs in, which a program's name with a slash in it is relative to. Default: the current directory.
+    /// Working directory of the program; a program name with a slash is relative to it. Default: the current
+    /// directory.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub folder: Option<PathBuf>,
-    /// Environment variables for it.
+    /// Environment variables of the program.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub env: BTreeMap<String, String>,
 }
 
 impl ExecConfig {
-    /// A program with the defaults.
+    /// Returns the configuration of a command with the defaults.
     pub fn of(command: CommandLine) -> Self {
         Self { command, timeout_ms: ten_seconds(), folder: None, env: BTreeMap::new() }
     }
 
-    /// How long one reply may take.
+    /// Returns the longest time for one reply.
     pub fn timeout(&self) -> Span {
         Span::from_millis(self.timeout_ms.get().min(MAX_TIMEOUT_MS).cast_signed())
     }
 
-    /// Checks what can be checked without running the program.
+    /// Checks the configuration without running the program.
     ///
     /// # Errors
-    /// When the program cannot be run like this.
+    /// If the program cannot be run with this configuration.
     pub fn check(&self) -> Result<(), CommandError> {
         if self.timeout_ms.get() > MAX_TIMEOUT_MS {
             return Err(CommandError::Timeout { timeout_ms: self.timeout_ms });
@@ -81,7 +84,7 @@ impl ExecConfig {
         match &self.command {
             CommandLine::Shell(line) if line.trim().is_empty() => Err(CommandError::Empty),
             CommandLine::Shell(line) => match only_program(line) {
-                // Without a slash it may be a command of the shell's own.
+                // A name without a slash may be a builtin command of the shell.
                 Some(program) if program.contains('/') => self.find(program),
                 _ => Ok(()),
             },
@@ -95,25 +98,27 @@ impl ExecConfig {
         }
     }
 
-    /// What it is, for the run's page: the program without its arguments, which may be secret, and the files that the command
-    /// names, each with its SHA-256, with the role before each name. Reads those files.
+    /// Returns facts for the run's page: the program without its arguments, which may be secret, and the files that
+    /// the command names with their SHA-256. The name of each fact begins with the role. Reads those files.
     pub fn facts(&self, role: Role) -> Vec<(String, String)> {
         let heading = role.heading();
         let mut facts = vec![(heading.to_owned(), fact_of(&self.command))];
-        facts.extend(digest::fact(heading, &self.files(role)));
+        facts.extend(digest::files_fact(heading, &self.files(role)));
         facts
     }
 
-    /// What tells runs with different arguments apart without telling the arguments: the fact (`Sensor arguments`,
-    /// `2, fingerprint 8a5e1f0c92d3`); `None` without arguments.
+    /// Returns the fact that distinguishes runs with different arguments without revealing them (`Sensor arguments`,
+    /// `2, fingerprint 8a5e1f0c92d3`); `None` if there are no arguments.
     pub fn arguments(&self, role: Role, key: &FingerprintKey) -> Option<(String, String)> {
         let told = self.command.fingerprint(key)?;
         Some((format!("{} arguments", role.heading()), told))
     }
 
-    /// The files that the command names, as far as that can be told by looking: the program, and its script or data. Of an
-    /// actuator the script alone: what else it names may be what it writes. A file that not everybody on the host may read,
-    /// such as one of passwords, is left out, unless it is the program or its script.
+    /// Returns the files that the command names, as far as its text shows: the program, and its script or data.
+    ///
+    /// For an actuator only the program and its script count, because it may write the other files. Files that not
+    /// every user of the host may read are left out, such as files with passwords, unless they are the program or its
+    /// script.
     fn files(&self, role: Role) -> Vec<PathBuf> {
         let (program, words) = match &self.command {
             CommandLine::Shell(line) => (only_program(line), split(line)),
@@ -135,10 +140,10 @@ impl ExecConfig {
         };
         let named = words.into_iter().skip(on_path.iter().count());
         let named = named.filter(|word| is_file(word) && (is_code(word) || is_public(word)));
-        on_path.into_iter().chain(named.map(|word| folder.join(word))).take(MOST_FILES).collect()
+        on_path.into_iter().chain(named.map(|word| folder.join(word))).take(MAX_FILES).collect()
     }
 
-    /// Whether a program is there.
+    /// Checks that a program exists.
     fn find(&self, program: &str) -> Result<(), CommandError> {
         if program.contains('/') {
             let path = self.folder.as_deref().unwrap_or(Path::new("")).join(program);
@@ -148,12 +153,12 @@ impl ExecConfig {
         found.ok_or_else(|| CommandError::NotInPath(program.to_owned()))
     }
 
-    /// The program and its arguments, as the system is asked for them.
+    /// Returns the program and its arguments for the system call.
     pub(super) fn words(&self) -> (String, Vec<String>) {
         match &self.command {
             CommandLine::Shell(line) => {
-                // A shell that waited for its only program would keep the pipes open when the program closes them, and
-                // make an exit status of the signal that kills it.
+                // A shell that waits for its only program would keep the pipes open when the program closes them, and
+                // would turn the signal that kills the program into an exit status.
                 let alone = only_program(line).is_some_and(|program| self.find(program).is_ok());
                 let line = if alone { format!("exec {line}") } else { line.clone() };
                 ("sh".to_owned(), vec!["-c".to_owned(), line])
@@ -171,7 +176,7 @@ const fn ten_seconds() -> NonZeroU64 {
 }
 
 impl CommandLine {
-    /// The program without its arguments: `sh` of a line that is more than one program and its arguments.
+    /// Returns the program without its arguments; `sh` for a line that is more than one program with its arguments.
     pub fn program(&self) -> &str {
         match self {
             Self::Shell(line) => only_program(line).unwrap_or("sh"),
@@ -179,18 +184,18 @@ impl CommandLine {
         }
     }
 
-    /// How many arguments the program has.
+    /// Returns the number of the program's arguments.
     pub(super) fn arguments(&self) -> usize {
         match self {
             Self::Shell(line) if only_program(line).is_some() => split(line).len().saturating_sub(1),
-            // Behind `-c`.
+            // The line is the one argument after `-c`.
             Self::Shell(_) => 1,
             Self::Words(words) => words.len().saturating_sub(1),
         }
     }
 }
 
-/// The program alone, for messages: arguments may be secret.
+/// Formats only the program, for messages: arguments may be secret.
 impl fmt::Display for CommandLine {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(self.program())
@@ -206,7 +211,7 @@ mod tests {
     }
 
     #[test]
-    fn a_command_is_a_line_for_the_shell_or_a_list_of_words() {
+    fn command_is_shell_line_or_list_of_words() {
         let words = read("command = ['cat', '-u']").expect("reads");
         assert_eq!(words.words(), ("cat".to_owned(), vec!["-u".to_owned()]));
         assert_eq!((words.check(), words.timeout()), (Ok(()), Span::from_seconds(10)));
@@ -216,7 +221,7 @@ mod tests {
     }
 
     #[test]
-    fn a_line_that_is_one_program_takes_the_place_of_its_shell() {
+    fn single_program_replaces_its_shell() {
         for (line, alone) in [
             ("cat -u", true),
             ("  cat \"$HOME\" 2> /dev/null", true),
@@ -235,7 +240,7 @@ mod tests {
     }
 
     #[test]
-    fn the_files_of_a_command_are_told() {
+    fn files_of_command_are_recorded() {
         let folder = tempfile::tempdir().expect("a folder");
         std::fs::write(folder.path().join("own.sh"), "abc").expect("writable");
         let own = "/own.sh SHA-256 ba7816bf";
@@ -261,7 +266,7 @@ mod tests {
     }
 
     #[test]
-    fn what_an_actuator_writes_is_not_taken_for_its_code() {
+    fn output_files_of_actuator_are_not_hashed() {
         let folder = tempfile::tempdir().expect("a folder");
         for file in ["act.sh", "answers.txt"] {
             std::fs::write(folder.path().join(file), "abc").expect("writable");
@@ -290,7 +295,7 @@ mod tests {
     }
 
     #[test]
-    fn what_cannot_be_run_is_said_before_it_is() {
+    fn unrunnable_command_is_found_by_check() {
         for (text, part) in [
             ("command = ''", "empty"),
             ("command = []", "empty"),

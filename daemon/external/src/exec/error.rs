@@ -1,4 +1,4 @@
-//! What can go wrong with a program.
+//! Errors of external programs.
 
 use std::num::NonZeroU64;
 use std::path::PathBuf;
@@ -7,85 +7,86 @@ use std::time::Duration;
 use super::{MAX_BYTES, MAX_LINES, MAX_PARTS, VERSION};
 use crate::process::{MAX_TIMEOUT_MS, ProcessError};
 
-/// A reply that does not follow the framing. The program is stopped then: where its next message begins is unknown.
+/// Reply that does not follow the framing. The program is stopped, because the beginning of its next message is
+/// unknown.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum FramingError {
-    /// A line that is not UTF-8.
+    /// The line is not UTF-8.
     #[error("it wrote {0:?}, which is not UTF-8 text; write what is not for peernet to standard error")]
     NotText(String),
-    /// A first word that means nothing here.
+    /// The first word of the line has no meaning for this role.
     #[error(
         "it wrote {line:?}; a {role} writes one of: {words}. Write what is not for peernet to standard error"
     )]
     Word {
         /// The line.
         line: String,
-        /// What the program is used as.
+        /// Role of the program.
         role: &'static str,
-        /// The words that it may begin a line with.
+        /// Words that a line may begin with.
         words: String,
     },
-    /// A known word with the wrong words after it.
+    /// The words after a known first word are wrong.
     #[error("it wrote {line:?}; write it as: {form}")]
     Form {
         /// The line.
         line: String,
-        /// The right form.
+        /// The expected form.
         form: &'static str,
     },
-    /// A payload beyond the limit.
+    /// The payload is larger than the limit.
     #[error("it announced {0} bytes; a sample has at most {MAX_BYTES}")]
     TooLarge(u64),
-    /// A payload that does not have the length that its shape says.
+    /// The payload's length does not match its shape.
     #[error("it announced {bytes} bytes for a shape of {expected}")]
     Shape {
-        /// What was announced.
+        /// Announced length, bytes.
         bytes: u64,
-        /// What the shape needs.
+        /// Length according to the shape, bytes.
         expected: u64,
     },
-    /// Too many lines before the reply was whole.
+    /// The reply has too many lines.
     #[error("it wrote more than {MAX_LINES} lines for one reply")]
     TooManyLines,
-    /// Too many parts.
+    /// The sample has too many parts.
     #[error("it announced more than {MAX_PARTS} parts of one sample")]
     TooManyParts,
-    /// A name that is not the program's to use.
+    /// The name is reserved.
     #[error(
         "it reported {0:?}, which is not its to measure; use another name, or as a model the stages preprocessing, inference, \
          postprocessing"
     )]
     Name(String),
-    /// A framing that this program does not know.
+    /// The program uses an unknown version of the framing.
     #[error("it speaks version {0} of the framing; this peernet speaks version {VERSION}")]
     Version(u32),
 }
 
-/// A command that cannot be run, found without running it.
+/// Command that cannot be run; found without running it.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum CommandError {
-    /// Longer than any reply may take.
+    /// The timeout is longer than allowed.
     #[error("timeout_ms = {timeout_ms} is too much; at most {MAX_TIMEOUT_MS}")]
     Timeout {
-        /// The configured time in milliseconds.
+        /// The configured timeout, milliseconds.
         timeout_ms: NonZeroU64,
     },
-    /// The folder to run it in is not there.
+    /// The working directory does not exist.
     #[error("{} is not a folder to run it in", .0.display())]
     NotAFolder(PathBuf),
-    /// The system takes no environment variable of this name or value.
+    /// The system cannot pass an environment variable with this name or value.
     #[error("{0:?} cannot be given to it as an environment variable")]
     Variable(String),
-    /// There is nothing to run.
+    /// The command is empty.
     #[error("an empty command runs nothing")]
     Empty,
-    /// The system ends each word at its first zero byte.
+    /// A word contains a zero byte, where the system would end it.
     #[error("the command of {program:?} contains a zero byte")]
     ZeroByte {
         /// The first word.
         program: String,
     },
-    /// There is no file at the path of the program.
+    /// The path of the program leads to no file.
     #[error("there is no program {}", .0.display())]
     NoFile(PathBuf),
     /// The program is not in the folders of `PATH`.
@@ -93,57 +94,57 @@ pub enum CommandError {
     NotInPath(String),
 }
 
-/// Why a program gave no reply to a request.
+/// Reason that a program did not reply to a request.
 #[derive(Debug, thiserror::Error)]
 pub enum ExchangeError {
     /// The command cannot be run.
     #[error(transparent)]
     Command(#[from] CommandError),
-    /// The program said so: it goes on as it is.
+    /// The program replied with an error and still runs.
     #[error("the program says: {0}")]
     Refused(String),
-    /// It could not be started.
+    /// The program cannot be started.
     #[error("{0}")]
     Start(ProcessError),
-    /// It ended, or its pipe failed.
+    /// The program ended, or its pipe failed.
     #[error("{0}; it is started anew")]
     Process(#[from] ProcessError),
-    /// It did not keep to the framing.
+    /// The program did not follow the framing.
     #[error("{0} (it is stopped and started anew; docs/external-programs.md describes the framing)")]
     Framing(#[from] FramingError),
-    /// It wrote more than its reply.
+    /// The program wrote more than its reply.
     #[error(
         "it wrote {0:?} before it was asked: one reply for each request, and nothing else, goes to standard output (it is \
          stopped and started anew)"
     )]
-    Unasked(String),
-    /// It took longer than it may.
+    UnsolicitedOutput(String),
+    /// The program did not reply before its timeout.
     #[error(
-        "it gave no whole reply within {after:?}{last_words}; it is killed and started anew (timeout_ms sets how long it \
+        "it gave no whole reply within {after:?}{stderr_suffix}; it is killed and started anew (timeout_ms sets how long it \
          may take)"
     )]
     TooSlow {
-        /// How long it had.
+        /// The timeout.
         after: Duration,
-        /// The last lines of its standard error, in words; may be empty.
-        last_words: String,
+        /// The last lines of its standard error as a suffix for a message; may be empty.
+        stderr_suffix: String,
     },
-    /// It failed several times in a row, and is not started again at once.
+    /// The program failed several times in a row and is not restarted yet.
     #[error("it failed again and again; it is started anew in {left:.1?}; the last time {last}")]
-    Pausing {
-        /// How long it is left alone.
+    RestartDelayed {
+        /// Time until the next start.
         left: Duration,
-        /// Why it failed last.
+        /// Reason of the last failure.
         last: String,
     },
-    /// Its stages take longer than it took.
+    /// The sum of the reported stages is longer than the whole exchange.
     #[error(
         "the stages that it reported add up to {stages:?}, but it replied within {whole:?}; report seconds"
     )]
     Stages {
-        /// Sum of its stages.
+        /// Sum of the stages.
         stages: Duration,
-        /// From the request to the reply.
+        /// Time from the request to the reply.
         whole: Duration,
     },
 }

@@ -1,7 +1,7 @@
-//! External programs: any program that reads lines on standard input and writes lines on standard output.
+//! External programs: any program that reads lines from standard input and writes lines to standard output.
 //!
-//! The framing (version [`VERSION`]) is described for those who write such programs in docs/external-programs.md.
-//! A message is a line of words that ends with `\n`; some are followed by as many bytes as the line says:
+//! docs/external-programs.md describes the framing (version [`VERSION`]) for authors of such programs. A message is a
+//! line of words that ends with `\n`; some lines announce a number of bytes that follow:
 //!
 //! ```text
 //! to a sensor     next
@@ -13,7 +13,7 @@
 //! ```
 //!
 //! `part` instead of `sample` or `answer` announces that another part of the same sample follows. Before its reply a
-//! program may say `version`, `stage`, `value`, `sequence`, `label` and `source`.
+//! program may write lines that begin with `version`, `stage`, `value`, `sequence`, `label` or `source`.
 
 mod arguments;
 mod command;
@@ -30,26 +30,26 @@ pub use arguments::{FingerprintKey, hide_arguments, hide_arguments_in_facts, wit
 pub use command::{CommandLine, ExecConfig};
 pub use error::{CommandError, ExchangeError, FramingError};
 pub use program::{Exchange, Program};
-pub use reply::{Assembler, Next, Notes, Reply, Said};
+pub use reply::{Next, Notes, Reply, ReplyAssembler, ReplyOutcome};
 pub use request::Request;
-pub use timeline::Timed;
+pub use timeline::TimedStage;
 
 /// Version of the framing.
 pub const VERSION: u32 = 1;
 
-/// Longest line of a program, without its end.
+/// Longest line of a program, bytes, without the line feed.
 pub const MAX_LINE: usize = 4096;
-/// Most lines of one reply.
+/// Largest number of lines in one reply.
 pub const MAX_LINES: usize = 256;
-/// Most parts of one sample.
+/// Largest number of parts of one sample.
 pub const MAX_PARTS: usize = 16;
-/// Most bytes of one sample: 1 GiB.
+/// Largest size of one sample, bytes (1 GiB).
 pub const MAX_BYTES: u64 = 1 << 30;
 
-/// What a program is used as.
+/// Role of a program in a pipeline.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Role {
-    /// Yields samples.
+    /// Produces samples.
     Sensor,
     /// Answers samples.
     Model,
@@ -58,7 +58,7 @@ pub enum Role {
 }
 
 impl Role {
-    /// The word for it: in the program's environment and in messages for people.
+    /// Returns the role's name, as in the program's environment and in messages.
     pub const fn word(self) -> &'static str {
         match self {
             Self::Sensor => "sensor",
@@ -67,7 +67,7 @@ impl Role {
         }
     }
 
-    /// The word at the beginning of facts.
+    /// Returns the role's name as the first word of the names of facts.
     const fn heading(self) -> &'static str {
         match self {
             Self::Sensor => "Sensor",

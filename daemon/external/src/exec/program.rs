@@ -1,18 +1,19 @@
-//! A running program: asked, watched, and started anew when it fails.
+//! A running program that answers requests and is restarted after failures.
 
 use bytes::Bytes;
 use peernet_clock::{MonoTime, SharedClock, Span};
 
-use super::words::shown;
+use super::words::shorten;
 use super::{
-    Assembler, ExchangeError, ExecConfig, MAX_LINE, Next, Notes, Reply, Request, Role, Said, VERSION,
+    ExchangeError, ExecConfig, MAX_LINE, Next, Notes, Reply, ReplyAssembler, ReplyOutcome, Request, Role,
+    VERSION,
 };
-use crate::process::{Launch, Process, ProcessError, Restarts, Voice};
+use crate::process::{Launch, Process, ProcessError, RestartBackoff, StderrLog};
 
-/// How long a program may take to end once its standard input is closed.
-const FAREWELL: Span = Span::from_millis(1000);
+/// Time that a program has to end after its standard input is closed.
+const STOP_TIMEOUT: Span = Span::from_millis(1000);
 
-/// A program in one role. All calls block.
+/// External program in one role. All calls block.
 #[derive(Debug)]
 pub struct Program {
     role: Role,
@@ -20,33 +21,33 @@ pub struct Program {
     timeout: Span,
     clock: SharedClock,
     process: Option<Process>,
-    restarts: Restarts,
-    /// Why it failed last, for who asks while it is left alone.
+    restart_backoff: RestartBackoff,
+    /// Text of the last failure, returned to callers while the program is not restarted.
     last: String,
-    /// A sensor that has no more samples is not asked again.
-    over: bool,
+    /// `true` after a sensor has reported its end; it is not asked again.
+    is_finished: bool,
 }
 
-/// A request and its reply.
+/// Request with its reply.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Exchange {
-    /// When the program began to be started anew for this request, because it had failed before.
+    /// Start of the program's restart for this request, if it had failed before.
     pub restarted: Option<MonoTime>,
-    /// When the request began to be written.
+    /// Time at which writing the request began.
     pub began: MonoTime,
-    /// When the reply was whole.
+    /// Time at which the reply was complete.
     pub ended: MonoTime,
-    /// What the program said beside.
+    /// Notes that preceded the reply.
     pub notes: Notes,
-    /// What it replied; never [`Said::Error`].
-    pub said: Said,
+    /// Result of the request; never [`ReplyOutcome::Error`].
+    pub outcome: ReplyOutcome,
 }
 
 impl Program {
-    /// Starts the program; `name` says in the log whose it is.
+    /// Starts the program; `name` is the owner in log messages.
     ///
     /// # Errors
-    /// When the command is wrong or the system cannot start it.
+    /// If the command is wrong or the system cannot start it.
     pub fn start(
         config: &ExecConfig,
         role: Role,
@@ -60,7 +61,7 @@ impl Program {
         environment.insert("PEERNET_ROLE".to_owned(), role.word().to_owned());
         let launch = Launch {
             name: name.to_owned(),
-            voice: Voice::Exec,
+            stderr_log: StderrLog::Exec,
             program: program.into(),
             arguments: arguments.into_iter().map(Into::into).collect(),
             folder: config.folder.clone(),
@@ -74,47 +75,55 @@ impl Program {
             timeout: config.timeout(),
             clock: SharedClock::clone(clock),
             process: Some(process),
-            restarts: Restarts::default(),
+            restart_backoff: RestartBackoff::default(),
             last: String::new(),
-            over: false,
+            is_finished: false,
         })
     }
 
-    /// Sends a request and waits for the reply. A program that ended, was too slow or did not keep to the framing is
-    /// killed, and started anew with a later request.
+    /// Sends a request and waits for the reply.
+    ///
+    /// A program that ended, exceeded its timeout or did not follow the framing is killed; a later request restarts
+    /// it.
     ///
     /// # Errors
-    /// Why there is no reply to this request; the next may well have one.
+    /// The reason that this request has no reply. The next request may succeed.
     pub fn ask(&mut self, request: Request<'_>) -> Result<Exchange, ExchangeError> {
-        if self.over {
+        if self.is_finished {
             let now = self.clock.mono();
             let notes = Notes::default();
-            return Ok(Exchange { restarted: None, began: now, ended: now, notes, said: Said::End });
+            return Ok(Exchange {
+                restarted: None,
+                began: now,
+                ended: now,
+                notes,
+                outcome: ReplyOutcome::End,
+            });
         }
         let restarted = self.process.is_none().then(|| self.clock.mono());
         let mut process = match self.process.take() {
             Some(process) => process,
-            None => self.start_anew()?,
+            None => self.restart()?,
         };
         let began = self.clock.mono();
         let replied = exchange(&mut process, request, self.role, began + self.timeout);
         let ended = self.clock.mono();
         match replied {
-            Ok(Reply { notes, said }) => {
+            Ok(Reply { notes, outcome }) => {
                 self.process = Some(process);
-                self.restarts.worked();
-                self.over = said == Said::End;
-                match said {
-                    Said::Error(text) => Err(ExchangeError::Refused(text)),
-                    said => Ok(Exchange { restarted, began, ended, notes, said }),
+                self.restart_backoff.record_success();
+                self.is_finished = outcome == ReplyOutcome::End;
+                match outcome {
+                    ReplyOutcome::Error(text) => Err(ExchangeError::Refused(text)),
+                    outcome => Ok(Exchange { restarted, began, ended, notes, outcome }),
                 }
             }
             Err(error) => {
-                // Killed before the pause begins: what it still does is not to disturb the next.
+                // The program is killed before the delay begins, so that it cannot disturb its successor.
                 let error = match error {
                     ExchangeError::Process(ProcessError::TimedOut) => ExchangeError::TooSlow {
                         after: self.timeout.to_duration(),
-                        last_words: process.kill().last_words(),
+                        stderr_suffix: process.kill().stderr_suffix(),
                     },
                     error => {
                         drop(process);
@@ -126,16 +135,16 @@ impl Program {
         }
     }
 
-    fn start_anew(&mut self) -> Result<Process, ExchangeError> {
-        if let Some(left) = self.restarts.wait(self.clock.mono()) {
-            return Err(ExchangeError::Pausing { left: left.to_duration(), last: self.last.clone() });
+    fn restart(&mut self) -> Result<Process, ExchangeError> {
+        if let Some(left) = self.restart_backoff.remaining_delay(self.clock.mono()) {
+            return Err(ExchangeError::RestartDelayed { left: left.to_duration(), last: self.last.clone() });
         }
         tracing::info!(name = self.launch.name, "starting the program anew");
         Process::start(&self.launch, &self.clock).map_err(|error| self.failed(ExchangeError::Start(error)))
     }
 
     fn failed(&mut self, error: ExchangeError) -> ExchangeError {
-        self.restarts.died(self.clock.mono());
+        self.restart_backoff.record_failure(self.clock.mono());
         self.last = error.to_string();
         error
     }
@@ -144,7 +153,7 @@ impl Program {
 impl Drop for Program {
     fn drop(&mut self) {
         if let Some(process) = self.process.take() {
-            let ended = process.end(FAREWELL);
+            let ended = process.end(STOP_TIMEOUT);
             tracing::debug!(name = self.launch.name, %ended, "the program was told to end");
         }
     }
@@ -156,20 +165,20 @@ fn exchange(
     role: Role,
     until: MonoTime,
 ) -> Result<Reply, ExchangeError> {
-    // What was written before it was asked would be taken for the reply, and every reply after it be the wrong one.
+    // Output before the request would be taken for the reply, and every later reply would be the wrong one.
     if process.has_more() {
-        return Err(ExchangeError::Unasked(shown(&process.peek_line())));
+        return Err(ExchangeError::UnsolicitedOutput(shorten(&process.peek_line())));
     }
     let pieces = request.pieces();
     let slices: Vec<&[u8]> = pieces.iter().map(Bytes::as_ref).collect();
     process.write(&slices, until)?;
-    let mut assembler = Assembler::new(role);
+    let mut assembler = ReplyAssembler::new(role);
     let mut next = Next::Line;
     loop {
         next = match next {
             Next::Line => assembler.line(&process.read_line(MAX_LINE, until)?)?,
             Next::Bytes(0) => assembler.bytes(Bytes::new()),
-            // Never beyond `MAX_BYTES`, which a usize holds.
+            // The count is at most `MAX_BYTES`, which fits into a usize.
             Next::Bytes(count) => assembler.bytes(process.read_exact(count as usize, until)?),
             Next::Reply(reply) => return Ok(reply),
         }

@@ -1,16 +1,16 @@
-//! What a program writes, put together line by line. No I/O.
+//! Assembly of a program's reply from lines and bytes. No I/O.
 
 use bytes::Bytes;
 use peernet_clock::Span;
 use peernet_sample::{MediaType, Part};
 
 use super::error::FramingError;
-use super::words::{first, shown, text};
+use super::words::{shorten, split_first_word, text};
 use super::{MAX_BYTES, MAX_LINES, MAX_PARTS, Role, VERSION, shape};
 use peernet_sample::printable_lines;
 
-/// Names that have a meaning of their own in every tree.
-const OURS: [&str; 34] = [
+/// Node names that PEERNet itself gives to every tree, so that programs must not use them.
+const RESERVED_NAMES: [&str; 34] = [
     "iteration",
     "sensing",
     "capture",
@@ -46,88 +46,88 @@ const OURS: [&str; 34] = [
     "top-5",
     "unknown-label",
 ];
-/// The stages of a model; nobody else has them, and nothing but a time goes by these names.
-const OF_A_MODEL: [&str; 3] = ["preprocessing", "inference", "postprocessing"];
+/// Stages of a model. Only models may report them, and only as durations.
+const MODEL_STAGES: [&str; 3] = ["preprocessing", "inference", "postprocessing"];
 
-/// What a program said of one request.
+/// Reply of a program to one request.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Reply {
-    /// What it said beside.
+    /// Notes that preceded the result.
     pub notes: Notes,
-    /// How it came out.
-    pub said: Said,
+    /// Result of the request.
+    pub outcome: ReplyOutcome,
 }
 
-/// How a request came out.
+/// Result of a request.
 #[derive(Clone, Debug, PartialEq)]
-pub enum Said {
+pub enum ReplyOutcome {
     /// A sample or an answer.
     Parts(Vec<Part>),
-    /// An actuator has acted.
+    /// The actuator has acted.
     Done,
-    /// A sensor has no more samples.
+    /// The sensor has no more samples.
     End,
-    /// This one failed; the program goes on.
+    /// The request failed; the program still runs.
     Error(String),
 }
 
-/// What a program may say before its reply.
+/// Notes that a program may write before its result.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Notes {
-    /// Its own stages, in their order: name and duration.
+    /// The program's own stages in order: name and duration.
     pub stages: Vec<(String, Span)>,
-    /// Values: name, number in SI units, unit's symbol.
+    /// Values: name, number, symbol of the unit.
     pub values: Vec<(String, f64, String)>,
-    /// Running number of a sensor's sample; a gap tells how many were dropped.
+    /// Sequence number of a sensor's sample; gaps in it count dropped samples.
     pub sequence: Option<u64>,
-    /// The right answer to a sensor's sample.
+    /// Expected answer to a sensor's sample.
     pub label: Option<String>,
-    /// Where a sensor's sample came from.
+    /// Origin of a sensor's sample.
     pub source: Option<String>,
 }
 
-/// What is to be read next.
+/// Input that the assembler needs next.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Next {
     /// A line, up to `\n`.
     Line,
-    /// So many bytes.
+    /// The given number of bytes.
     Bytes(u64),
-    /// Nothing: the reply is whole.
+    /// Nothing: the reply is complete.
     Reply(Reply),
 }
 
-/// Puts one reply together: feed it the lines and bytes that it asks for.
+/// State machine that assembles one reply from the lines and bytes that it asks for.
 #[derive(Debug)]
-pub struct Assembler {
+pub struct ReplyAssembler {
     role: Role,
     notes: Notes,
     parts: Vec<Part>,
     lines: usize,
-    /// Bytes of all parts so far.
+    /// Number of bytes of all parts so far.
     bytes: u64,
-    /// The part whose bytes are read now, and whether it is the last.
+    /// Description of the part whose bytes are expected next, and whether it is the last part.
     open: Option<(peernet_sample::Description, bool)>,
 }
 
-impl Assembler {
-    /// For one reply of a program that is used as `role`.
+impl ReplyAssembler {
+    /// Creates the assembler for one reply of a program in the given role.
     pub fn new(role: Role) -> Self {
         Self { role, notes: Notes::default(), parts: Vec::new(), lines: 0, bytes: 0, open: None }
     }
 
-    /// Takes a line, without its `\n`.
+    /// Processes a line, without its `\n`.
     ///
     /// # Errors
-    /// When the line is not part of the framing.
+    /// If the line does not follow the framing.
     pub fn line(&mut self, line: &[u8]) -> Result<Next, FramingError> {
         self.lines += 1;
         if self.lines > MAX_LINES {
             return Err(FramingError::TooManyLines);
         }
         let line = text(line)?;
-        let (word, rest) = first(line);
-        let wrong = |form| FramingError::Form { line: shown(line), form };
+        let (word, rest) = split_first_word(line);
+        let wrong = |form| FramingError::Form { line: shorten(line), form };
         let notes = &mut self.notes;
         match (word, self.role) {
             ("", _) if line.trim().is_empty() => {}
@@ -139,20 +139,20 @@ impl Assembler {
             }
             ("stage", role) => {
                 let (name, span) = stage(rest).ok_or_else(|| wrong(STAGE))?;
-                notes.stages.push((free(name, role == Role::Model)?, span));
+                notes.stages.push((check_name(name, role == Role::Model)?, span));
             }
             ("value", _) => {
                 let (name, number, unit) = value(rest).ok_or_else(|| wrong(VALUE))?;
-                notes.values.push((free(name, false)?, number, unit.to_owned()));
+                notes.values.push((check_name(name, false)?, number, unit.to_owned()));
             }
-            ("error", _) => return Ok(self.whole(Said::Error(printable_lines(rest).into_owned()))),
+            ("error", _) => return Ok(self.finish(ReplyOutcome::Error(printable_lines(rest).into_owned()))),
             ("sequence", Role::Sensor) => {
                 notes.sequence = Some(rest.parse().map_err(|_| wrong("sequence NUMBER"))?);
             }
             ("label", Role::Sensor) => notes.label = Some(rest.to_owned()).filter(|label| !label.is_empty()),
             ("source", Role::Sensor) => notes.source = Some(rest.to_owned()),
-            ("end", Role::Sensor) => return Ok(self.whole(Said::End)),
-            ("done", Role::Actuator) => return Ok(self.whole(Said::Done)),
+            ("end", Role::Sensor) => return Ok(self.finish(ReplyOutcome::End)),
+            ("done", Role::Actuator) => return Ok(self.finish(ReplyOutcome::Done)),
             ("answer" | "part", Role::Sensor | Role::Model) => {
                 return self
                     .announce(rest, word == "answer")
@@ -163,18 +163,18 @@ impl Assembler {
         Ok(Next::Line)
     }
 
-    /// Takes the bytes that [`Next::Bytes`] asked for.
+    /// Processes the bytes that [`Next::Bytes`] asked for.
     pub fn bytes(&mut self, bytes: Bytes) -> Next {
         let Some((description, last)) = self.open.take() else { return Next::Line };
         self.parts.push(Part { description, bytes });
         if last {
             let parts = std::mem::take(&mut self.parts);
-            return self.whole(Said::Parts(parts));
+            return self.finish(ReplyOutcome::Parts(parts));
         }
         Next::Line
     }
 
-    /// `BYTES [MEDIA-TYPE [SHAPE]]`; an error of `None` is a wrong form.
+    /// Parses `BYTES [MEDIA-TYPE [SHAPE]]`. The error `None` stands for a wrong form.
     fn announce(&mut self, rest: &str, last: bool) -> Result<Next, Option<FramingError>> {
         let mut words = rest.split_ascii_whitespace();
         let bytes: u64 = words.next().and_then(|word| word.parse().ok()).ok_or(None)?;
@@ -198,8 +198,8 @@ impl Assembler {
         Ok(Next::Bytes(bytes))
     }
 
-    fn whole(&mut self, said: Said) -> Next {
-        Next::Reply(Reply { notes: std::mem::take(&mut self.notes), said })
+    fn finish(&mut self, outcome: ReplyOutcome) -> Next {
+        Next::Reply(Reply { notes: std::mem::take(&mut self.notes), outcome })
     }
 
     fn unknown(&self, line: &str) -> FramingError {
@@ -208,7 +208,7 @@ impl Assembler {
             Role::Model => "answer, part, error, stage, value, version",
             Role::Actuator => "done, error, stage, value, version",
         };
-        FramingError::Word { line: shown(line), role: self.role.word(), words: words.to_owned() }
+        FramingError::Word { line: shorten(line), role: self.role.word(), words: words.to_owned() }
     }
 }
 
@@ -216,31 +216,31 @@ const STAGE: &str = "stage NAME SECONDS";
 const VALUE: &str = "value NAME NUMBER [UNIT]";
 const ANSWER: &str = "answer BYTES [MEDIA-TYPE [SHAPE]] (a shape such as 480x640x3:u8)";
 
-/// A name that is the program's to use.
-fn free(name: &str, or_of_a_model: bool) -> Result<String, FramingError> {
-    let taken = OURS.contains(&name) || !or_of_a_model && OF_A_MODEL.contains(&name);
+/// Returns `name` if programs may use it.
+fn check_name(name: &str, is_model: bool) -> Result<String, FramingError> {
+    let taken = RESERVED_NAMES.contains(&name) || !is_model && MODEL_STAGES.contains(&name);
     if taken { Err(FramingError::Name(name.to_owned())) } else { Ok(name.to_owned()) }
 }
 
-/// `NAME SECONDS`.
+/// Parses `NAME SECONDS`.
 fn stage(rest: &str) -> Option<(&str, Span)> {
     let (name, seconds) = named(rest)?;
     let seconds: f64 = seconds.parse().ok()?;
-    // A day: longer than any stage, and far from what the clock's type holds.
+    // One day is longer than any stage and far below the largest value of `Span`.
     (0.0..=86_400.0).contains(&seconds).then(|| (name, Span::from_seconds_f64(seconds)))
 }
 
-/// `NAME NUMBER [UNIT]`.
+/// Parses `NAME NUMBER [UNIT]`.
 fn value(rest: &str) -> Option<(&str, f64, &str)> {
     let (name, rest) = named(rest)?;
-    let (number, unit) = first(rest);
+    let (number, unit) = split_first_word(rest);
     let number: f64 = number.parse().ok()?;
     (number.is_finite() && unit.len() <= 16).then_some((name, number, unit))
 }
 
-/// A name of lower-case letters, digits and hyphens, and the rest.
+/// Splits off a name of lower-case letters, digits and hyphens.
 fn named(rest: &str) -> Option<(&str, &str)> {
-    let (name, rest) = first(rest);
+    let (name, rest) = split_first_word(rest);
     let good = |byte: u8| byte.is_ascii_lowercase() || byte.is_ascii_digit() || byte == b'-';
     (!name.is_empty() && name.len() <= 64 && name.bytes().all(good)).then_some((name, rest))
 }

@@ -1,31 +1,31 @@
-//! What is written to a program.
+//! Requests to a program, as bytes.
 
 use bytes::Bytes;
 use peernet_sample::{Sample, printable_line};
 
 use super::shape::{self, NOTHING};
 
-/// The media type of bytes without further meaning.
+/// Media type of bytes without further meaning.
 const BYTES: &str = "application/octet-stream";
 
-/// A message to a program.
+/// Request to a program.
 #[derive(Clone, Copy, Debug)]
 pub enum Request<'a> {
-    /// To a sensor: the next sample.
+    /// Asks a sensor for the next sample.
     Next,
-    /// To a model: a sample to answer.
+    /// Asks a model to answer a sample.
     Sample(&'a Sample),
-    /// To an actuator: an answer, given for the sample that came from `source`.
+    /// Hands an actuator an answer to the sample that came from `source`.
     Answer {
         /// The answer.
         answer: &'a Sample,
-        /// Where the sample came from.
+        /// Origin of the sample.
         source: &'a str,
     },
 }
 
 impl Request<'_> {
-    /// The message as pieces to be written one after the other; payloads are not copied.
+    /// Returns the message as pieces to be written one after the other; payloads are not copied.
     pub fn pieces(&self) -> Vec<Bytes> {
         match self {
             Self::Next => vec![Bytes::from_static(b"next\n")],
@@ -43,7 +43,7 @@ fn parts(word: &str, sample: &Sample, source: &str) -> Vec<Bytes> {
     };
     let parts = before.iter().map(|part| ("part", part)).chain([(word, last)]);
     let pieces = parts.flat_map(|(word, part)| {
-        // A name with a space in it would shift the words after it.
+        // A space in the name would shift the words after it.
         let media = printable_line(&part.description.media.iana()).replace(' ', "?");
         let media = if media.is_empty() { BYTES } else { &media };
         let shape = shape::write(&part.description);
@@ -77,7 +77,7 @@ mod tests {
     }
 
     #[test]
-    fn all_parts_but_the_last_say_that_another_follows() {
+    fn all_parts_except_last_announce_another() {
         let pixels = Description::pixels(PixelFormat::Rgb8, 2, 1);
         let mut sample = Sample::of(pixels, Bytes::from_static(b"rgbrgb"));
         sample.parts.push(Part { description: Description::bytes(), bytes: Bytes::from_static(b"d") });

@@ -1,4 +1,4 @@
-//! Shapes in words: `480x640x3:u8`, or `-` for none.
+//! Text form of shapes: `480x640x3:u8`, or `-` for no shape.
 
 use peernet_sample::{Description, ElementType, MediaType};
 
@@ -38,27 +38,28 @@ const fn name(element: ElementType) -> &'static str {
     }
 }
 
-/// Stands for no shape, and for an empty source.
+/// Text for a missing shape or an empty source.
 pub(super) const NOTHING: &str = "-";
 
-/// Most dimensions.
+/// Largest number of dimensions.
 const MAX_DIMENSIONS: usize = 16;
 
-/// The shape of a part in words.
+/// Returns the shape of a part as text.
 pub(super) fn write(description: &Description) -> String {
     let Some(element) = description.element else { return NOTHING.to_owned() };
     let lengths: Vec<_> = description.shape.iter().map(u32::to_string).collect();
     format!("{}:{}", lengths.join("x"), name(element))
 }
 
-/// The description of a part, and the bytes that it must have; `None` for what is not a shape.
+/// Parses the shape of a part. Returns its description and its length in bytes, if the shape determines it; `None`
+/// for an invalid shape.
 pub(super) fn read(media: MediaType, shape: &str) -> Option<(Description, Option<u64>)> {
     if shape == NOTHING {
         return Some((Description::unshaped(media), None));
     }
     let (lengths, element) = shape.split_once(':')?;
     let element = ELEMENTS.into_iter().find(|known| name(*known) == element)?;
-    // No dimension at all is a single number.
+    // A shape without dimensions is a single number.
     let shape = match lengths {
         "" => Vec::new(),
         lengths => lengths.split('x').map(|length| length.parse().ok()).collect::<Option<Vec<u32>>>()?,
@@ -76,7 +77,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_shape_says_how_many_bytes_there_are() {
+    fn shape_determines_number_of_bytes() {
         let (description, bytes) = read(MediaType::Tensor, "1x3x2:f32").expect("a shape");
         assert_eq!((description.shape.as_slice(), bytes), ([1, 3, 2].as_slice(), Some(24)));
         assert_eq!(write(&description), "1x3x2:f32");

@@ -1,6 +1,6 @@
-//! What a command line for the shell says without being run.
+//! Analysis of a shell command line, without running it.
 
-/// The program of a line that is one program and its arguments; `None` where that cannot be told by looking.
+/// Returns the program of a line that is one program with arguments; `None` if the text does not show that.
 pub(super) fn only_program(line: &str) -> Option<&str> {
     let program = line.split_ascii_whitespace().next()?;
     let is_plain = |byte: u8| byte.is_ascii_alphanumeric() || b"_-+./".contains(&byte);
@@ -8,7 +8,7 @@ pub(super) fn only_program(line: &str) -> Option<&str> {
     (program.bytes().all(is_plain) && !line.contains(more)).then_some(program)
 }
 
-/// The words of a line, without what quotes them; `$NAME` and `*` stay as they are.
+/// Splits a line into words and removes quotes; `$NAME` and `*` are not expanded.
 pub(super) fn split(line: &str) -> Vec<String> {
     let (mut words, mut word, mut quote) = (Vec::new(), None::<String>, None);
     let mut chars = line.chars();
@@ -22,7 +22,7 @@ pub(super) fn split(line: &str) -> Vec<String> {
             (Some(open), char) if char == open => quote = None,
             (None | Some('"'), '\\') => match (quote, chars.next()) {
                 (_, Some('\n')) => {}
-                // Between double quotes a backslash stands for itself before other characters.
+                // Between double quotes a backslash is literal before all other characters.
                 (Some(_), Some(next)) if !r#"$`"\"#.contains(next) => {
                     word.get_or_insert_default().extend(['\\', next]);
                 }
@@ -35,8 +35,8 @@ pub(super) fn split(line: &str) -> Vec<String> {
     words
 }
 
-/// Programs, without the version behind their names, that run the first file among their arguments, each with the letters of
-/// those options by which the code stands on the command line instead.
+/// Programs (without the version after their names) that run the first file among their arguments, each with the
+/// letters of those options after which the code is on the command line instead.
 const INTERPRETERS: [(&str, &str); 20] = [
     ("sh", "c"),
     ("bash", "c"),
@@ -60,11 +60,13 @@ const INTERPRETERS: [(&str, &str); 20] = [
     ("Rscript", "e"),
 ];
 
-/// Long options of the same meaning.
+/// Long options with the same meaning.
 const INLINE: [&str; 4] = ["--eval", "--print", "--command", "--split-string"];
 
-/// The script that an interpreter is given; `None` of other programs, and where the code may stand on the command line: the
-/// files behind it are arguments, and may be secret.
+/// Returns the script that an interpreter runs.
+///
+/// Returns `None` for other programs, and where the code is on the command line: the files after it are arguments and
+/// may be secret.
 pub(super) fn script(words: &[String], is_file: impl Fn(&str) -> bool) -> Option<&String> {
     let (program, arguments) = words.split_first()?;
     let name = program.rsplit('/').next().unwrap_or(program);
@@ -99,7 +101,7 @@ mod tests {
     }
 
     #[test]
-    fn script_is_the_first_file_unless_code_is_given() {
+    fn first_file_is_script_unless_code_given() {
         for (line, expected) in [
             ("python3.11 -u own.py data", Some("own.py")),
             ("bash -e own.sh", Some("own.sh")),

@@ -1,61 +1,63 @@
-//! Where a model's stages lie between request and reply.
+//! Placement of a model's stages between request and reply.
 
 use peernet_clock::{MonoTime, Span};
 
 use super::{Exchange, ExchangeError};
 
-/// The stages of a model that add up.
+/// Stages of a model that count towards the sum of the stages.
 const STAGES: [&str; 3] = ["preprocessing", "inference", "postprocessing"];
-/// What the way to the program and back costs.
+/// Stage of the time that is not spent in the program: sending the request and receiving the reply.
 const IPC: &str = "ipc";
-/// The same of the first reply after it was started anew, with its coming up.
+/// Node that takes the place of `ipc` in the first reply after a restart; it includes the start of the program.
 const RESTART: &str = "restart";
-/// How far rounded stages may add up to more than the whole.
+/// Largest excess of the stages' sum over the whole that is attributed to rounding.
 const ROUNDING: Span = Span::from_millis(1);
 
-/// A stage with its two ends.
+/// Stage with its beginning and end.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Timed {
-    /// Its name.
+pub struct TimedStage {
+    /// Name of the stage.
     pub name: String,
-    /// Its beginning.
+    /// Beginning of the stage.
     pub from: MonoTime,
-    /// Its end.
+    /// End of the stage.
     pub to: MonoTime,
 }
 
 impl Exchange {
-    /// From the request to the reply.
+    /// Returns the time from the request to the reply.
     pub fn whole(&self) -> Span {
         self.ended - self.began
     }
 
-    /// What a restart holds of it: from starting the program to its reply. A program does not say when it is ready, so
-    /// that what of this was its coming up is not known.
+    /// Returns the interval from the restart of the program to its reply, if it was restarted. A program does not
+    /// report when it is ready, so that the duration of the start itself is unknown.
     pub fn restart(&self) -> Option<(MonoTime, MonoTime)> {
         self.restarted.map(|from| (from, self.ended))
     }
 
-    /// The stages of a model. Without any of its own, all from request to reply is `inference`. With
-    /// `preprocessing`, `inference` or `postprocessing` these have the durations that the program told, one after
-    /// the other from the request on, and what remains is `ipc`. Stages of other names begin with the request and add to
-    /// nothing.
+    /// Returns the stages of a model.
     ///
-    /// After a restart only what the program told is a stage: it stands at the end, and all before it is `restart`.
+    /// If the program reports none of `preprocessing`, `inference` and `postprocessing`, the whole time from request
+    /// to reply is `inference`. Otherwise these stages have the reported durations and follow each other from the
+    /// request on; the rest is `ipc`. Stages with other names begin with the request and are not part of the sum.
+    ///
+    /// After a restart only the reported stages count: they end with the reply, and the time before them is
+    /// `restart`.
     ///
     /// # Errors
-    /// [`ExchangeError::Stages`] when the stages add up to more than there was.
-    pub fn stages(&self) -> Result<Vec<Timed>, ExchangeError> {
-        let timed = |name: &str, from, to| Timed { name: name.to_owned(), from, to };
+    /// [`ExchangeError::Stages`] if the stages add up to more than the whole.
+    pub fn stages(&self) -> Result<Vec<TimedStage>, ExchangeError> {
+        let timed = |name: &str, from, to| TimedStage { name: name.to_owned(), from, to };
         let is_stage = |name: &String| STAGES.contains(&name.as_str());
         let own = self.notes.stages.iter().filter(|(name, _)| is_stage(name));
-        let told: Span = own.map(|(_, span)| *span).sum();
-        if told > self.whole() + ROUNDING {
-            let (stages, whole) = (told.to_duration(), self.whole().to_duration());
+        let reported: Span = own.map(|(_, span)| *span).sum();
+        if reported > self.whole() + ROUNDING {
+            let (stages, whole) = (reported.to_duration(), self.whole().to_duration());
             return Err(ExchangeError::Stages { stages, whole });
         }
         let begins = match self.restarted {
-            Some(from) => from + (self.ended - from - told).max(Span::ZERO),
+            Some(from) => from + (self.ended - from - reported).max(Span::ZERO),
             None => self.began,
         };
         let (mut stages, mut at) = (Vec::new(), begins);
@@ -67,6 +69,8 @@ impl Exchange {
                 stages.push(timed(name, self.began, self.began + *span));
             }
         }
+        // `restart` is a node and no stage: it belongs to the failure before it, not to the loop, and would distort
+        // the sum of the stages.
         if let Some(from) = self.restarted {
             stages.push(timed(RESTART, from, begins));
         } else if !stages.iter().any(|stage| is_stage(&stage.name)) {
@@ -81,20 +85,23 @@ impl Exchange {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::exec::{Notes, Said};
+    use crate::exec::{Notes, ReplyOutcome};
 
-    /// Stages of a program that told these milliseconds and replied after ten.
-    fn stages(told: &[(&str, i64)]) -> Result<Vec<(String, i64, i64)>, ExchangeError> {
-        after(None, told)
+    /// Returns the stages of a program that reported these durations (milliseconds) and replied after 10 ms.
+    fn stages(reported: &[(&str, i64)]) -> Result<Vec<(String, i64, i64)>, ExchangeError> {
+        after(None, reported)
     }
 
-    /// The same of one that was started anew so many milliseconds before the request.
-    fn after(restart: Option<i64>, told: &[(&str, i64)]) -> Result<Vec<(String, i64, i64)>, ExchangeError> {
-        let stages = told.iter().map(|(name, ms)| ((*name).to_owned(), Span::from_millis(*ms))).collect();
+    /// Returns the stages of a program that was restarted the given number of milliseconds before the request.
+    fn after(
+        restart: Option<i64>,
+        reported: &[(&str, i64)],
+    ) -> Result<Vec<(String, i64, i64)>, ExchangeError> {
+        let stages = reported.iter().map(|(name, ms)| ((*name).to_owned(), Span::from_millis(*ms))).collect();
         let (began, ended) = (MonoTime::from_nanos(0), MonoTime::from_nanos(10_000_000));
         let restarted = restart.map(|before| MonoTime::from_nanos(-before * 1_000_000));
         let notes = Notes { stages, ..Notes::default() };
-        let exchange = Exchange { restarted, began, ended, notes, said: Said::Done };
+        let exchange = Exchange { restarted, began, ended, notes, outcome: ReplyOutcome::Done };
         let millis = |at: MonoTime| at.nanos() / 1_000_000;
         Ok(exchange
             .stages()?
@@ -104,10 +111,10 @@ mod tests {
     }
 
     #[test]
-    fn what_a_program_does_not_tell_is_the_way_to_it_and_back() {
-        let told = stages(&[("preprocessing", 1), ("inference", 6), ("warm", 3)]).expect("adds up");
+    fn unreported_time_is_split_before_and_after_stages() {
+        let reported = stages(&[("preprocessing", 1), ("inference", 6), ("warm", 3)]).expect("adds up");
         let expected = [("preprocessing", 0, 1), ("inference", 1, 7), ("warm", 0, 3), ("ipc", 7, 10)];
-        assert_eq!(told, expected.map(|(name, from, to)| (name.to_owned(), from, to)));
+        assert_eq!(reported, expected.map(|(name, from, to)| (name.to_owned(), from, to)));
     }
 
     #[test]
@@ -117,16 +124,16 @@ mod tests {
     }
 
     #[test]
-    fn after_a_restart_only_what_was_told_is_a_stage() {
-        let told = after(Some(2), &[("inference", 3), ("postprocessing", 1)]).expect("adds up");
+    fn only_reported_stages_count_after_restart() {
+        let reported = after(Some(2), &[("inference", 3), ("postprocessing", 1)]).expect("adds up");
         let expected = [("inference", 6, 9), ("postprocessing", 9, 10), ("restart", -2, 6)];
-        assert_eq!(told, expected.map(|(name, from, to)| (name.to_owned(), from, to)));
+        assert_eq!(reported, expected.map(|(name, from, to)| (name.to_owned(), from, to)));
         assert_eq!(after(Some(2), &[]).expect("adds up"), [("restart".to_owned(), -2, 10)]);
         assert!(after(Some(90_000), &[("inference", 11_500)]).is_err(), "it replied within 10 ms");
     }
 
     #[test]
-    fn stages_beyond_the_whole_are_refused_unless_they_were_rounded() {
+    fn stages_beyond_rounding_tolerance_are_refused() {
         assert_eq!(stages(&[("inference", 11)]).expect("is rounded")[1], ("ipc".to_owned(), 10, 10));
         assert!(matches!(stages(&[("inference", 80_000)]), Err(ExchangeError::Stages { .. })));
     }

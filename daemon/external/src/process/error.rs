@@ -1,30 +1,30 @@
-//! What can go wrong with a process.
+//! Errors of a process.
 
 use std::io;
 
-use super::Ended;
+use super::ProcessEnd;
 
-/// Why a process could not be started, written to or read from.
+/// Reason that a process cannot be started, written to or read from.
 #[derive(Debug, thiserror::Error)]
 pub enum ProcessError {
-    /// It could not be started.
+    /// The process cannot be started.
     #[error("cannot start {program}: {error}")]
     Start {
-        /// The program, and the folder it was to run in when there was one.
+        /// The program, and its working directory if one is configured.
         program: String,
-        /// What the system said.
+        /// Error of the operating system.
         error: io::Error,
     },
-    /// It ended, or closed its pipe: nothing more can be had from it.
+    /// The process ended or closed its pipe, so that no further call can succeed.
     #[error("{0}")]
-    Ended(Ended),
-    /// It neither read nor wrote until the moment that was given.
+    ProcessEnd(ProcessEnd),
+    /// The process neither read nor wrote before the deadline.
     #[error("it did not answer in time")]
     TimedOut,
-    /// What it sends is longer than allowed.
+    /// The process sends more than the given number of bytes at once.
     #[error("it sends more than {0} bytes at once")]
     TooLong(usize),
-    /// A pipe failed in another way.
+    /// Reading from or writing to a pipe failed for another reason.
     #[error("the pipe failed: {0}")]
     Pipe(io::Error),
 }

@@ -1,4 +1,4 @@
-//! A process, and the group that it and all it starts belong to.
+//! A process and its process group.
 
 use std::io;
 use std::os::unix::process::CommandExt;
@@ -8,24 +8,25 @@ use rustix::process::{Pid, Signal, kill_process_group};
 
 use super::spawner;
 
-/// What the watcher runs. Its standard input ends with this program, however that ends, and it then kills the group that
-/// it is in. It outlives the group's being asked to end.
-const WATCH: &str = "trap '' HUP INT QUIT TERM USR1 USR2; read -r _; kill -KILL 0";
+/// Shell command of the watcher. Its standard input closes when this program ends, for whatever reason; then it kills
+/// its group. It ignores the signals that ask the group to end.
+const WATCHER_SCRIPT: &str = "trap '' HUP INT QUIT TERM USR1 USR2; read -r _; kill -KILL 0";
 
-/// A process that leads a group, and a watcher in that group.
+/// A process that leads a process group, and a watcher in that group.
 ///
-/// The group's number is the leader's. The system gives it to nobody else as long as the leader's status has not been
-/// taken, so the group can be signalled until then, whether or not the leader still runs.
+/// The group's number is the leader's. The system does not reuse it until the leader's status has been collected, so
+/// the group can be signalled until then, whether or not the leader still runs.
 #[derive(Debug)]
 pub(super) struct Group {
     leader: Child,
     watcher: Option<Watcher>,
 }
 
+// The parent-death signal of the kernel ends only the leader. The watcher ends the processes that the leader started.
 #[derive(Debug)]
 struct Watcher {
     child: Child,
-    /// Held, never written to.
+    /// Write end of the watcher's standard input. It is only kept open: nothing is written.
     _alive: Option<ChildStdin>,
 }
 
@@ -41,12 +42,12 @@ impl Group {
         Ok(Self { leader, watcher })
     }
 
-    /// The process that leads it.
+    /// Returns the leader of the group.
     pub(super) fn leader(&mut self) -> &mut Child {
         &mut self.leader
     }
 
-    /// The number of the leader and of the group.
+    /// Returns the number of the leader, which is also that of the group.
     pub(super) fn id(&self) -> u32 {
         self.leader.id()
     }
@@ -55,19 +56,20 @@ impl Group {
         i32::try_from(self.id()).ok().and_then(Pid::from_raw)
     }
 
-    /// Asks all of it to end (SIGTERM). Only before [`finish`](Self::finish).
+    /// Asks all processes of the group to end (SIGTERM). To be called before [`finish`](Self::finish) only.
     pub(super) fn terminate(&self) {
         self.signal(Signal::TERM);
     }
 
-    /// Kills what is left of it, then takes the leader's status: in this order, because the number is free afterwards.
+    /// Kills the rest of the group, then collects the leader's status. The order matters: afterwards the number may
+    /// belong to another process.
     pub(super) fn finish(&mut self) -> Option<ExitStatus> {
         self.signal(Signal::KILL);
-        // A leader that moved to another group; one that has ended cannot be killed, and need not be.
+        // Ends a leader that moved to another group. For a leader that has already ended the error does not matter.
         let _ = self.leader.kill();
         let status = self.leader.wait().ok();
         if let Some(mut watcher) = self.watcher.take() {
-            // It was killed with the others: what its status is tells nothing.
+            // The watcher was killed with its group, so that its status means nothing.
             let _ = watcher.child.wait();
         }
         status
@@ -75,7 +77,7 @@ impl Group {
 
     fn signal(&self, signal: Signal) {
         if let Some(pid) = self.pid() {
-            // Its last member may be one that has ended.
+            // This fails if the group's last member has already ended, which needs no action.
             let _ = kill_process_group(pid, signal);
         }
     }
@@ -85,7 +87,7 @@ impl Watcher {
     fn start(leader: &Child) -> io::Result<Self> {
         let group = i32::try_from(leader.id()).map_err(io::Error::other)?;
         let mut command = Command::new("/bin/sh");
-        command.args(["-c", WATCH, "peernet-watcher"]).process_group(group).current_dir("/");
+        command.args(["-c", WATCHER_SCRIPT, "peernet-watcher"]).process_group(group).current_dir("/");
         command.stdin(Stdio::piped()).stdout(Stdio::null()).stderr(Stdio::null());
         let mut child = command.spawn()?;
         Ok(Self { _alive: child.stdin.take(), child })

@@ -1,4 +1,4 @@
-//! What is started, and how.
+//! Description of a process to be started.
 
 use std::collections::BTreeMap;
 use std::env;
@@ -12,29 +12,29 @@ use std::sync::Arc;
 use rustix::io::{FdFlags, fcntl_setfd};
 use rustix::process::{Signal, getpid, getppid, set_parent_process_death_signal};
 
-use super::Voice;
+use super::StderrLog;
 
-/// A program to be started, as often as it takes.
+/// Program with its arguments and surroundings; may be started repeatedly.
 #[derive(Clone, Debug)]
 pub struct Launch {
-    /// Whose it is, for the log: `the sensor of pipeline camera`.
+    /// Owner of the process, for the log: `the sensor of pipeline camera`.
     pub name: String,
-    /// What its standard error is logged as.
-    pub voice: Voice,
-    /// The program: a path, or a name that is looked for in `PATH`.
+    /// Log target of its standard error.
+    pub stderr_log: StderrLog,
+    /// The program: a path, or a name that is searched in `PATH`.
     pub program: OsString,
-    /// Its arguments.
+    /// Arguments of the program.
     pub arguments: Vec<OsString>,
-    /// The folder it runs in; `None` for this program's own.
+    /// Working directory; `None` for that of this program.
     pub folder: Option<PathBuf>,
-    /// Environment variables on top of this program's own.
+    /// Environment variables added to those of this program.
     pub environment: BTreeMap<String, String>,
-    /// A file that it gets open, under the number that it has here.
+    /// Open file that the process inherits, under the same descriptor number.
     pub inherits: Option<Arc<File>>,
 }
 
 impl Launch {
-    /// The program and its folder, for people.
+    /// Returns the program and its working directory as text.
     pub(crate) fn describe(&self) -> String {
         let program = self.program.to_string_lossy();
         match &self.folder {
@@ -43,7 +43,7 @@ impl Launch {
         }
     }
 
-    /// The command: three pipes, and an end when this program ends.
+    /// Returns the command, with three pipes and a signal at the end of this program.
     pub(super) fn command(&self) -> Command {
         let mut command = Command::new(&self.program);
         command.args(&self.arguments).envs(&self.environment);
@@ -64,7 +64,7 @@ impl Launch {
                     fcntl_setfd(file, FdFlags::empty())?;
                 }
                 set_parent_process_death_signal(Some(Signal::KILL))?;
-                // The parent may have gone before the kernel was told.
+                // The parent may have ended before the parent-death signal was set.
                 if getppid() == Some(parent) { Ok(()) } else { Err(rustix::io::Errno::SRCH.into()) }
             });
         }
@@ -72,7 +72,7 @@ impl Launch {
     }
 }
 
-/// The name of a variable that no process can be given.
+/// Returns the name of a variable that the system cannot pass to a process, if there is one.
 pub(crate) fn impossible_variable(environment: &BTreeMap<String, String>) -> Option<&str> {
     let impossible = |(name, value): &(&String, &String)| {
         name.is_empty() || name.contains(['=', '\0']) || value.contains('\0')
@@ -80,7 +80,8 @@ pub(crate) fn impossible_variable(environment: &BTreeMap<String, String>) -> Opt
     environment.iter().find(impossible).map(|(name, _)| name.as_str())
 }
 
-/// The file of a program: itself when it is a path, otherwise the first of that name in the folders of `PATH`.
+/// Returns the file of a program: `name` itself if it is a path, otherwise the first file of that name in the folders
+/// of `PATH`.
 pub fn find_program(name: &OsStr) -> Option<PathBuf> {
     if Path::new(name).components().count() > 1 {
         return Some(PathBuf::from(name)).filter(|path| path.is_file());

@@ -1,26 +1,28 @@
-//! A process behind two pipes: what is written reaches its standard input, what is read came from its standard
-//! output, and what it says on its standard error goes to the log, line by line.
+//! A process that is connected by pipes: standard input, standard output and standard error.
 //!
-//! All calls block the thread that makes them, until a moment the caller gives. A process has a group of its own, which
-//! is ended with it, also when it ended by itself, and with this program, however that ends.
+//! Writes go to its standard input, reads come from its standard output, and each line of its standard error goes to
+//! the log.
+//!
+//! All calls block the calling thread, until a deadline at most. Each process leads a separate process group, which is
+//! ended with it and with this program, for whatever reason these end.
 
-mod ended;
 mod error;
 mod group;
 mod launch;
 mod pipe;
-mod restarts;
+mod process_end;
+mod restart_backoff;
 mod running;
 mod spawner;
-mod voice;
+mod stderr_log;
 
-pub use ended::{Ended, Fault};
 pub use error::ProcessError;
 pub(crate) use launch::impossible_variable;
 pub use launch::{Launch, find_program};
-pub use restarts::Restarts;
+pub use process_end::{Fault, ProcessEnd};
+pub use restart_backoff::RestartBackoff;
 pub use running::Process;
-pub use voice::Voice;
+pub use stderr_log::StderrLog;
 
-/// Longest wait for a process: a day. Milliseconds.
+/// Longest timeout for a process, milliseconds: one day.
 pub(crate) const MAX_TIMEOUT_MS: u64 = 24 * 3600 * 1000;

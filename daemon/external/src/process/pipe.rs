@@ -157,7 +157,7 @@ impl Reader {
         Self { fd, buffer: Vec::with_capacity(CHUNK), taken: 0 }
     }
 
-    /// Whether nothing more is read ahead.
+    /// Returns whether the limit of read-ahead is reached.
     fn is_full(&self) -> bool {
         self.buffered().len() >= MAX_READ_AHEAD
     }
@@ -167,7 +167,7 @@ impl Reader {
         &self.buffer[self.taken..]
     }
 
-    /// Whether a byte can be read without waiting.
+    /// Returns whether a byte can be read without waiting.
     pub(super) fn has_more(&self) -> bool {
         let nothing = Timespec { tv_sec: 0, tv_nsec: 0 };
         let mut fds = [PollFd::from_borrowed_fd(self.fd.as_fd(), PollFlags::IN)];

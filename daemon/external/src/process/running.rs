@@ -1,4 +1,4 @@
-//! A process that runs.
+//! A running process.
 
 use std::io;
 use std::os::fd::{AsFd, OwnedFd};
@@ -12,62 +12,63 @@ use rustix::process::{PidfdFlags, Signal, pidfd_open};
 
 use super::group::Group;
 use super::pipe::{self, PipeError, Reader, Wait};
-use super::voice::Listening;
-use super::{Ended, Fault, Launch, ProcessError};
+use super::stderr_log::StderrReader;
+use super::{Fault, Launch, ProcessEnd, ProcessError};
 
-/// How long before its end a process that ends by itself has closed its pipes, at most.
-const GOING: Span = Span::from_millis(200);
-/// How long one that closed a pipe and goes on is given to end by itself, so that it can be said how.
-const DYING: Span = Span::from_millis(1000);
-/// How long its last words are waited for once it is gone.
-const LAST_WORDS: Duration = Duration::from_millis(200);
+/// Longest time between the moment a process closes its pipes as it ends and its end.
+const PIPE_CLOSE_BEFORE_EXIT: Span = Span::from_millis(200);
+/// Time that a process that closed a pipe and still runs has to end by itself, so that its exit status can be
+/// reported.
+const EXIT_AFTER_PIPE_CLOSE: Span = Span::from_millis(1000);
+/// Longest wait for the rest of its standard error after its end.
+const LAST_OUTPUT_TIMEOUT: Duration = Duration::from_millis(200);
 
-/// A process, its pipes, and the thread that listens to its standard error. Dropping it kills it and its group.
+/// A process, its pipes, and the thread that reads its standard error. Dropping it kills the process and its group.
 #[derive(Debug)]
 pub struct Process {
     group: Group,
-    /// Tells when it is gone; a kernel before 5.3 has none.
+    /// Descriptor that becomes readable when the process ends (pidfd_open(2)); kernels before 5.3 have none.
     pidfd: Option<OwnedFd>,
-    /// `None` once it has been told that nothing more will come.
+    /// Write end of its standard input; `None` once it is closed.
     input: Option<OwnedFd>,
     output: Reader,
-    voice: Listening,
+    stderr_log: StderrReader,
     clock: SharedClock,
     status: Option<ExitStatus>,
     fault: Option<Fault>,
     killed: bool,
-    asked: bool,
+    termination_requested: bool,
 }
 
 impl Process {
-    /// Starts it.
+    /// Starts a process.
     ///
     /// # Errors
-    /// [`ProcessError::Start`] when the program is not there or cannot be run.
+    /// [`ProcessError::Start`] if the program does not exist or cannot be run.
     pub fn start(launch: &Launch, clock: &SharedClock) -> Result<Self, ProcessError> {
         let failed = |error| ProcessError::Start { program: launch.describe(), error };
         let mut group = Group::start(launch.command()).map_err(failed)?;
         let pipes = Self::pipes(&mut group, launch).inspect_err(|_| {
-            // It was killed: what its status is tells nothing more.
+            // The process was killed, so that its status means nothing.
             let _ = group.finish();
         });
-        let (input, output, voice) = pipes.map_err(failed)?;
+        let (input, output, stderr_log) = pipes.map_err(failed)?;
         Ok(Self {
             pidfd: group.pid().and_then(|pid| pidfd_open(pid, PidfdFlags::empty()).ok()),
             group,
             input: Some(input),
             output: Reader::new(output),
-            voice,
+            stderr_log,
             clock: SharedClock::clone(clock),
             status: None,
             fault: None,
             killed: false,
-            asked: false,
+            termination_requested: false,
         })
     }
 
-    /// Its two pipes, and the thread at the third.
-    fn pipes(group: &mut Group, launch: &Launch) -> io::Result<(OwnedFd, OwnedFd, Listening)> {
+    /// Returns its standard input and output, and starts the thread that reads its standard error.
+    fn pipes(group: &mut Group, launch: &Launch) -> io::Result<(OwnedFd, OwnedFd, StderrReader)> {
         let missing = || io::Error::other("it came without its pipes");
         let child = group.leader();
         let input = OwnedFd::from(child.stdin.take().ok_or_else(missing)?);
@@ -75,14 +76,15 @@ impl Process {
         let stderr = child.stderr.take().ok_or_else(missing)?;
         pipe::prepare(&input)?;
         pipe::prepare(&output)?;
-        let voice = Listening::begin(stderr, launch.voice, launch.name.clone())?;
-        Ok((input, output, voice))
+        let stderr_log = StderrReader::begin(stderr, launch.stderr_log, launch.name.clone())?;
+        Ok((input, output, stderr_log))
     }
 
-    /// Writes all parts to its standard input, without copying them together.
+    /// Writes all parts to its standard input, without joining them in one buffer.
     ///
     /// # Errors
-    /// When it has ended, or does not take it all until the given moment; then nothing more can be said to it.
+    /// If the process has ended, or does not read everything before the deadline `until`; then no further write
+    /// succeeds.
     pub fn write(&mut self, parts: &[&[u8]], until: MonoTime) -> Result<(), ProcessError> {
         let result = match &self.input {
             Some(input) => {
@@ -94,88 +96,96 @@ impl Process {
         result.map_err(|error| self.explain(error))
     }
 
-    /// Exactly `length` bytes from its standard output.
+    /// Reads exactly `length` bytes from its standard output.
     ///
     /// # Errors
-    /// When it has ended, or does not send it all until the given moment.
+    /// If the process has ended, or does not send all bytes before the deadline `until`.
     pub fn read_exact(&mut self, length: usize, until: MonoTime) -> Result<Bytes, ProcessError> {
         let wait = waiting(&self.clock, self.pidfd.as_ref(), until);
         self.output.read_exact(length, wait).map_err(|error| self.explain(error))
     }
 
-    /// The next line of its standard output without its end, of at most `most` bytes.
+    /// Reads the next line of its standard output, without the line feed, of at most `most` bytes.
     ///
     /// # Errors
-    /// When it has ended, sends a longer line, or none until the given moment.
+    /// If the process has ended, sends a longer line, or sends no whole line before the deadline `until`.
     pub fn read_line(&mut self, most: usize, until: MonoTime) -> Result<Bytes, ProcessError> {
         let wait = waiting(&self.clock, self.pidfd.as_ref(), until);
         self.output.read_until(b'\n', most, wait).map_err(|error| self.explain(error))
     }
 
-    /// Whether it has written something that nobody has read yet.
+    /// Returns whether there is output that was not read yet.
     pub fn has_more(&self) -> bool {
         self.output.has_more()
     }
 
-    /// Returns what the process has written of its next line, without waiting for more: for messages.
+    /// Returns the part of its next line that has been written so far, without waiting. For messages only.
     pub fn peek_line(&mut self) -> String {
         let wait = waiting(&self.clock, self.pidfd.as_ref(), self.clock.mono());
         String::from_utf8_lossy(self.output.peek_line(wait)).into_owned()
     }
 
-    /// Kills it and its group.
-    pub fn kill(mut self) -> Ended {
+    /// Kills the process and its group.
+    pub fn kill(mut self) -> ProcessEnd {
         self.reap(None);
         self.ended()
     }
 
-    /// Ends it: closes its input, asks after half the grace (SIGTERM) and kills it with its group when that is over.
-    /// Blocks no longer than that.
-    pub fn end(mut self, grace: Span) -> Ended {
+    /// Ends the process: closes its standard input, sends SIGTERM after half of `grace`, and kills the group when
+    /// `grace` is over. Blocks no longer than `grace`.
+    pub fn end(mut self, grace: Span) -> ProcessEnd {
         self.input = None;
         let half = Span::from_nanos(grace.nanos() / 2);
         if !self.ends_within(half) {
-            self.asked = true;
+            self.termination_requested = true;
             self.group.terminate();
             self.ends_within(half);
         }
-        self.reap(Some(Fault::Stayed));
+        self.reap(Some(Fault::IgnoredTermination));
         self.ended()
     }
 
     /// Converts the error of a pipe to that of the process; waits for the exit status of a process that closed its end.
     fn explain(&mut self, error: PipeError) -> ProcessError {
         error.into_process_error().unwrap_or_else(|fault| {
-            // One that ends closes its pipes as well: that is worth telling only of one that goes on.
-            let goes_on = !self.ends_within(GOING);
+            // A process that ends closes its pipes as well. A closed pipe is a fault only of a process that still
+            // runs.
+            let is_running = !self.ends_within(PIPE_CLOSE_BEFORE_EXIT);
             self.input = None;
-            if goes_on {
-                self.ends_within(DYING);
+            if is_running {
+                self.ends_within(EXIT_AFTER_PIPE_CLOSE);
             }
-            self.reap(fault.filter(|_| goes_on));
-            ProcessError::Ended(self.ended())
+            self.reap(fault.filter(|_| is_running));
+            ProcessError::ProcessEnd(self.ended())
         })
     }
 
-    fn ended(&self) -> Ended {
-        let last_lines = self.voice.last_lines(LAST_WORDS);
-        Ended { status: self.status, fault: self.fault, killed: self.killed, asked: self.asked, last_lines }
+    fn ended(&self) -> ProcessEnd {
+        let last_lines = self.stderr_log.last_lines(LAST_OUTPUT_TIMEOUT);
+        ProcessEnd {
+            status: self.status,
+            fault: self.fault,
+            killed: self.killed,
+            termination_requested: self.termination_requested,
+            last_lines,
+        }
     }
 
-    /// Waits for its end without taking its status. Where the kernel cannot tell, it gets no grace.
+    /// Waits for the end of the process without collecting its status. If the kernel has no pidfd, this does not
+    /// wait.
     fn ends_within(&self, patience: Span) -> bool {
         let until = self.clock.mono() + patience;
         self.status.is_some() || waiting(&self.clock, self.pidfd.as_ref(), until).wait_for_exit()
     }
 
-    /// Kills what is left of it and its group; `fault` is what it did before.
+    /// Kills the rest of the process and its group; `fault` is what the process did wrong before.
     fn reap(&mut self, fault: Option<Fault>) {
         if self.status.is_none() {
             let ended = self.ends_within(Span::ZERO);
             self.status = self.group.finish();
             let by_kill = self.status.is_some_and(|status| status.signal() == Some(Signal::KILL.as_raw()));
             self.killed = !ended && by_kill;
-            self.fault = fault.filter(|fault| self.killed || *fault != Fault::Stayed);
+            self.fault = fault.filter(|fault| self.killed || *fault != Fault::IgnoredTermination);
         }
     }
 }

@@ -1,7 +1,7 @@
-//! One thread that starts all processes.
+//! The one thread that starts all processes.
 //!
-//! The kernel ends a process "with its parent" when the *thread* that started it ends, and threads of pools come and
-//! go. This one stays as long as the program.
+//! The kernel sends the parent-death signal when the *thread* that started the process ends, and threads of a pool
+//! come and go. This thread lives as long as the program.
 
 use std::io;
 use std::process::{Child, Command};
@@ -9,32 +9,33 @@ use std::sync::OnceLock;
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 use std::thread;
 
-struct Order {
+/// Request to start a process.
+struct SpawnRequest {
     command: Command,
     reply: SyncSender<io::Result<Child>>,
 }
 
-/// Starts a process.
+/// Starts a process on the spawner thread.
 pub(super) fn spawn(command: Command) -> io::Result<Child> {
-    static SPAWNER: OnceLock<SyncSender<Order>> = OnceLock::new();
+    static SPAWNER: OnceLock<SyncSender<SpawnRequest>> = OnceLock::new();
     let gone = || io::Error::other("the thread that starts processes is gone");
-    let orders = match SPAWNER.get() {
-        Some(orders) => orders,
+    let requests = match SPAWNER.get() {
+        Some(requests) => requests,
         None => {
-            let (orders, taken) = sync_channel(1);
-            thread::Builder::new().name("spawner".to_owned()).spawn(move || serve(&taken))?;
-            // When two threads are first, the other one's spawner stays and this one's ends at once.
-            SPAWNER.get_or_init(|| orders)
+            let (requests, received) = sync_channel(1);
+            thread::Builder::new().name("spawner".to_owned()).spawn(move || serve(&received))?;
+            // If two threads get here at the same time, the spawner of the second one ends at once.
+            SPAWNER.get_or_init(|| requests)
         }
     };
     let (reply, started) = sync_channel(1);
-    orders.send(Order { command, reply }).map_err(|_| gone())?;
+    requests.send(SpawnRequest { command, reply }).map_err(|_| gone())?;
     started.recv().map_err(|_| gone())?
 }
 
-fn serve(orders: &Receiver<Order>) {
-    for Order { mut command, reply } in orders {
-        // Whoever asked waits for the answer.
+fn serve(requests: &Receiver<SpawnRequest>) {
+    for SpawnRequest { mut command, reply } in requests {
+        // The requester waits for the reply, so that this cannot fail.
         let _ = reply.send(command.spawn());
     }
 }

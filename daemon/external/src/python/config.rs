@@ -1,4 +1,4 @@
-//! Which object, in which Python, and what may cross.
+//! Configuration of a Python object: its name, the interpreter, and permitted values.
 
 use std::collections::BTreeMap;
 use std::num::NonZeroU64;
@@ -9,54 +9,54 @@ use serde::{Deserialize, Serialize};
 use super::PythonError;
 use crate::process::{MAX_TIMEOUT_MS, impossible_variable};
 
-/// `{ kind = "python", … }`
+/// Configuration of a Python object: `{ kind = "python", … }`.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct PythonConfig {
-    /// `module::object`: a class, which is instantiated without arguments, or an instance; `module` alone is the module
-    /// itself.
+    /// Name of the object, `module::object`: a class, which is instantiated without arguments, or an instance.
+    /// `module` alone stands for the module itself.
     pub object: String,
-    /// Where the module is looked for first and what the process has as its current directory. Default: that of this
-    /// program.
+    /// Folder in which the module is searched first, and working directory of the process. Default: the working
+    /// directory of this program.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub folder: Option<PathBuf>,
-    /// The Python to run, such as that of a virtual environment. Default: `PEERNET_PYTHON`, else `python3`.
+    /// Python interpreter, such as that of a virtual environment. Default: `PEERNET_PYTHON`, else `python3`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub python: Option<PathBuf>,
-    /// Environment variables for it.
+    /// Environment variables of the process.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub env: BTreeMap<String, String>,
-    /// Pickle values that have no form of their own, and unpickle what arrives. A pickle runs code of whoever made it:
-    /// only between hosts that trust each other. Default: no.
+    /// `true` to pickle values that have no other form, and to unpickle received values. Unpickling runs code of the
+    /// sender, so this is only for hosts that trust each other. Default: no.
     #[serde(default)]
     pub pickle: bool,
-    /// What a model is given for a picture. Default: `pil`.
+    /// Form of pictures that are passed to a model. Default: `pil`.
     #[serde(default)]
     pub images: Images,
-    /// How long one call may take; milliseconds, up to a day. The process is killed after that and started anew.
+    /// Longest time for one call, milliseconds, up to one day. Afterwards the process is killed and restarted.
     /// Default: 60000.
     #[serde(default = "a_minute")]
     pub timeout_ms: NonZeroU64,
-    /// How long importing the module and making the object may take; milliseconds, up to a day. Default: 300000.
+    /// Longest time for importing the module and creating the object, milliseconds, up to one day. Default: 300000.
     #[serde(default = "five_minutes")]
     pub start_timeout_ms: NonZeroU64,
 }
 
-/// What a picture becomes in Python.
+/// Python type of a picture.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Images {
-    /// A `PIL.Image`; of a JPEG or PNG file one that is decoded when it is first used.
+    /// `PIL.Image`. A JPEG or PNG file is decoded when the image is first used.
     #[default]
     Pil,
     /// Pixels as an array of shape height × width × channels; a file as `bytes`.
     Numpy,
-    /// The bytes as they came.
+    /// The bytes as received.
     Bytes,
 }
 
 impl PythonConfig {
-    /// An object with all defaults: what the command line's `module::object` means.
+    /// Returns the configuration of an object with all defaults, as for `module::object` on the command line.
     pub fn of(object: &str) -> Self {
         Self {
             object: object.to_owned(),
@@ -70,7 +70,7 @@ impl PythonConfig {
         }
     }
 
-    /// The module and the path of the object in it; the latter is empty for the module itself.
+    /// Returns the module and the path of the object in it; the path is empty for the module itself.
     pub(super) fn module_and_path(&self) -> Result<(&str, &str), PythonError> {
         let (module, path) = self.object.split_once("::").unwrap_or((&self.object, ""));
         if is_path(module) && (path.is_empty() && !self.object.contains("::") || is_path(path)) {
@@ -93,7 +93,7 @@ impl PythonConfig {
     }
 }
 
-/// Names joined by dots, as Python has them.
+/// Returns whether a text consists of Python names joined by dots.
 fn is_path(text: &str) -> bool {
     let is_name = |name: &str| {
         name.chars().all(|c| c.is_alphanumeric() || c == '_') && !name.starts_with(|c: char| c.is_numeric())
@@ -132,7 +132,7 @@ mod tests {
     }
 
     #[test]
-    fn the_short_form_is_the_default_and_misspelt_keys_are_refused() {
+    fn short_form_uses_defaults_misspelt_keys_are_refused() {
         let read = |text: &str| toml::from_str::<PythonConfig>(text);
         assert_eq!(read("object = 'a::b'").expect("reads"), PythonConfig::of("a::b"));
         assert!(read("object = 'a::b'\npikle = true").is_err());

@@ -1,119 +1,119 @@
-//! What can go wrong with a Python object.
+//! Errors of Python objects.
 
 use super::frame::FrameError;
 use std::path::PathBuf;
 
 use peernet_clock::Span;
 
-use crate::process::{Ended, ProcessError};
+use crate::process::{ProcessEnd, ProcessError};
 
-/// Why an object could not be had, or a call of it failed.
+/// Reason that an object cannot be created or that a call failed.
 #[derive(Debug, thiserror::Error)]
 pub enum PythonError {
-    /// Not the name of an object.
+    /// The configured name is not the name of an object.
     #[error(
         "{0:?} does not name a Python object: write module::object, such as camera::Camera for the class Camera in \
          camera.py"
     )]
     Name(String),
-    /// A value is beyond its upper limit.
+    /// A value is above its upper limit.
     #[error("{key} = {value} is too much; at most {most}")]
     TooMuch {
-        /// The key.
+        /// Configuration key.
         key: &'static str,
-        /// What was given.
+        /// Configured value.
         value: u64,
-        /// The limit.
+        /// Upper limit.
         most: u64,
     },
-    /// Not what a process can be given as a variable of its environment.
+    /// The system cannot pass an environment variable with this name or value.
     #[error("{0:?} cannot be given to it as an environment variable")]
     Variable(String),
-    /// The folder is not there.
+    /// The folder does not exist.
     #[error("{} is not a folder; name the one that holds the module", .0.display())]
     Folder(PathBuf),
-    /// There is no Python.
+    /// The interpreter does not exist.
     #[error("there is no Python at {0}; install python3, or name one with python or PEERNET_PYTHON")]
     NoPython(String),
-    /// The module is in none of the places where Python looks.
+    /// Python does not find the module.
     #[error(
         "there is no Python module {module}: looked in {} and where {python} has its packages; write {module}.py there, \
          install it, or start in its folder (a configuration names one with folder = \"…\")", .folder.display()
     )]
     NoModule {
-        /// The module.
+        /// Name of the module.
         module: String,
-        /// The folder that is looked in first.
+        /// Folder that is searched first.
         folder: PathBuf,
-        /// The Python.
+        /// Path of the interpreter.
         python: String,
     },
-    /// The object could not be made.
+    /// The object cannot be created.
     #[error("cannot start {object} with {python}: {reason}")]
     Start {
-        /// The object.
+        /// Name of the object.
         object: String,
-        /// The Python.
+        /// Path of the interpreter.
         python: String,
-        /// What Python said.
+        /// Message of Python.
         reason: String,
     },
-    /// It raised an exception: the first line says which, the rest is the traceback.
+    /// The user's code raised an exception: its text on the first line, then the traceback.
     #[error("{0}")]
     Raised(String),
-    /// A value that cannot cross the border of the process, or not in this configuration.
+    /// The value cannot be transferred to the other process, or not with this configuration.
     #[error("{0}")]
     Value(String),
-    /// The process is gone.
+    /// The process ended.
     #[error("the Python process of {object} is gone: {ended}; it is started anew")]
     Died {
-        /// The object.
+        /// Name of the object.
         object: String,
-        /// How it ended.
-        ended: Ended,
+        /// End of the process.
+        ended: ProcessEnd,
     },
-    /// A call took too long, and the process was killed.
+    /// The call exceeded its timeout, and the process was killed.
     #[error(
-        "{object} did not answer within {} s and was killed{last_words}; it is started anew; raise timeout_ms when it \
+        "{object} did not answer within {} s and was killed{stderr_suffix}; it is started anew; raise timeout_ms when it \
          needs longer", .after.seconds()
     )]
     TooSlow {
-        /// The object.
+        /// Name of the object.
         object: String,
-        /// How long it had.
+        /// The timeout.
         after: Span,
-        /// The last lines that it printed, in words; may be empty.
-        last_words: String,
+        /// The last lines that it printed, as a suffix for a message; may be empty.
+        stderr_suffix: String,
     },
-    /// It died and will be started anew a little later.
+    /// The process died repeatedly and is not restarted yet.
     #[error("{object} is started anew in {:.1} s, because it keeps dying: {last}", .left.seconds())]
-    Resting {
-        /// The object.
+    RestartDelayed {
+        /// Name of the object.
         object: String,
-        /// How long it still rests.
+        /// Time until the next start.
         left: Span,
-        /// Why it died last.
+        /// Text of the last failure.
         last: String,
     },
-    /// It did not speak as agreed.
+    /// The worker sent an invalid message.
     #[error(
         "the Python process of {object} does not speak as agreed: {source}; it was killed and is started anew"
     )]
-    Garbled {
-        /// The object.
+    InvalidMessage {
+        /// Name of the object.
         object: String,
-        /// What was wrong.
+        /// Defect of the message.
         source: FrameError,
     },
-    /// There is no memory to be shared with it.
+    /// No memory can be shared with the process.
     #[error("cannot share memory with the Python process of {object}: {error}")]
     Memory {
-        /// The object.
+        /// Name of the object.
         object: String,
-        /// What the system said.
+        /// Error of the operating system.
         error: std::io::Error,
     },
-    /// Its pipe failed.
+    /// The pipe failed.
     #[error(transparent)]
     Process(ProcessError),
 }

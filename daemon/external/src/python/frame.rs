@@ -1,44 +1,46 @@
-//! What is said over the pipes: a mark, the length of a header, the header as JSON, and the bytes of those parts that
-//! are not in the shared memory.
+//! Messages over the pipes.
+//!
+//! A message consists of a mark, the length of the header, the header as JSON, and the bytes of those parts that are
+//! not in shared memory.
 
 use std::os::fd::RawFd;
 
 use peernet_sample::{Description, Part};
 use serde::{Deserialize, Serialize};
 
-use super::{About, Images, Role, Stage};
+use super::{Images, ObjectDescription, Role, Stage};
 use crate::text::words;
 
-/// What every frame begins with, so that anything else on the pipe is noticed.
+/// First bytes of every message, by which other output on the pipe is noticed.
 pub(super) const MARK: [u8; 4] = *b"PN1\n";
-/// Bytes before the header: the mark and the header's length.
+/// Number of bytes before the header: the mark and the header's length.
 pub(super) const PREFIX: usize = 8;
-/// Longest header, in bytes.
+/// Longest header, bytes.
 pub(super) const MAX_HEADER: usize = 1 << 20;
-/// Most bytes of all parts of a value: 1 GiB.
+/// Largest size of all parts of a value, bytes (1 GiB).
 pub(super) const MAX_BYTES: u64 = 1 << 30;
-/// The media type of a pickled object; the parts after it are its buffers (pickle protocol 5, PEP 574).
+/// Media type of a pickled object; the parts after it are its buffers (pickle protocol 5, PEP 574).
 pub const PICKLE: &str = "application/x-python-pickle";
 
-/// What is asked of the worker.
+/// Request to the worker.
 #[derive(Debug, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub(super) enum Request<'a> {
-    /// Make the object. `window` is the number of the inherited file whose memory is shared.
+    /// Creates the object. `window` is the descriptor of the inherited file whose memory is shared.
     Start { module: &'a str, path: &'a str, role: Role, pickle: bool, images: Images, window: RawFd },
-    /// Call it with the parts that follow.
+    /// Calls the object with the parts that follow.
     Call { parts: Vec<PartHead> },
 }
 
-/// What it answers.
+/// Reply of the worker.
 #[derive(Debug, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub(super) enum Reply {
-    /// The object is there.
-    Ready(About),
-    /// The value that it returned, and the stages with their stamps.
+    /// The object has been created.
+    Ready(ObjectDescription),
+    /// The returned value, and the stages with their stamps in nanoseconds.
     Value { parts: Vec<PartHead>, stages: Vec<(Stage, i64, i64)> },
-    /// A sensor has no more.
+    /// The sensor has no more samples.
     Over { stages: Vec<(Stage, i64, i64)> },
     /// The user's code raised an exception.
     Raised {
@@ -46,7 +48,7 @@ pub(super) enum Reply {
         text: String,
         stages: Vec<(Stage, i64, i64)>,
     },
-    /// A value cannot cross.
+    /// The value cannot be transferred.
     Refused {
         #[serde(deserialize_with = "words")]
         text: String,
@@ -54,12 +56,12 @@ pub(super) enum Reply {
     },
 }
 
-/// A part without its bytes.
+/// Part without its bytes.
 #[derive(Debug, Serialize, Deserialize)]
 pub(super) struct PartHead {
     pub(super) description: Description,
     pub(super) length: u64,
-    /// Where they lie in the shared memory; otherwise they follow in the pipe.
+    /// Position of the bytes in the shared memory; `None` if they follow in the pipe.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(super) at: Option<u64>,
 }
@@ -70,35 +72,35 @@ impl PartHead {
     }
 }
 
-/// What is wrong with a message of the process.
+/// Defect of a message from the worker.
 #[derive(Debug, thiserror::Error)]
 pub enum FrameError {
-    /// It does not begin with the mark.
+    /// The message does not begin with the mark.
     #[error("a message begins with {0:?}")]
     Mark(String),
-    /// Its header is longer than any is.
+    /// The header is longer than allowed.
     #[error("a header has {0} bytes; at most {MAX_HEADER}")]
     HeaderLength(usize),
-    /// Its header cannot be read or written.
+    /// The header cannot be read or written.
     #[error(transparent)]
     Header(#[from] serde_json::Error),
-    /// Its parts are longer than any value is.
+    /// The parts are longer than allowed.
     #[error("a value has more than {MAX_BYTES} bytes")]
     ValueLength,
-    /// It says a second time that it is ready.
+    /// The worker reports a second time that it is ready.
     #[error("it says twice that it is ready")]
     ReadyTwice,
-    /// A part does not lie where the header says.
+    /// The part is not within the shared memory.
     #[error("{length} bytes at {at} are not in the shared memory")]
     Position {
-        /// Bytes of the part.
+        /// Length of the part, bytes.
         length: usize,
-        /// Where they are to begin.
+        /// Position of its first byte.
         at: u64,
     },
 }
 
-/// Mark, length and header of a request.
+/// Returns mark, length and header of a request.
 pub(super) fn encode(request: &Request<'_>) -> Result<Vec<u8>, serde_json::Error> {
     let mut frame = Vec::with_capacity(256);
     frame.extend_from_slice(&MARK);

@@ -1,4 +1,4 @@
-//! Which Python, and how it is started.
+//! Choice and start of the Python interpreter.
 
 use std::env;
 use std::ffi::OsString;
@@ -7,33 +7,34 @@ use std::path::{Path, PathBuf};
 use peernet_clock::{SharedClock, Span};
 
 use super::{PythonConfig, PythonError, SOURCE};
-use crate::process::{Launch, Process, ProcessError, Voice, find_program};
+use crate::process::{Launch, Process, ProcessError, StderrLog, find_program};
 
-/// The variable that names another Python.
-const VARIABLE: &str = "PEERNET_PYTHON";
-/// How a model learns for which device it was configured.
-const DEVICE: &str = "PEERNET_DEVICE";
-/// Reads the source, of a length it is told, from standard input and not a byte more, then runs it.
+/// Environment variable that names another interpreter.
+const PYTHON_VARIABLE: &str = "PEERNET_PYTHON";
+/// Environment variable that contains the device for which the model is configured.
+const DEVICE_VARIABLE: &str = "PEERNET_DEVICE";
+/// Python code that reads the source, of the length in its first argument, from standard input and then runs it. It
+/// reads no byte beyond the source, because messages follow.
 const BOOTSTRAP: &str = "import os, sys\n\
     assert sys.version_info >= (3, 8), 'Python 3.8 or newer is needed, this is %s' % sys.version\n\
     source = b''\n\
     while len(source) < int(sys.argv[1]):\n    source += os.read(0, int(sys.argv[1]) - len(source))\n\
     exec(compile(source, '<peernet>', 'exec'), {'__name__': '<peernet>'})";
-/// Exits well when Python finds a module, without running anything of it.
-const FINDS: &str = "import importlib.util, sys\n\
+/// Python code that exits with status 0 if Python finds a module; it does not run the module.
+const FIND_MODULE: &str = "import importlib.util, sys\n\
     sys.path.insert(0, '')\n\
     sys.exit(importlib.util.find_spec(sys.argv[1]) is None)";
-/// How long Python may take to look for a module.
-const LOOK: Span = Span::from_seconds(20);
+/// Longest time for finding a module.
+const MODULE_SEARCH_TIMEOUT: Span = Span::from_seconds(20);
 
-/// The Python of a configuration.
+/// Returns the path of the configured interpreter.
 ///
 /// # Errors
-/// When it is not there.
+/// If it does not exist.
 pub(super) fn python(config: &PythonConfig) -> Result<PathBuf, PythonError> {
     let named = config.python.clone().map(PathBuf::into_os_string);
     let name = named
-        .or_else(|| env::var_os(VARIABLE).filter(|name| !name.is_empty()))
+        .or_else(|| env::var_os(PYTHON_VARIABLE).filter(|name| !name.is_empty()))
         .unwrap_or_else(|| OsString::from("python3"));
     let missing = || {
         let name = name.to_string_lossy();
@@ -44,11 +45,11 @@ pub(super) fn python(config: &PythonConfig) -> Result<PathBuf, PythonError> {
         })
     };
     let found = find_program(&name).ok_or_else(missing)?;
-    // The process may run in another folder than this one.
+    // The process may run in another working directory.
     std::path::absolute(&found).map_err(|_| missing())
 }
 
-/// How an object's process is started. It reads the source first.
+/// Returns the description of an object's process. The process reads its source first.
 pub(super) fn launch(
     config: &PythonConfig,
     name: String,
@@ -57,13 +58,13 @@ pub(super) fn launch(
     let folder = folder(config)?;
     let mut environment = config.env.clone();
     if let Some(device) = device {
-        environment.entry(DEVICE.to_owned()).or_insert_with(|| device.to_owned());
+        environment.entry(DEVICE_VARIABLE.to_owned()).or_insert_with(|| device.to_owned());
     }
     let length = SOURCE.len().to_string();
     let arguments = ["-c", BOOTSTRAP, &length, &config.object].map(OsString::from).to_vec();
     Ok(Launch {
         name,
-        voice: Voice::Python,
+        stderr_log: StderrLog::Python,
         program: python(config)?.into_os_string(),
         arguments,
         folder,
@@ -72,11 +73,11 @@ pub(super) fn launch(
     })
 }
 
-/// Everything that can be found wrong without running a line of the user's code: the name, the folder, the Python, and
+/// Checks everything that can be checked without running the user's code: the name, the folder, the interpreter, and
 /// whether it finds the module.
 ///
 /// # Errors
-/// The first of these.
+/// The first failed check.
 pub(super) fn check(config: &PythonConfig, clock: &SharedClock) -> Result<(), PythonError> {
     config.check()?;
     let (module, _) = config.module_and_path()?;
@@ -86,15 +87,15 @@ pub(super) fn check(config: &PythonConfig, clock: &SharedClock) -> Result<(), Py
     if place.join(format!("{top}.py")).is_file() || place.join(top).is_dir() {
         return Ok(());
     }
-    let arguments = ["-c", FINDS, top].map(OsString::from).to_vec();
+    let arguments = ["-c", FIND_MODULE, top].map(OsString::from).to_vec();
     let python = launch.program.to_string_lossy().into_owned();
     let failed =
         |reason: String| PythonError::Start { object: config.object.clone(), python: python.clone(), reason };
     let looking = Launch { arguments, ..launch };
     let mut process = Process::start(&looking, clock).map_err(PythonError::Process)?;
-    match process.read_exact(1, clock.mono() + LOOK) {
-        Err(ProcessError::Ended(ended)) if ended.well() => Ok(()),
-        Err(ProcessError::Ended(ended)) if ended.status.and_then(|status| status.code()) == Some(1) => {
+    match process.read_exact(1, clock.mono() + MODULE_SEARCH_TIMEOUT) {
+        Err(ProcessError::ProcessEnd(ended)) if ended.is_success() => Ok(()),
+        Err(ProcessError::ProcessEnd(ended)) if ended.status.and_then(|status| status.code()) == Some(1) => {
             let folder =
                 if place.as_os_str().is_empty() { env::current_dir().unwrap_or_default() } else { place };
             Err(PythonError::NoModule { module: module.to_owned(), folder, python })

@@ -1,29 +1,33 @@
-//! A user's Python object (`module::object`) in a process of its own.
+//! A user's Python object (`module::object`) in a separate process.
 //!
-//! The process runs [`SOURCE`] with nothing but Python's standard library. It imports the user's module from its folder,
-//! instantiates a class, and then answers one call after the other: `sample()` of a sensor, or `preprocess`, `infer` and
-//! `postprocess` of a model. Values cross as parts of a sample (`values.py` says how), so that what one Python object
-//! yields another takes, and everything else in a pipeline can be between them or in their place.
+//! The process runs [`SOURCE`] with Python's standard library only. It imports the user's module from its folder,
+//! instantiates the class, and then answers one call after the other: `sample()` of a sensor, or `preprocess`,
+//! `infer` and `postprocess` of a model. Values are transferred as parts of a sample (`values.py` defines the
+//! conversion). So one Python object can take the values of another, and all other parts of a pipeline can stand
+//! between them.
+//!
+//! Before any of the user's code runs, the worker moves the pipes to other descriptors and replaces standard input and
+//! output, so that printed text cannot get between the messages.
 
-mod called;
+mod call_result;
 mod config;
 mod error;
 mod frame;
 mod interpreter;
 mod object;
-mod window;
+mod shared_memory;
 mod worker;
 
-pub use called::{Called, Stage, Times};
+pub use call_result::{CallResult, CallTimes, Stage};
 pub use config::{Images, PythonConfig};
 pub use error::PythonError;
 pub use frame::{FrameError, PICKLE};
-pub use object::{About, PythonObject, Role};
+pub use object::{ObjectDescription, PythonObject, Role};
 
-/// What the process runs.
+/// Source code that the Python process runs.
 const SOURCE: &str = concat!(
     include_str!("values.py"),
-    include_str!("border.py"),
+    include_str!("wire_values.py"),
     include_str!("imports.py"),
     include_str!("worker.py")
 );

@@ -1,4 +1,4 @@
-//! A user's object and the process it lives in.
+//! A user's object and the process in which it runs.
 
 use std::path::PathBuf;
 
@@ -9,50 +9,51 @@ use serde::{Deserialize, Serialize};
 
 use super::frame::{FrameError, Reply, Request};
 use super::interpreter;
-use super::worker::{Trouble, Worker};
-use super::{Called, PythonConfig, PythonError, Stage, Times};
+use super::worker::{Worker, WorkerError};
+use super::{CallResult, CallTimes, PythonConfig, PythonError, Stage};
 use crate::digest;
-use crate::process::{Launch, ProcessError, Restarts};
+use crate::process::{Launch, ProcessError, RestartBackoff};
 
-/// How long a process that is not needed any more may take to end.
-const GRACE: Span = Span::from_millis(1000);
+/// Time that a process has to end after it is no longer needed.
+const STOP_TIMEOUT: Span = Span::from_millis(1000);
 
-/// What an object is used as.
+/// Role of an object in a pipeline.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Role {
-    /// It has `sample()`.
+    /// Sensor; the object has `sample()`.
     Sensor,
-    /// It has `infer(x)`, and may have `preprocess(x)` and `postprocess(y)`.
+    /// Model; the object has `infer(x)`, and may have `preprocess(x)` and `postprocess(y)`.
     Model,
 }
 
-/// What was found.
+/// Description of an object, as its process reports it.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Deserialize)]
-pub struct About {
-    /// The version of Python: `3.11.2`.
+pub struct ObjectDescription {
+    /// Version of Python, such as `3.11.2`.
     pub python: String,
-    /// Its program.
+    /// Path of the interpreter.
     executable: String,
-    /// The object in words: `class camera::Camera`.
+    /// Description of the object, such as `class camera::Camera`.
     pub what: String,
-    /// The user's own files that it is made of, that of its module first.
+    /// Users' own files that the object is made of, beginning with that of its module.
     files: Vec<PathBuf>,
-    /// Names and versions of the libraries that these import anywhere, and of all that was imported by then; a version may be empty.
+    /// Names and versions of the libraries that these files import anywhere, and of everything that was imported
+    /// during the start; a version may be empty.
     libraries: Vec<(String, String)>,
-    /// Whether there is more of either.
+    /// `true` if `files` or `libraries` is incomplete because of its limit.
     more: bool,
 }
 
-impl About {
-    /// What it is, for the run's page, as pairs such as (`Sensor`, `the Python class camera::Camera, Python 3.11.2`), with the
-    /// `role` before each name. Reads the files for their hashes.
+impl ObjectDescription {
+    /// Returns facts for the run's page, such as (`Sensor`, `the Python class camera::Camera, Python 3.11.2`). The
+    /// name of each begins with `role`. Reads the files for their hashes.
     pub fn facts(&self, role: &str) -> Vec<(String, String)> {
         let mut facts = vec![(role.to_owned(), format!("the Python {}, Python {}", self.what, self.python))];
         if !self.executable.is_empty() {
             facts.push((format!("{role} interpreter"), printable_lines(&self.executable).into_owned()));
         }
-        facts.extend(digest::fact(role, &self.files));
+        facts.extend(digest::files_fact(role, &self.files));
         if !self.libraries.is_empty() {
             let library = |(name, version): &(String, String)| match version.as_str() {
                 "" => printable_lines(name).into_owned(),
@@ -68,35 +69,36 @@ impl About {
     }
 }
 
-/// A Python object in a process of its own, which is started anew when it dies. Dropping it ends the process.
+/// Python object in a separate process, which is restarted when it dies. Dropping it ends the process.
 #[derive(Debug)]
 pub struct PythonObject {
     config: PythonConfig,
     role: Role,
     launch: Launch,
     clock: SharedClock,
-    about: About,
+    about: ObjectDescription,
     worker: Option<Worker>,
-    restarts: Restarts,
-    /// Why it died last, for who asks while it rests.
+    restart_backoff: RestartBackoff,
+    /// Text of the last failure, returned to callers while the process is not restarted.
     last: String,
 }
 
 impl PythonObject {
-    /// Checks without running any of the user's code whether an object can be had: its name, folder, Python, and whether
-    /// Python finds the module. Blocks for some tens of milliseconds.
+    /// Checks whether an object exists without running any of the user's code: its name, folder and interpreter, and
+    /// whether Python finds the module. Blocks for some tens of milliseconds.
     ///
     /// # Errors
-    /// The first that is wrong.
+    /// The first failed check.
     pub fn check(config: &PythonConfig, clock: &SharedClock) -> Result<(), PythonError> {
         interpreter::check(config, clock)
     }
 
-    /// Starts the process, imports the module and makes the object; blocks until that is done. `name` is what its
-    /// output is logged under, `device` what the variable `PEERNET_DEVICE` tells it.
+    /// Starts the process, imports the module and creates the object; blocks until that is done.
+    ///
+    /// `name` is the owner in log messages; `device` becomes the environment variable `PEERNET_DEVICE`.
     ///
     /// # Errors
-    /// When the object cannot be had.
+    /// If the object cannot be created.
     pub fn start(
         config: &PythonConfig,
         role: Role,
@@ -110,82 +112,91 @@ impl PythonObject {
             role,
             launch: interpreter::launch(config, name.to_owned(), device)?,
             clock: SharedClock::clone(clock),
-            about: About::default(),
+            about: ObjectDescription::default(),
             worker: None,
-            restarts: Restarts::default(),
+            restart_backoff: RestartBackoff::default(),
             last: String::new(),
         };
-        object.worker = Some(object.begin()?);
+        object.worker = Some(object.start_worker()?);
         Ok(object)
     }
 
-    /// What was found.
-    pub fn about(&self) -> &About {
+    /// Returns the description of the object.
+    pub fn about(&self) -> &ObjectDescription {
         &self.about
     }
 
-    /// Calls the object with a value: `sample()` takes none. Blocks until it has answered, its time is over, or its
-    /// process is gone; the process is then started anew by the next call.
-    pub fn call(&mut self, parts: &[Part]) -> Called {
+    /// Calls the object with a value; `sample()` takes none. Blocks until the object has answered, the timeout is
+    /// over, or the process has ended. After a failure the next call restarts the process.
+    pub fn call(&mut self, parts: &[Part]) -> CallResult {
         let asked = self.clock.mono();
         let restarted = self.worker.is_none().then_some(asked);
-        let answer = self.living().and_then(|mut worker| {
+        let answer = self.take_or_start_worker().and_then(|mut worker| {
             let begun = self.clock.mono();
             let until = begun + milliseconds(self.config.timeout_ms.get());
             match worker.call(parts, until) {
-                // Whatever else is in its pipe would belong to nothing: only one that answered is kept.
+                // A process is kept only after an answer: what is left in the pipe after a failure would be taken for
+                // the answer to the next call.
                 Ok(answer) => {
                     self.worker = Some(worker);
-                    self.restarts.worked();
+                    self.restart_backoff.record_success();
                     Ok((begun, answer))
                 }
-                Err(trouble) => Err(self.trouble(trouble, worker)),
+                Err(failure) => Err(self.failure(failure, worker)),
             }
         });
         let ended = self.clock.mono();
         match answer {
             Ok((begun, (reply, bytes))) => {
-                let mut called = self.called(reply, bytes, begun, ended);
-                called.times.restarted = restarted;
-                called
+                let mut call_result = self.call_result(reply, bytes, begun, ended);
+                call_result.times.restarted = restarted;
+                call_result
             }
             Err(error) => {
-                if !matches!(error, PythonError::Resting { .. }) {
-                    self.restarts.died(ended);
+                if !matches!(error, PythonError::RestartDelayed { .. }) {
+                    self.restart_backoff.record_failure(ended);
                     self.last = error.to_string();
                 }
-                Called { result: Err(error), times: Times::new(asked, ended, &[]) }
+                CallResult { result: Err(error), times: CallTimes::new(asked, ended, &[]) }
             }
         }
     }
 
-    fn called(&mut self, reply: Reply, bytes: Vec<Bytes>, begun: MonoTime, ended: MonoTime) -> Called {
-        let called =
-            |result, stages: &[(Stage, i64, i64)]| Called { result, times: Times::new(begun, ended, stages) };
+    fn call_result(
+        &mut self,
+        reply: Reply,
+        bytes: Vec<Bytes>,
+        begun: MonoTime,
+        ended: MonoTime,
+    ) -> CallResult {
+        let call_result = |result, stages: &[(Stage, i64, i64)]| CallResult {
+            result,
+            times: CallTimes::new(begun, ended, stages),
+        };
         match reply {
             Reply::Value { parts, stages } => {
                 let parts = parts.into_iter().zip(bytes);
                 let parts =
                     parts.map(|(head, bytes)| Part { description: head.description, bytes }).collect();
-                called(Ok(Some(parts)), &stages)
+                call_result(Ok(Some(parts)), &stages)
             }
-            Reply::Over { stages } => called(Ok(None), &stages),
-            Reply::Raised { text, stages } => called(Err(PythonError::Raised(text)), &stages),
-            Reply::Refused { text, stages } => called(Err(PythonError::Value(text)), &stages),
+            Reply::Over { stages } => call_result(Ok(None), &stages),
+            Reply::Raised { text, stages } => call_result(Err(PythonError::Raised(text)), &stages),
+            Reply::Refused { text, stages } => call_result(Err(PythonError::Value(text)), &stages),
             Reply::Ready(_) => {
                 self.worker = None;
-                called(Err(self.garbled(FrameError::ReadyTwice)), &[])
+                call_result(Err(self.invalid_message(FrameError::ReadyTwice)), &[])
             }
         }
     }
 
-    /// The process, or a new one when the last is gone and has rested enough.
-    fn living(&mut self) -> Result<Worker, PythonError> {
+    /// Returns the running process, or a new one if the last has died and its delay is over.
+    fn take_or_start_worker(&mut self) -> Result<Worker, PythonError> {
         if let Some(worker) = self.worker.take() {
             return Ok(worker);
         }
-        if let Some(left) = self.restarts.wait(self.clock.mono()) {
-            return Err(PythonError::Resting {
+        if let Some(left) = self.restart_backoff.remaining_delay(self.clock.mono()) {
+            return Err(PythonError::RestartDelayed {
                 object: self.config.object.clone(),
                 left,
                 last: self.last.clone(),
@@ -196,16 +207,16 @@ impl PythonObject {
             object = self.config.object,
             "a Python process is started anew"
         );
-        self.begin()
+        self.start_worker()
     }
 
-    /// Starts a process and waits until the object is made.
-    fn begin(&mut self) -> Result<Worker, PythonError> {
+    /// Starts a process and waits until the object is created.
+    fn start_worker(&mut self) -> Result<Worker, PythonError> {
         let (module, path) = self.config.module_and_path()?;
         let allowed = milliseconds(self.config.start_timeout_ms.get());
         let until = self.clock.mono() + allowed;
         let mut worker = Worker::start(&self.launch, &self.clock)
-            .map_err(|trouble| self.not_started(trouble.to_string()))?;
+            .map_err(|failure| self.start_error(failure.to_string()))?;
         let settings = Request::Start {
             module,
             path,
@@ -214,55 +225,55 @@ impl PythonObject {
             images: self.config.images,
             window: worker.window(),
         };
-        match worker.become_object(&settings, until) {
+        match worker.create_object(&settings, until) {
             Ok((Reply::Ready(about), _)) => {
                 self.about = about;
                 Ok(worker)
             }
-            Ok((Reply::Raised { text, .. } | Reply::Refused { text, .. }, _)) => Err(self.not_started(text)),
-            Ok(_) => Err(self.not_started("it answers before it was asked".to_owned())),
-            Err(Trouble::Process(ProcessError::TimedOut)) => {
-                let (allowed, last_words) = (allowed.seconds(), worker.kill().last_words());
-                Err(self.not_started(format!(
-                    "it was not ready within {allowed} s and was killed{last_words}; raise start_timeout_ms when it needs \
+            Ok((Reply::Raised { text, .. } | Reply::Refused { text, .. }, _)) => Err(self.start_error(text)),
+            Ok(_) => Err(self.start_error("it answers before it was asked".to_owned())),
+            Err(WorkerError::Process(ProcessError::TimedOut)) => {
+                let (allowed, stderr_suffix) = (allowed.seconds(), worker.kill().stderr_suffix());
+                Err(self.start_error(format!(
+                    "it was not ready within {allowed} s and was killed{stderr_suffix}; raise start_timeout_ms when it needs \
                      longer"
                 )))
             }
-            Err(trouble) => Err(self.not_started(trouble.to_string())),
+            Err(failure) => Err(self.start_error(failure.to_string())),
         }
     }
 
-    fn not_started(&self, reason: String) -> PythonError {
+    fn start_error(&self, reason: String) -> PythonError {
         let python = self.launch.program.to_string_lossy().into_owned();
         PythonError::Start { object: self.config.object.clone(), python, reason }
     }
 
-    /// Why a call failed, and its process goes.
-    fn trouble(&self, trouble: Trouble, worker: Worker) -> PythonError {
+    /// Converts the failure of a call after which the process cannot be used any more.
+    fn failure(&self, failure: WorkerError, worker: Worker) -> PythonError {
         let object = self.config.object.clone();
-        match trouble {
-            Trouble::Process(ProcessError::Ended(ended)) => PythonError::Died { object, ended },
-            Trouble::Process(ProcessError::TimedOut) => PythonError::TooSlow {
+        match failure {
+            WorkerError::Process(ProcessError::ProcessEnd(ended)) => PythonError::Died { object, ended },
+            WorkerError::Process(ProcessError::TimedOut) => PythonError::TooSlow {
                 object,
                 after: milliseconds(self.config.timeout_ms.get()),
-                last_words: worker.kill().last_words(),
+                stderr_suffix: worker.kill().stderr_suffix(),
             },
-            Trouble::Process(error) => PythonError::Process(error),
-            Trouble::Garbled(source) => self.garbled(source),
-            Trouble::Memory(error) => PythonError::Memory { object, error },
+            WorkerError::Process(error) => PythonError::Process(error),
+            WorkerError::InvalidMessage(source) => self.invalid_message(source),
+            WorkerError::Memory(error) => PythonError::Memory { object, error },
         }
     }
 
-    fn garbled(&self, source: FrameError) -> PythonError {
-        PythonError::Garbled { object: self.config.object.clone(), source }
+    fn invalid_message(&self, source: FrameError) -> PythonError {
+        PythonError::InvalidMessage { object: self.config.object.clone(), source }
     }
 }
 
 impl Drop for PythonObject {
     fn drop(&mut self) {
         if let Some(worker) = self.worker.take() {
-            let ended = worker.end(GRACE);
-            if !ended.as_asked() {
+            let ended = worker.end(STOP_TIMEOUT);
+            if !ended.ended_as_requested() {
                 tracing::warn!(name = self.launch.name, "at its end, {ended}");
             }
         }

@@ -1,4 +1,4 @@
-//! The process that runs `worker.py`, and how it is spoken with.
+//! The process that runs `worker.py`, and the exchange of messages with it.
 
 use std::io;
 use std::os::fd::{AsRawFd, RawFd};
@@ -9,79 +9,79 @@ use peernet_sample::Part;
 
 use super::SOURCE;
 use super::frame::{self, FrameError, MAX_BYTES, PREFIX, PartHead, Reply, Request};
-use super::window::Window;
-use crate::process::{Ended, Launch, Process, ProcessError};
+use super::shared_memory::SharedMemory;
+use crate::process::{Launch, Process, ProcessEnd, ProcessError};
 
-/// The reply to a call with the bytes that came with it.
+/// Reply of the worker, with the bytes of its parts.
 pub(super) type Answer = (Reply, Vec<Bytes>);
 
-/// A process and the memory that it shares with this one.
+/// Process with the memory that it shares with this one.
 #[derive(Debug)]
 pub(super) struct Worker {
     process: Process,
-    window: Window,
+    window: SharedMemory,
 }
 
-/// Why it cannot be spoken with any more.
+/// Failure after which the process cannot be used any more.
 #[derive(Debug, thiserror::Error)]
-pub(super) enum Trouble {
+pub(super) enum WorkerError {
     #[error(transparent)]
     Process(#[from] ProcessError),
     #[error("its process does not speak as agreed: {0}")]
-    Garbled(#[from] FrameError),
+    InvalidMessage(#[from] FrameError),
     #[error("cannot share memory with its process: {0}")]
     Memory(io::Error),
 }
 
 impl Worker {
     /// Starts the process.
-    pub(super) fn start(launch: &Launch, clock: &SharedClock) -> Result<Self, Trouble> {
-        let window = Window::new().map_err(Trouble::Memory)?;
+    pub(super) fn start(launch: &Launch, clock: &SharedClock) -> Result<Self, WorkerError> {
+        let window = SharedMemory::new().map_err(WorkerError::Memory)?;
         let launch = Launch { inherits: Some(window.file()), ..launch.clone() };
         Ok(Self { process: Process::start(&launch, clock)?, window })
     }
 
-    /// The number under which it finds the shared memory.
+    /// Returns the descriptor number under which the process finds the shared memory.
     pub(super) fn window(&self) -> RawFd {
         self.window.file().as_raw_fd()
     }
 
-    /// Hands it its source and what it shall be.
-    pub(super) fn become_object(
+    /// Sends the process its source and the settings of the object.
+    pub(super) fn create_object(
         &mut self,
         settings: &Request<'_>,
         until: MonoTime,
-    ) -> Result<Answer, Trouble> {
+    ) -> Result<Answer, WorkerError> {
         let head = encoded(settings)?;
         self.process.write(&[SOURCE.as_bytes(), &head], until)?;
-        self.hear(until)
+        self.receive_reply(until)
     }
 
-    /// Calls its object.
-    pub(super) fn call(&mut self, parts: &[Part], until: MonoTime) -> Result<Answer, Trouble> {
-        let places = self.window.put(parts).map_err(Trouble::Memory)?;
+    /// Calls the object.
+    pub(super) fn call(&mut self, parts: &[Part], until: MonoTime) -> Result<Answer, WorkerError> {
+        let places = self.window.write_parts(parts).map_err(WorkerError::Memory)?;
         let heads = parts.iter().zip(&places).map(|(part, at)| PartHead::of(part, *at)).collect();
         let head = encoded(&Request::Call { parts: heads })?;
         let mut chunks: Vec<&[u8]> = vec![&head];
         let piped = parts.iter().zip(&places).filter(|(_, at)| at.is_none());
         chunks.extend(piped.map(|(part, _)| &part.bytes[..]));
         self.process.write(&chunks, until)?;
-        let answer = self.hear(until)?;
-        self.window.relax();
+        let answer = self.receive_reply(until)?;
+        self.window.release_excess();
         Ok(answer)
     }
 
-    /// Kills it.
-    pub(super) fn kill(self) -> Ended {
+    /// Kills the process.
+    pub(super) fn kill(self) -> ProcessEnd {
         self.process.kill()
     }
 
-    /// Ends it.
-    pub(super) fn end(self, grace: Span) -> Ended {
+    /// Ends the process.
+    pub(super) fn end(self, grace: Span) -> ProcessEnd {
         self.process.end(grace)
     }
 
-    fn hear(&mut self, until: MonoTime) -> Result<Answer, Trouble> {
+    fn receive_reply(&mut self, until: MonoTime) -> Result<Answer, WorkerError> {
         let prefix = self.process.read_exact(PREFIX, until)?;
         let length = frame::header_length(&prefix)?;
         let header = self.process.read_exact(length, until)?;
@@ -91,19 +91,19 @@ impl Worker {
         if total.is_none_or(|total| total > MAX_BYTES) {
             return Err(FrameError::ValueLength.into());
         }
-        let bytes = parts.iter().map(|part| self.take(part, until)).collect::<Result<_, _>>()?;
+        let bytes = parts.iter().map(|part| self.read_part(part, until)).collect::<Result<_, _>>()?;
         Ok((reply, bytes))
     }
 
-    /// The bytes of a part, from where they are.
-    fn take(&mut self, part: &PartHead, until: MonoTime) -> Result<Bytes, Trouble> {
+    /// Returns the bytes of a part, from the shared memory or from the pipe.
+    fn read_part(&mut self, part: &PartHead, until: MonoTime) -> Result<Bytes, WorkerError> {
         let length = part.length as usize;
         let Some(at) = part.at else { return Ok(self.process.read_exact(length, until)?) };
-        let taken = self.window.take(at, length).map_err(Trouble::Memory)?;
+        let taken = self.window.read_part(at, length).map_err(WorkerError::Memory)?;
         taken.ok_or_else(|| FrameError::Position { length, at }.into())
     }
 }
 
-fn encoded(request: &Request<'_>) -> Result<Vec<u8>, Trouble> {
+fn encoded(request: &Request<'_>) -> Result<Vec<u8>, WorkerError> {
     Ok(frame::encode(request).map_err(FrameError::from)?)
 }

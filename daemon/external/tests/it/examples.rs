@@ -1,4 +1,4 @@
-//! The programs of `docs/examples/external`, with samples of one part and of several.
+//! Tests of the programs in `docs/examples/external`, with samples of one part and of several parts.
 
 use std::fs;
 use std::path::PathBuf;
@@ -6,7 +6,7 @@ use std::process::Command;
 use std::sync::Arc;
 
 use peernet_clock::{ClockIdentity, SharedClock, SystemClock};
-use peernet_external::exec::{CommandLine, ExecConfig, Program, Request, Role, Said};
+use peernet_external::exec::{CommandLine, ExecConfig, Program, ReplyOutcome, Request, Role};
 use peernet_sample::{Description, MediaType, Part, Sample};
 
 fn example(name: &str) -> PathBuf {
@@ -34,13 +34,13 @@ fn the_actuator_writes_all_parts_of_an_answer() {
     for parts in [&[&b"left"[..]][..], &[b"left", b"0.5", b"now"], &[b"right"]] {
         let answer = sample("text/plain", parts);
         let acted = program.ask(Request::Answer { answer: &answer, source: "cam" }).expect("acts");
-        assert_eq!(acted.said, Said::Done);
+        assert_eq!(acted.outcome, ReplyOutcome::Done);
     }
     assert_eq!(fs::read_to_string(file).expect("was written"), "cam left\ncam left 0.5 now\ncam right\n");
 }
 
 #[test]
-fn the_model_takes_one_picture_and_goes_on_after_several() {
+fn model_refuses_several_pictures_and_continues() {
     let folder = tempfile::tempdir().expect("a folder");
     let program = folder.path().join("brightness");
     let built = Command::new("cc").arg("-o").arg(&program).arg(example("brightness.c")).status();
@@ -52,7 +52,7 @@ fn the_model_takes_one_picture_and_goes_on_after_several() {
     assert!(refused.contains("not a sample of 2 parts"), "{refused}");
     let answered = program.ask(Request::Sample(&grey(&[b"\xff"]))).expect("answers");
     assert!(
-        matches!(&answered.said, Said::Parts(parts) if parts[0].bytes.starts_with(b"{\"label\":\"bright\"")),
+        matches!(&answered.outcome, ReplyOutcome::Parts(parts) if parts[0].bytes.starts_with(b"{\"label\":\"bright\"")),
         "{answered:?}"
     );
 }

@@ -1,4 +1,4 @@
-//! Users' Python objects and programs, run for real.
+//! Tests of users' Python objects and programs in real processes.
 
 mod examples;
 mod processes;

@@ -1,16 +1,16 @@
-//! What a process started is ended with it, and with the program that started it.
+//! Processes that a process started end with it, and with the program that started it.
 
 use std::io::{self, BufRead, BufReader, Read};
 use std::process::{Command, Stdio};
 use std::sync::Arc;
 
 use peernet_clock::{ClockIdentity, SharedClock, Span, SystemClock};
-use peernet_external::process::{Launch, Process, ProcessError, Voice};
+use peernet_external::process::{Launch, Process, ProcessError, StderrLog};
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use rustix::process::{Pid, PidfdFlags, pidfd_open};
 
 const MOST: usize = 4096;
-/// Long enough for a busy machine.
+/// Timeout that is long enough on a busy machine.
 const PATIENT: Span = Span::from_millis(60_000);
 
 fn clock() -> SharedClock {
@@ -20,7 +20,7 @@ fn clock() -> SharedClock {
 fn shell(script: &str, clock: &SharedClock) -> Process {
     let launch = Launch {
         name: "the program of a test".to_owned(),
-        voice: Voice::Exec,
+        stderr_log: StderrLog::Exec,
         program: "sh".into(),
         arguments: vec!["-c".into(), script.into()],
         folder: None,
@@ -35,7 +35,7 @@ fn line(process: &mut Process, clock: &SharedClock) -> Result<String, ProcessErr
     Ok(String::from_utf8(line.to_vec()).expect("text"))
 }
 
-/// Another's child, held so that its number stays its own.
+/// Child of another process. The descriptor is held so that its number is not reused.
 struct Watched(std::os::fd::OwnedFd);
 
 impl Watched {
@@ -50,7 +50,7 @@ impl Watched {
     }
 }
 
-/// Waits until the test holds the one that is left.
+/// Script that waits until the test holds the remaining process.
 const LEAVES_ONE: &str = "sleep 600 & echo $!; read -r _; exit 3";
 
 #[test]
@@ -65,7 +65,7 @@ fn a_process_that_ends_by_itself_leaves_nothing() {
 }
 
 #[test]
-fn a_process_that_ends_when_told_to_leaves_nothing() {
+fn requested_end_leaves_no_processes() {
     let clock = clock();
     let mut process = shell(LEAVES_ONE, &clock);
     let left = Watched::new(&line(&mut process, &clock).expect("a number"));
@@ -74,23 +74,23 @@ fn a_process_that_ends_when_told_to_leaves_nothing() {
 }
 
 #[test]
-fn the_end_by_the_signal_that_asked_for_it_is_no_fault() {
+fn end_by_requested_signal_is_no_fault() {
     let clock = clock();
-    for (script, is_as_asked) in [
+    for (script, is_expected) in [
         ("echo here; exec sleep 600", true),
         ("trap 'exit 143' TERM; echo here; while :; do sleep 0.01; done", true),
         ("trap 'exit 3' TERM; echo here; while :; do sleep 0.01; done", false),
-        // Before it was asked.
+        // The signal arrives before the request to end.
         ("echo here; kill -TERM $$", false),
     ] {
         let mut process = shell(script, &clock);
         line(&mut process, &clock).expect("it has begun");
         let ended = process.end(Span::from_seconds(4));
-        assert_eq!(ended.as_asked(), is_as_asked, "{script}: {ended:?}");
+        assert_eq!(ended.ended_as_requested(), is_expected, "{script}: {ended:?}");
     }
 }
 
-/// The host is this test program once more, so that it can end without the test.
+/// Starts this test program again as the host, so that the host can end without the test.
 fn ends_with_its_host(end: impl FnOnce(&mut std::process::Child)) {
     let this = std::env::current_exe().expect("a test has a file");
     let mut host = Command::new(this)
@@ -111,12 +111,12 @@ fn ends_with_its_host(end: impl FnOnce(&mut std::process::Child)) {
 }
 
 #[test]
-fn nothing_outlives_a_host_that_is_killed() {
+fn killed_host_leaves_no_child_processes() {
     ends_with_its_host(|host| host.kill().expect("it runs"));
 }
 
 #[test]
-fn nothing_outlives_a_host_that_ends_without_ending_its_processes() {
+fn killed_host_leaves_no_processes() {
     ends_with_its_host(|host| drop(host.stdin.take()));
 }
 
@@ -124,7 +124,7 @@ fn nothing_outlives_a_host_that_ends_without_ending_its_processes() {
 #[ignore = "a program for the tests above, which start it"]
 fn host() {
     let clock = clock();
-    // The last of them heeds nothing that can be ignored.
+    // The last process ignores every signal that can be ignored.
     let script = "sleep 600 | cat & echo $!; (trap '' HUP TERM; sleep 600) & echo $!; read -r _; sleep 600";
     let mut process = shell(script, &clock);
     for _ in 0..2 {

@@ -12,7 +12,7 @@ fn try_decode(bytes: &[u8]) -> Result<(), ImageError> {
     decode(bytes, PixelFormat::Rgb8, &mut Picture::default())
 }
 
-/// The checksum of a PNG chunk (CRC-32), so that a forged header is not refused for the wrong reason.
+/// Returns the checksum of a PNG chunk (CRC-32), so that a forged header is not refused because of its checksum.
 fn checksum(bytes: &[u8]) -> u32 {
     !bytes.iter().fold(!0u32, |crc, byte| {
         (0..8).fold(
@@ -23,10 +23,10 @@ fn checksum(bytes: &[u8]) -> u32 {
 }
 
 #[test]
-fn a_file_that_is_cut_off_is_an_error() {
+fn truncated_file_is_an_error() {
     for encoding in [Encoding::Png, Encoding::Jpeg { quality: 85 }] {
         let file = file(encoding);
-        // The end marker alone may be missing: the picture is whole without it.
+        // Only the end marker may be missing: the picture is complete without it.
         for length in 0..file.len() - 24 {
             assert!(try_decode(&file[..length]).is_err(), "{encoding:?} cut to {length} of {}", file.len());
         }
@@ -34,7 +34,7 @@ fn a_file_that_is_cut_off_is_an_error() {
 }
 
 #[test]
-fn what_is_no_picture_is_named_as_such() {
+fn unknown_format_is_refused() {
     assert_eq!(try_decode(b""), Err(ImageError::UnknownFormat));
     assert_eq!(try_decode(b"GIF89a"), Err(ImageError::UnknownFormat));
     let text = Part { description: Description::unshaped(MediaType::Text), bytes: "hello".into() };
@@ -85,7 +85,7 @@ fn pixels_whose_description_lies_are_refused() {
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(512))]
 
-    /// Whatever a peer sends: an answer or an error, never a panic.
+    /// Any bytes lead to a picture or an error, never to a panic.
     #[test]
     fn damaged_files_never_panic(
         png: bool,

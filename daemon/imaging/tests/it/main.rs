@@ -1,4 +1,4 @@
-//! Real files, made by the encoders and read by the decoders, whole and broken.
+//! Tests with files that the encoders write and the decoders read, complete and damaged.
 
 mod hostile;
 mod round_trip;
@@ -6,7 +6,7 @@ mod round_trip;
 use peernet_imaging::Picture;
 use peernet_sample::PixelFormat;
 
-/// A picture with something in it: slopes, an edge, a little noise.
+/// Returns a picture with structure: slopes, an edge, a little noise.
 fn scene(format: PixelFormat, width: u32, height: u32) -> Picture {
     let channels = format.channels();
     let value = |x: u32, y: u32, channel: u32| {

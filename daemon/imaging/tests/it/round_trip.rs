@@ -32,7 +32,7 @@ proptest! {
     }
 
     #[test]
-    fn the_header_alone_tells_format_and_size(picture in picture(), quality in 1u8..=100) {
+    fn format_and_size_are_read_from_header(picture in picture(), quality in 1u8..=100) {
         let size = (picture.width(), picture.height());
         for encoding in [Encoding::Png, Encoding::Jpeg { quality }] {
             let part = encode(&picture, encoding).expect("encodes");
@@ -65,7 +65,7 @@ fn jpeg_is_near_and_nearer_at_higher_quality() {
 }
 
 #[test]
-fn a_file_is_read_in_the_wanted_channels_whatever_its_own() {
+fn file_is_decoded_to_requested_channels() {
     for encoding in [Encoding::Png, Encoding::Jpeg { quality: 100 }] {
         let grey = encode(&scene(PixelFormat::Grey8, 20, 10), encoding).expect("encodes");
         let mut colour = Picture::default();

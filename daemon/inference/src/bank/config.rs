@@ -1,4 +1,4 @@
-//! `[bank]` in the configuration.
+//! The table `[bank]` of the configuration.
 
 use std::num::NonZeroUsize;
 use std::path::{Path, PathBuf};
@@ -9,27 +9,27 @@ use serde::{Deserialize, Serialize};
 use super::INSTALLED;
 use crate::{ModelConfig, SharedKeys};
 
-/// `[bank]`: folders of models that are offered beside the `[[model]]`s, each by the name of its folder, loaded when
-/// somebody asks.
+/// The table `[bank]`: folders of models that are offered in addition to the `[[model]]` tables. A model has the name
+/// of its folder and is loaded when it is requested.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct BankConfig {
-    /// Folders that hold one folder per model; the first that has a model of the wanted name is taken. An empty list
-    /// offers none. Default: `["/var/lib/peernet/models"]`, where only root can put one.
+    /// Folders that hold one folder per model. If several hold a model of the same name, the first one is used. An
+    /// empty list offers no models. Default: `["/var/lib/peernet/models"]`, to which only root can add models.
     pub folders: Vec<PathBuf>,
-    /// The devices that may be asked for, of the same names as a model's `device`; the first is for those who name
-    /// none. Default: `["cpu"]`.
+    /// Devices that may be requested, named like a model's `device`; the first one is used for requests without a
+    /// device. Default: `["cpu"]`.
     pub devices: Vec<String>,
-    /// Models of these folders that may be in memory at once, at most 64. When one more is asked for, the one that was
-    /// asked for longest ago is unloaded, if nobody uses it. Default: 2.
+    /// Largest number of these models that may be loaded at the same time, 1 to 64. When one more is requested, the
+    /// model whose last request is the oldest is unloaded if it is not in use. Default: 2.
     pub most_loaded: NonZeroUsize,
-    /// Threads that compute, each on a sample of its own. Default: 1.
+    /// Number of worker threads of each model; each computes one sample at a time. Default: 1.
     pub workers: NonZeroUsize,
-    /// Samples that may wait for a free worker; more are refused. Default: 16.
+    /// Largest number of samples that wait for a free worker; more are rejected. Default: 16.
     pub queue: NonZeroUsize,
-    /// Threads of each worker within one operator of the model; the worker's own thread counts. Default: 1.
+    /// Threads of each worker within one operator of the model, including the worker's own thread. Default: 1.
     pub intra_threads: NonZeroUsize,
-    /// Threads of each worker across independent operators; above 1 they run in parallel. Default: 1.
+    /// Threads of each worker across independent operators; above 1 these run in parallel. Default: 1.
     pub inter_threads: NonZeroUsize,
 }
 
@@ -49,10 +49,10 @@ impl Default for BankConfig {
 }
 
 impl BankConfig {
-    /// Most models of the folders in memory at once.
-    pub(super) const MOST_LOADED: usize = 64;
+    /// Largest permitted value of `most_loaded`.
+    pub(super) const MAX_LOADED: usize = 64;
 
-    /// A model of the folders, as a `[[model]]` would have it.
+    /// Returns the configuration of a model in the folders, as a `[[model]]` table would have it.
     pub fn model(&self, name: &Slug, folder: &Path, device: &str) -> ModelConfig {
         let (workers, queue) = (self.workers, self.queue);
         let shared = SharedKeys { name: name.clone(), device: device.to_owned(), workers, queue };

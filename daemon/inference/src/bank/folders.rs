@@ -90,7 +90,7 @@ impl ModelFolders {
         known.sort();
         let mut seen = HashSet::new();
         known.retain(|name| seen.insert(name.clone()));
-        Err(LoadError::NotFound { name: name.to_owned(), looked: self.0.clone(), known })
+        Err(LoadError::NotFound { name: name.to_owned(), searched: self.0.clone(), known })
     }
 
     /// Returns an error for each folder that exists and cannot be read.

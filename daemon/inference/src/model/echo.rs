@@ -1,4 +1,4 @@
-//! `echo`: answers with what it was given, at once.
+//! Model kind `echo`, which answers with its input.
 
 use std::sync::Arc;
 
@@ -10,14 +10,14 @@ use serde::{Deserialize, Serialize};
 use super::{LoadContext, ModelConfig, ModelKind, ModelTable, SharedKeys};
 use crate::{InferenceError, LoadError, Model, Worker};
 
-/// Largest fixed answer: 1 GiB.
+/// Largest fixed answer, bytes (1 GiB).
 const MAX_ANSWER_BYTES: usize = 1 << 30;
 
-/// `kind = "echo"`. It runs on the thread of its caller.
+/// Configuration of a model of `kind = "echo"`. It runs on the thread of its caller.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct EchoConfig {
-    /// Answer with this many bytes instead of the payload.
+    /// Number of bytes of a fixed answer that replaces the payload.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub answer_bytes: Option<usize>,
 }
@@ -37,13 +37,13 @@ impl ModelKind for EchoConfig {
 }
 
 impl ModelConfig {
-    /// A model that answers with what it was given.
+    /// Returns the configuration of a model that answers with its input.
     pub fn echo(name: Slug) -> Self {
         ModelTable { shared: SharedKeys::of(name), own: EchoConfig::default() }.into()
     }
 }
 
-/// Answers without computing: what remains to be measured is everything around a model.
+/// Model that answers without computing, so that only the time around the model is measured.
 pub(crate) struct Echo {
     config: EchoConfig,
     answer: Option<Sample>,

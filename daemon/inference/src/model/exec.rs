@@ -1,10 +1,12 @@
-//! `exec`: a program of the user's own, one process for each worker.
+//! Model kind `exec`: a program of the user, with one process for each worker.
 
 use std::sync::{Arc, Mutex, PoisonError};
 
 use peernet_clock::SharedClock;
 pub use peernet_external::exec::ExecConfig;
-use peernet_external::exec::{CommandLine, ExchangeError, FingerprintKey, Program, Request, Role, Said};
+use peernet_external::exec::{
+    CommandLine, ExchangeError, FingerprintKey, Program, ReplyOutcome, Request, Role,
+};
 use peernet_external::hide_values;
 use peernet_logger::{Name, Recorder, Unit};
 use peernet_sample::Sample;
@@ -12,18 +14,18 @@ use peernet_sample::Sample;
 use super::{Keys, LoadContext, ModelConfig, ModelKind, ModelTable, SharedKeys};
 use crate::{InferenceError, LoadError, Model, Worker};
 
-/// The variable in which the program finds its device.
+/// Environment variable that contains the device.
 const DEVICE: &str = "PEERNET_DEVICE";
 
 impl ModelConfig {
-    /// A program of the user's own, as a line for the shell.
+    /// Returns the configuration of a program, given as a line for the shell.
     pub fn program(shared: SharedKeys, command: &str) -> Self {
         ModelTable { shared, own: ExecConfig::of(CommandLine::Shell(command.to_owned())) }.into()
     }
 }
 
 impl ModelKind for ExecConfig {
-    fn untold_keys(&self) -> &'static [&'static str] {
+    fn unpublished_keys(&self) -> &'static [&'static str] {
         &["command", "folder"]
     }
 
@@ -46,7 +48,7 @@ impl ModelKind for ExecConfig {
     }
 
     fn check(&self, shared: &SharedKeys, _context: &LoadContext<'_>) -> Result<(), LoadError> {
-        // The program's own check, which does not run it.
+        // This check does not run the program.
         Self::check(&on_device(self, shared))
             .map_err(|reason| failed(self, shared, ExchangeError::Command(reason)))
     }
@@ -61,20 +63,20 @@ impl ModelKind for ExecConfig {
     }
 }
 
-/// The program, told its device.
+/// Returns the configuration with the device in the program's environment.
 fn on_device(config: &ExecConfig, shared: &SharedKeys) -> ExecConfig {
     let mut config = config.clone();
     config.env.insert(DEVICE.to_owned(), shared.device.clone());
     config
 }
 
-/// A program, once for each worker.
+/// Program that runs once for each worker.
 struct Exec {
     config: ExecConfig,
     shared: SharedKeys,
     clock: SharedClock,
     facts: Vec<(String, String)>,
-    /// The first one, which was started to see whether it can be.
+    /// The process that loading started to check that it can be started; the first worker takes it.
     first: Mutex<Option<Program>>,
 }
 
@@ -119,8 +121,8 @@ impl Worker for ExecWorker {
         for (name, value, unit) in &exchange.notes.values {
             log.value(Name::from(name.as_str()), *value, Unit::new(unit));
         }
-        match exchange.said {
-            Said::Parts(parts) => Ok(Sample { parts, source: String::new(), label: None }),
+        match exchange.outcome {
+            ReplyOutcome::Parts(parts) => Ok(Sample { parts, source: String::new(), label: None }),
             other => Err(failed(format!("it answered as a model does not: {other:?}"))),
         }
     }

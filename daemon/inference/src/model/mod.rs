@@ -1,4 +1,4 @@
-//! The kinds of models: one file or folder for each, and the registration of each in [`ModelConfig`].
+//! Kinds of models: one file or folder for each, and their registration in [`ModelConfig`].
 
 pub mod echo;
 pub mod exec;
@@ -18,20 +18,21 @@ use peernet_external::exec::FingerprintKey;
 use peernet_logger::Slug;
 use serde::{Deserialize, Serialize};
 
-use crate::litter::Litter;
+use crate::temp_dirs::TempDirs;
 use crate::{LoadError, Model};
 use onnx::OnnxRuntimeConfig;
 
-/// Most threads that compute samples of one model.
+/// Largest number of threads that compute samples of one model.
 const MAX_WORKERS: usize = 256;
-/// Most samples that may wait for one model.
+/// Largest number of samples that wait for one model.
 const MAX_QUEUE: usize = 65_536;
 
-/// A kind of model, implemented by the keys that it has beside the shared ones.
+/// Kind of model, implemented by the keys that it has in addition to the shared ones.
 pub trait ModelKind {
-    /// The shared keys that a model of this kind has; `name` is one of them. Default: all.
+    /// Returns the shared keys that a model of this kind has; `name` is one of them. Default: all.
     ///
-    /// A kind whose [`Model::blocks`] is false has no `workers` and no `queue`: it runs on the thread of its caller.
+    /// A kind whose [`Model::blocks`] returns `false` has neither `workers` nor `queue`, because it runs on the
+    /// thread of its caller.
     fn shared_keys() -> &'static [&'static str]
     where
         Self: Sized,
@@ -39,78 +40,79 @@ pub trait ModelKind {
         SharedKeys::names()
     }
 
-    /// Own keys whose values stand elsewhere in a run's description, or tell where things are on this host, which is nobody's
-    /// business.
-    fn untold_keys(&self) -> &'static [&'static str] {
+    /// Returns the keys whose values a run's description leaves out: they are recorded elsewhere in it, or reveal
+    /// where files are on this host.
+    fn unpublished_keys(&self) -> &'static [&'static str] {
         &[]
     }
 
-    /// Own numbers: key, value and upper limit.
+    /// Returns the numbers among the kind's own keys: key, value and upper limit.
     fn limits(&self) -> Vec<(&'static str, usize, usize)> {
         Vec::new()
     }
 
-    /// Whether it runs a program of the user's own, whose arguments are told by their fingerprint alone.
+    /// Returns whether this kind runs a program of the user, whose arguments are published as a fingerprint only.
     fn is_program(&self) -> bool {
         false
     }
 
-    /// What tells programs with different arguments apart, as a fact; the arguments themselves may be secret.
+    /// Returns the fact that distinguishes programs with different arguments; the arguments themselves may be secret.
     fn arguments(&self, _key: &FingerprintKey) -> Option<(String, String)> {
         None
     }
 
-    /// Takes out what may not be published: the values of `env`.
+    /// Removes what must not be published: the values of `env`.
     fn hide_secrets(&mut self) {}
 
-    /// Takes out keys that are not told when they have their defaults.
-    // Settings of runs are compared as texts: a default that earlier versions did not tell would be a difference.
+    /// Removes keys that are not recorded while they have their defaults.
+    // Settings of runs are compared as texts: a default that earlier versions did not record would appear as a
+    // difference.
     fn leave_out_defaults(&self, _keys: &mut Keys) {}
 
-    /// Finds what is wrong without loading the model or running a user's code.
+    /// Checks the configuration without loading the model or running users' code.
     ///
     /// # Errors
-    /// When the configuration contradicts itself, or what it names is not there.
+    /// If the configuration contradicts itself, or if something that it names does not exist.
     fn check(&self, _shared: &SharedKeys, _context: &LoadContext<'_>) -> Result<(), LoadError> {
         Ok(())
     }
 
-    /// Loads what all workers share. Blocks.
+    /// Loads the part of the model that all workers share. Blocks.
     ///
     /// # Errors
-    /// When it cannot be loaded.
+    /// If the model cannot be loaded.
     fn load(&self, shared: &SharedKeys, context: &LoadContext<'_>) -> Result<Arc<dyn Model>, LoadError>;
 }
 
-/// What a model may need of its surroundings when it is loaded.
+/// Objects of the bank that loading a model may need.
 #[derive(Debug)]
 pub struct LoadContext<'a> {
-    /// `[onnxruntime]`.
+    /// The table `[onnxruntime]`.
     pub(crate) runtime: &'a OnnxRuntimeConfig,
-    /// Where temporary folders are entered.
-    pub(crate) litter: &'a Litter,
-    /// What deadlines are taken from.
+    /// Set to which temporary folders are added.
+    pub(crate) temp_dirs: &'a TempDirs,
+    /// Clock for deadlines.
     pub(crate) clock: &'a SharedClock,
 }
 
-/// `[[model]]`: one model that this host offers. A new kind is registered here.
+/// A table `[[model]]`: one model that this host offers. New kinds are registered here.
 #[enum_dispatch(Table)]
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(tag = "kind", rename_all = "kebab-case")]
 pub enum ModelConfig {
     /// A model in ONNX form, run by ONNX Runtime.
     Onnx(ModelTable<onnx::OnnxConfig>),
-    /// A Python object of the user's own with `infer(x)`.
+    /// A Python object of the user with `infer(x)`.
     Python(ModelTable<python::PythonConfig>),
-    /// A program of your own: docs/external-programs.md.
+    /// A program of the user; see docs/external-programs.md.
     Exec(ModelTable<exec::ExecConfig>),
-    /// Answers with what it was given, at once: measures everything around a model.
+    /// A model that answers with its input at once, to measure the time around a model.
     Echo(ModelTable<echo::EchoConfig>),
-    /// Takes the time it is told to: a model of known latency.
+    /// A model of known latency, which waits for the configured times.
     Sleep(ModelTable<sleep::SleepConfig>),
 }
 
-/// A model's table, whatever its kind.
+/// Access to a model's table, independent of its kind.
 #[enum_dispatch]
 pub(crate) trait Table {
     fn shared(&self) -> &SharedKeys;
@@ -133,32 +135,32 @@ impl<K: ModelKind + 'static> Table for ModelTable<K> {
 }
 
 impl ModelConfig {
-    /// The name under which peers ask for it.
+    /// Returns the name under which peers request the model.
     pub fn name(&self) -> &Slug {
         &self.shared().name
     }
 
-    /// The device it is configured for.
+    /// Returns the configured device.
     pub fn device(&self) -> &str {
         &self.shared().device
     }
 
-    /// Threads that compute; `echo` runs on the thread of its caller and counts as one.
+    /// Returns the number of threads that compute; `echo` runs on the thread of its caller and counts as one.
     pub fn workers(&self) -> usize {
         self.shared().workers.get()
     }
 
-    /// Samples that may wait for a free worker.
+    /// Returns the largest number of samples that wait for a free worker.
     pub fn queue(&self) -> usize {
         self.shared().queue.get()
     }
 
-    /// Whether it runs a program of the user's own, whose arguments are told by their fingerprint alone.
+    /// Returns whether the model runs a program of the user, whose arguments are published as a fingerprint only.
     pub fn is_program(&self) -> bool {
         self.own().is_program()
     }
 
-    /// Takes out what may not be published: the values of `env`.
+    /// Removes what must not be published: the values of `env`.
     pub fn hide_secrets(&mut self) {
         self.own_mut().hide_secrets();
     }
@@ -166,7 +168,7 @@ impl ModelConfig {
     /// Checks the numbers against their upper limits.
     ///
     /// # Errors
-    /// [`LoadError::TooMuch`] for the first that is beyond its own.
+    /// [`LoadError::TooMuch`] for the first number above its limit.
     pub fn check_limits(&self) -> Result<(), LoadError> {
         let of_all = [("workers", self.workers(), MAX_WORKERS), ("queue", self.queue(), MAX_QUEUE)];
         match of_all.into_iter().chain(self.own().limits()).find(|(_, value, most)| value > most) {
@@ -177,12 +179,12 @@ impl ModelConfig {
         }
     }
 
-    /// Finds what is wrong without loading the model or running a user's code.
+    /// Checks the configuration without loading the model or running users' code.
     pub(crate) fn check(&self, context: &LoadContext<'_>) -> Result<(), LoadError> {
         self.own().check(self.shared(), context)
     }
 
-    /// Loads what all workers share. Blocks.
+    /// Loads the part of the model that all workers share. Blocks.
     pub(crate) fn load(&self, context: &LoadContext<'_>) -> Result<Arc<dyn Model>, LoadError> {
         self.own().load(self.shared(), context)
     }

@@ -1,4 +1,4 @@
-//! `python`: an object of the user's own with `infer(x)`, each worker in a process of its own.
+//! Model kind `python`: an object of the user with `infer(x)`, with one process for each worker.
 
 use std::sync::{Arc, Mutex, PoisonError};
 
@@ -13,14 +13,14 @@ use super::{Keys, LoadContext, ModelConfig, ModelKind, ModelTable, SharedKeys};
 use crate::{InferenceError, LoadError, Model, Worker};
 
 impl ModelConfig {
-    /// A Python object of the user's own; `pickle` as in [`PythonConfig`].
+    /// Returns the configuration of a Python object; `pickle` as in [`PythonConfig`].
     pub fn python_object(shared: SharedKeys, object: &str, pickle: bool) -> Self {
         ModelTable { shared, own: PythonConfig { pickle, ..PythonConfig::of(object) } }.into()
     }
 }
 
 impl ModelKind for PythonConfig {
-    fn untold_keys(&self) -> &'static [&'static str] {
+    fn unpublished_keys(&self) -> &'static [&'static str] {
         &["object", "folder", "python"]
     }
 
@@ -51,13 +51,13 @@ impl ModelKind for PythonConfig {
     }
 }
 
-/// A Python object, once for each worker.
+/// Python object that is created once for each worker.
 struct Python {
     config: PythonConfig,
     shared: SharedKeys,
     clock: SharedClock,
     facts: Vec<(String, String)>,
-    /// The first one, which was started to see whether it can be.
+    /// The object that loading created to check that it can be created; the first worker takes it.
     first: Mutex<Option<PythonObject>>,
 }
 
@@ -98,7 +98,7 @@ impl Worker for PythonWorker {
         if let Some(from) = called.times.restarted {
             log.timed(stage::RESTART, from, begun);
         }
-        log.timed(stage::IPC, begun, begun + called.times.border());
+        log.timed(stage::IPC, begun, begun + called.times.overhead());
         let has_inferred = called.times.stages.iter().any(|(own, ..)| *own == Stage::Infer);
         for (own, from, to) in called.times.stages {
             let name = match own {
@@ -111,7 +111,7 @@ impl Worker for PythonWorker {
         }
         let failed = |reason| InferenceError::Failed { model: self.model.clone(), reason };
         let parts = called.result.map_err(|error| match error {
-            // It took the sample.
+            // The failure came after the conversion of the sample, so that it concerns the answer.
             PythonError::Value(reason) if has_inferred => failed(format!("its answer: {reason}")),
             PythonError::Value(reason) => {
                 let (model, sample) = (self.model.clone(), sample.source.clone());

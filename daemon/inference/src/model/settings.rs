@@ -1,4 +1,4 @@
-//! What a model was told, for whoever is to offer it again elsewhere.
+//! A model's settings as facts, by which it can be offered again elsewhere.
 
 use peernet_external::environment;
 use peernet_external::exec::FingerprintKey;
@@ -6,11 +6,11 @@ use serde_json::Value;
 
 use super::{ModelConfig, Table};
 
-/// Shared keys that stand elsewhere in a run's description.
-const ELSEWHERE: [&str; 2] = ["name", "device"];
+/// Shared keys that are recorded elsewhere in a run's description.
+const RECORDED_ELSEWHERE: [&str; 2] = ["name", "device"];
 
 impl ModelConfig {
-    /// Its settings and the environment that it runs in, as pairs for people.
+    /// Returns the settings of the model and the environment that it runs in, as pairs.
     pub(crate) fn facts(&self, key: Option<&FingerprintKey>) -> Vec<(String, String)> {
         let mut facts = vec![("Model settings".to_owned(), self.settings())];
         facts.extend(key.and_then(|key| self.own().arguments(key)));
@@ -18,14 +18,14 @@ impl ModelConfig {
         facts
     }
 
-    /// The keys of its table with their values, the defaults as well: `kind = onnx, workers = 2, …`.
+    /// Returns the keys of its table with their values, defaults included: `kind = onnx, workers = 2, …`.
     fn settings(&self) -> String {
         let table = serde_json::to_value(self).unwrap_or_default();
-        let untold = [&ELSEWHERE, self.own().untold_keys()].concat();
+        let untold = [&RECORDED_ELSEWHERE, self.own().unpublished_keys()].concat();
         let keys = table.as_object().into_iter().flatten();
         let told = |(key, value): (&String, &Value)| match value {
             _ if untold.contains(&key.as_str()) => None,
-            // Environment variables, whose values may be secret.
+            // Values of environment variables may be secret, so that only the names are recorded.
             Value::Object(variables) => {
                 let names: Vec<&str> = variables.keys().map(String::as_str).collect();
                 Some(format!("{key} with {}", names.join(" ")))
@@ -46,7 +46,7 @@ mod tests {
     }
 
     #[test]
-    fn all_that_was_set_and_all_defaults_are_told_but_places_and_secrets() {
+    fn settings_are_recorded_without_places_and_secrets() {
         let told = settings("kind = 'sleep'\nname = 's'\ninference_ms = 3\nworkers = 2");
         for part in ["kind = sleep", "inference_ms = 3", "preprocessing_ms = 10", "workers = 2", "queue = 16"]
         {

@@ -1,4 +1,4 @@
-//! `sleep`: takes the time it is told to.
+//! Model kind `sleep`, which waits for the configured times.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -11,20 +11,20 @@ use serde::{Deserialize, Serialize};
 use super::{LoadContext, ModelConfig, ModelKind, ModelTable, SharedKeys};
 use crate::{InferenceError, LoadError, Model, Worker};
 
-/// Longest stage: a day. Milliseconds.
+/// Longest stage, milliseconds: one day.
 const MAX_STAGE_MS: usize = 24 * 3600 * 1000;
 
-/// `kind = "sleep"`. Each worker sleeps over a sample of its own.
+/// Keys of a model of `kind = "sleep"`. Each worker waits for one sample at a time.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct SleepConfig {
-    /// Milliseconds of `preprocessing`.
+    /// Duration of `preprocessing`, milliseconds.
     #[serde(default = "ten_ms")]
     pub preprocessing_ms: u32,
-    /// Milliseconds of `inference`.
+    /// Duration of `inference`, milliseconds.
     #[serde(default = "eighty_ms")]
     pub inference_ms: u32,
-    /// Milliseconds of `postprocessing`.
+    /// Duration of `postprocessing`, milliseconds.
     #[serde(default = "ten_ms")]
     pub postprocessing_ms: u32,
 }
@@ -56,7 +56,7 @@ impl ModelKind for SleepConfig {
 }
 
 impl ModelConfig {
-    /// A model that takes 100 ms.
+    /// Returns the configuration of a model that takes 100 ms.
     pub fn sleep(name: Slug) -> Self {
         let own = SleepConfig {
             preprocessing_ms: ten_ms(),
@@ -67,7 +67,7 @@ impl ModelConfig {
     }
 }
 
-/// A model of known latency: three stages that each take a configured time.
+/// Model of known latency: three stages with configured durations.
 struct Sleep {
     config: SleepConfig,
 }

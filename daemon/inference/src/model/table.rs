@@ -1,4 +1,4 @@
-//! The table of one model: keys that several kinds share, and those of its kind.
+//! The table of one model: keys that several kinds share, and the keys of its kind.
 
 use std::num::NonZeroUsize;
 
@@ -13,20 +13,21 @@ use super::ModelKind;
 /// Keys with their values.
 pub type Keys = Map<String, Value>;
 
-/// The keys that several kinds share. A kind names those that it has ([`ModelKind::shared_keys`]); the others have their
+/// Keys that several kinds share. A kind lists those that it has ([`ModelKind::shared_keys`]); the others have their
 /// defaults.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct SharedKeys {
-    /// The name under which peers ask for it.
+    /// Name under which peers request the model.
     pub name: Slug,
-    /// What it runs on: of a model of kind `onnx` `cpu`, `cuda:0`, `tensorrt:0` or `openvino:CPU`, where the whole model runs
-    /// or is refused. Code of the user's own finds it in the variable `PEERNET_DEVICE`. Default: `cpu`.
+    /// Device on which the model runs. For kind `onnx`: `cpu`, `cuda:0`, `tensorrt:0` or `openvino:CPU`; the whole
+    /// model runs there or is refused. Users' code finds it in the variable `PEERNET_DEVICE`. Default: `cpu`.
     #[serde(default = "cpu")]
     pub device: String,
-    /// Threads that compute, each on a sample of its own; of code of the user's own, processes. Default: 1.
+    /// Number of worker threads, each of which computes one sample at a time; for users' code, number of processes.
+    /// Default: 1.
     #[serde(default = "one")]
     pub workers: NonZeroUsize,
-    /// Samples that may wait for a free worker; more are refused. Default: 16.
+    /// Largest number of samples that wait for a free worker; more are rejected. Default: 16.
     #[serde(default = "sixteen")]
     pub queue: NonZeroUsize,
 }
@@ -44,26 +45,26 @@ const fn sixteen() -> NonZeroUsize {
 }
 
 impl SharedKeys {
-    /// A name, and the defaults.
+    /// Returns the keys of a model with this name and otherwise the defaults.
     pub fn of(name: Slug) -> Self {
         Self { name, device: cpu(), workers: one(), queue: sixteen() }
     }
 
-    /// The names of all of them.
+    /// Returns the names of all shared keys.
     pub(super) fn names() -> &'static [&'static str] {
         field_names::<Self>()
     }
 }
 
-/// The table of one model.
+/// Table of one model.
 ///
-/// In a file both groups of keys are one table. serde's `flatten` would read that as well, but no longer tell which keys there
-/// are when one is misspelt; therefore the table is split here before each group is read.
+/// In a file both groups of keys form one table. serde's `flatten` could read that, but would not report a misspelt
+/// key with the list of known keys. Therefore the table is split here before each group is read.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct ModelTable<K> {
-    /// The keys that its kind shares with others.
+    /// Keys that the kind shares with others.
     pub shared: SharedKeys,
-    /// The keys of its kind.
+    /// Keys of the kind.
     pub own: K,
 }
 
@@ -76,7 +77,7 @@ impl<'de, K: ModelKind + DeserializeOwned> Deserialize<'de> for ModelTable<K> {
         }
         let shared: Keys = K::shared_keys().iter().filter_map(|key| own.remove_entry(*key)).collect();
         let shared = serde_json::from_value(shared.into()).map_err(de::Error::custom)?;
-        // Of a kind without keys serde reads `struct Name {}` from a map and `struct Name;` from null.
+        // For a kind without keys, serde reads `struct Name {}` from a map and `struct Name;` from null.
         let is_keyless = own.is_empty() && field_names::<K>().is_empty();
         let read = serde_json::from_value(own.into());
         let own = if is_keyless { read.or_else(|_| serde_json::from_value(Value::Null)) } else { read };
@@ -95,7 +96,7 @@ impl<K: ModelKind + Serialize + DeserializeOwned> Serialize for ModelTable<K> {
         self.own.leave_out_defaults(&mut own);
         let mut table = keys(serde_json::to_value(&self.shared))?;
         table.extend(own);
-        // In the order of their declaration, not of the alphabet.
+        // The keys are written in the order of their declaration, not in alphabetical order.
         let mut map = serializer.serialize_map(None)?;
         for name in K::shared_keys().iter().chain(field_names::<K>()) {
             if let Some(value) = table.remove(*name) {
@@ -106,15 +107,15 @@ impl<K: ModelKind + Serialize + DeserializeOwned> Serialize for ModelTable<K> {
     }
 }
 
-/// The names of a struct's fields, as serde reads them.
+/// Returns the names of a struct's fields, as serde reads them.
 fn field_names<T: DeserializeOwned>() -> &'static [&'static str] {
     let mut names: &[&str] = &[];
-    // Reading ends with an error as soon as the names are there.
+    // Deserialization ends with an error as soon as the names are known.
     let _ = T::deserialize(FieldNames(&mut names));
     names
 }
 
-/// Takes the names of the fields of the struct that is to be read.
+/// Deserializer that stores the field names of the struct that is to be read.
 struct FieldNames<'a>(&'a mut &'static [&'static str]);
 
 impl<'de> Deserializer<'de> for FieldNames<'_> {
@@ -140,7 +141,7 @@ impl<'de> Deserializer<'de> for FieldNames<'_> {
     }
 }
 
-/// What serde says of the fields that it knows.
+/// Formats a list of known fields as serde does.
 fn one_of(names: &[&str]) -> String {
     match names {
         [one] => format!("`{one}`"),

@@ -18,7 +18,7 @@ fn the_short_forms_have_sensible_defaults() {
 }
 
 #[test]
-fn a_key_of_another_kind_or_a_misspelt_one_is_refused() {
+fn foreign_or_misspelt_key_is_refused() {
     let error = read("name = \"e\"\nkind = \"echo\"\nworkers = 2").expect_err("echo has no workers");
     assert!(error.to_string().contains("workers"), "{error}");
     let error = read("name = \"q\"\nkind = \"onnx\"\npath = \"x\"\nworker = 2").expect_err("misspelt");
@@ -52,7 +52,7 @@ fn every_number_has_an_upper_limit() {
 }
 
 #[test]
-fn unknown_key_is_answered_with_all_keys_of_the_kind() {
+fn unknown_key_error_lists_keys_of_kind() {
     for (kind, known) in [
         ("'echo'", "`name` or `answer_bytes`"),
         (
@@ -79,7 +79,7 @@ fn unknown_key_is_answered_with_all_keys_of_the_kind() {
 }
 
 #[test]
-fn table_is_written_with_the_keys_of_its_kind_in_their_order() {
+fn table_is_written_with_keys_in_order() {
     for (text, written) in [
         ("kind = 'echo'\nname = 'm'", r#"{"kind":"echo","name":"m"}"#),
         (

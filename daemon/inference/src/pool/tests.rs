@@ -12,12 +12,12 @@ use crate::model::echo::{Echo, EchoConfig};
 
 type Compute = dyn Fn(&Sample) -> Result<Sample, InferenceError> + Send + Sync;
 
-/// A model that computes what a test tells it to.
-struct Told(Arc<Compute>);
+/// Model that runs a function of the test.
+struct TestModel(Arc<Compute>);
 
-impl Model for Told {
+impl Model for TestModel {
     fn worker(&self) -> Result<Box<dyn Worker>, LoadError> {
-        Ok(Box::new(Told(Arc::clone(&self.0))))
+        Ok(Box::new(TestModel(Arc::clone(&self.0))))
     }
 
     fn device(&self) -> String {
@@ -29,7 +29,7 @@ impl Model for Told {
     }
 }
 
-impl Worker for Told {
+impl Worker for TestModel {
     fn infer(&mut self, sample: &Sample, log: &mut Recorder) -> Result<Sample, InferenceError> {
         let _inference = log.time(stage::INFERENCE);
         (self.0)(sample)
@@ -45,7 +45,7 @@ fn pool(
     queue: usize,
     compute: impl Fn(&Sample) -> Result<Sample, InferenceError> + Send + Sync + 'static,
 ) -> Arc<Pool> {
-    start(Arc::new(Told(Arc::new(compute))), Sizes { workers, queue }, clock())
+    start(Arc::new(TestModel(Arc::new(compute))), Sizes { workers, queue }, clock())
 }
 
 fn start(model: Arc<dyn Model>, sizes: Sizes, clock: Arc<ManualClock>) -> Arc<Pool> {
@@ -63,19 +63,19 @@ fn job(text: &'static str, reply: impl FnOnce(Done) + Send + 'static) -> Job {
     Job { sample: sample(text), log, received: MonoTime::from_nanos(0), reply: Box::new(reply) }
 }
 
-/// A job whose result is awaited.
-fn awaited(text: &'static str) -> (Job, Receiver<Done>) {
+/// Creates a job and the receiver of its result.
+fn job_with_receiver(text: &'static str) -> (Job, Receiver<Done>) {
     let (sender, receiver) = sync_channel(1);
     (job(text, move |done| sender.send(done).expect("is awaited")), receiver)
 }
 
 fn run(pool: &Pool, text: &'static str) -> Done {
-    let (job, done) = awaited(text);
+    let (job, done) = job_with_receiver(text);
     pool.submit(job).expect("has room");
     done.recv().expect("is answered")
 }
 
-/// A computation that reports its beginning and waits to be let go.
+/// Returns a computation that reports its beginning and waits until the test releases it.
 fn gated() -> (impl Fn(&Sample) -> Result<Sample, InferenceError> + Send + Sync, Receiver<()>, SyncSender<()>)
 {
     let (begun, begins) = sync_channel(8);
@@ -92,7 +92,7 @@ fn gated() -> (impl Fn(&Sample) -> Result<Sample, InferenceError> + Send + Sync,
 #[test]
 fn the_wait_for_a_worker_is_recorded() {
     let clock = clock();
-    let model = Arc::new(Told(Arc::new(|sample| Ok(sample.clone()))));
+    let model = Arc::new(TestModel(Arc::new(|sample| Ok(sample.clone()))));
     let pool = start(model, Sizes { workers: 1, queue: 1 }, Arc::clone(&clock));
     clock.advance(Span::from_millis(7));
     let done = run(&pool, "a");
@@ -103,16 +103,16 @@ fn the_wait_for_a_worker_is_recorded() {
 }
 
 #[test]
-fn a_full_queue_gives_the_job_back() {
+fn full_queue_returns_the_job() {
     let (compute, begins, go) = gated();
     let pool = pool(1, 1, compute);
-    let (first, first_done) = awaited("first");
+    let (first, first_done) = job_with_receiver("first");
     pool.submit(first).expect("a worker is free");
     begins.recv().expect("the worker began");
-    let (second, second_done) = awaited("second");
+    let (second, second_done) = job_with_receiver("second");
     pool.submit(second).expect("the queue has room");
     assert_eq!(pool.waiting(), 1);
-    let refused = pool.submit(awaited("third").0).expect_err("the queue is full");
+    let refused = pool.submit(job_with_receiver("third").0).expect_err("the queue is full");
     assert_eq!(refused.job.sample, sample("third"));
     assert_eq!(refused.reason, InferenceError::QueueFull { model: "told".to_owned(), capacity: 1 });
     for done in [first_done, second_done] {
@@ -128,8 +128,8 @@ fn workers_compute_at_the_same_time() {
         both.wait();
         Ok(sample.clone())
     });
-    let (a, a_done) = awaited("a");
-    let (b, b_done) = awaited("b");
+    let (a, a_done) = job_with_receiver("a");
+    let (b, b_done) = job_with_receiver("b");
     pool.submit(a).expect("has room");
     pool.submit(b).expect("has room");
     assert!(a_done.recv().expect("is answered").result.is_ok());
@@ -161,13 +161,13 @@ fn a_reply_that_panics_leaves_the_pool_working() {
 }
 
 #[test]
-fn shutting_down_answers_everybody() {
+fn shutdown_answers_all_jobs() {
     let (compute, begins, go) = gated();
     let pool = pool(1, 4, compute);
-    let (running, running_done) = awaited("running");
+    let (running, running_done) = job_with_receiver("running");
     pool.submit(running).expect("has room");
     begins.recv().expect("the worker began");
-    let (waiting, waiting_done) = awaited("waiting");
+    let (waiting, waiting_done) = job_with_receiver("waiting");
     pool.submit(waiting).expect("has room");
 
     let ending = std::thread::spawn({
@@ -176,7 +176,7 @@ fn shutting_down_answers_everybody() {
     });
     let stopped = Err(InferenceError::Stopped { model: "told".to_owned() });
     assert_eq!(waiting_done.recv().expect("is answered").result, stopped);
-    let refused = pool.submit(awaited("late").0).expect_err("is shut down");
+    let refused = pool.submit(job_with_receiver("late").0).expect_err("is shut down");
     assert_eq!(Err(refused.reason), stopped);
     go.send(()).expect("the worker waits");
     assert_eq!(running_done.recv().expect("is answered").result, Ok(sample("running")));
@@ -184,7 +184,7 @@ fn shutting_down_answers_everybody() {
 }
 
 #[test]
-fn the_last_handle_may_go_on_a_thread_of_the_pool() {
+fn last_handle_may_be_dropped_on_pool_thread() {
     let (compute, begins, go) = gated();
     let pool = pool(1, 1, compute);
     let (sender, receiver) = sync_channel(1);
@@ -201,7 +201,7 @@ fn the_last_handle_may_go_on_a_thread_of_the_pool() {
 }
 
 #[test]
-fn echo_answers_on_the_callers_thread_before_submit_returns() {
+fn echo_answers_on_thread_of_caller() {
     let pool = start(Arc::new(Echo::new(EchoConfig::default())), Sizes { workers: 1, queue: 1 }, clock());
     let caller = thread::current().id();
     let (sender, receiver) = sync_channel(1);

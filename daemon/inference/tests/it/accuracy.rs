@@ -3,7 +3,7 @@ use peernet_sample::PixelFormat;
 
 use super::{answer, bank, jpeg, loaded, pictures, quality_control, run};
 
-/// Runs all pictures and demands that 97 % of them are right; the failure lists what is wrong.
+/// Runs all pictures and requires that 97 % of the answers are right; the failure lists the wrong ones.
 fn assert_97_percent(pictures: &[(Vec<u8>, String)], prepare: impl Fn(&[u8]) -> Vec<u8>) {
     let bank = bank(&[&quality_control("")]);
     let pool = loaded(&bank, "qc");
@@ -24,22 +24,22 @@ fn assert_97_percent(pictures: &[(Vec<u8>, String)], prepare: impl Fn(&[u8]) -> 
 }
 
 #[test]
-fn the_demo_model_is_right_on_the_pictures_of_the_demo() {
+fn demo_model_is_right_on_demo_pictures() {
     let demo = pictures("pictures");
     assert_eq!(demo.len(), 30);
     assert_97_percent(&demo, <[u8]>::to_vec);
 }
 
 #[test]
-fn the_demo_model_is_right_on_pictures_it_was_not_trained_on() {
+fn demo_model_is_right_on_test_pictures() {
     let held_out = pictures("held-out");
     assert!(held_out.len() >= 100);
     assert_97_percent(&held_out, <[u8]>::to_vec);
 }
 
-/// What the demo's third pipeline does before it sends: resize to 320 × 240, encode again.
+/// The preparation is that of the demo's third pipeline: resize to 320 × 240, encode again.
 #[test]
-fn the_demo_model_is_right_on_pictures_made_small_on_the_edge() {
+fn demo_model_is_right_on_pictures_resized_first() {
     let mut all = pictures("pictures");
     all.extend(pictures("held-out"));
     let small = |file: &[u8]| {

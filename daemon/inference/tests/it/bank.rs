@@ -17,7 +17,7 @@ fn bytes(count: usize) -> Sample {
 }
 
 #[test]
-fn models_are_listed_in_the_order_of_the_configuration() {
+fn models_are_listed_in_configured_order() {
     let bank = bank(&[&quality_control(""), ECHO, SLEEP]);
     assert_eq!(bank.names(), [slug("qc"), slug("echo"), slug("nap")]);
     assert!(bank.check().is_empty(), "{:?}", bank.check());
@@ -42,7 +42,7 @@ fn a_model_is_loaded_once_and_shared() {
 }
 
 #[test]
-fn echo_answers_with_the_payload_or_as_many_bytes_as_it_is_told() {
+fn echo_answers_with_payload_or_configured_size() {
     let bank = bank(&[ECHO, "name = \"short\"\nkind = \"echo\"\nanswer_bytes = 3"]);
     let echo = loaded(&bank, "echo");
     assert!(!echo.blocks());
@@ -52,7 +52,7 @@ fn echo_answers_with_the_payload_or_as_many_bytes_as_it_is_told() {
 }
 
 #[test]
-fn sleep_takes_at_least_the_time_of_each_stage() {
+fn sleep_model_takes_at_least_its_stage_times() {
     let done = run(&loaded(&bank(&[SLEEP]), "nap"), bytes(1));
     assert!(done.result.is_ok());
     let tree = done.log.finish();
@@ -64,7 +64,7 @@ fn sleep_takes_at_least_the_time_of_each_stage() {
 }
 
 #[test]
-fn a_model_that_computes_for_long_is_not_waited_for() {
+fn shutdown_does_not_wait_for_long_computation() {
     let bank = bank(&[ECHO, SLEEP, "name = \"long\"\nkind = \"sleep\"\ninference_ms = 86400000"]);
     for name in ["echo", "nap", "long"] {
         loaded(&bank, name);

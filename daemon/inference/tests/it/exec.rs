@@ -5,7 +5,7 @@ use peernet_sample::{Description, MediaType, Sample};
 
 use super::{bank, jpeg, loaded, run, slug};
 
-/// Answers with what it was told and where it runs; says how long it took where the sample asks for it.
+/// Program that answers with its input and its device, and reports durations if the sample asks for them.
 const MODEL: &str = r#"
 while read -r word bytes media shape source; do
     sample=$(head -c "$bytes")
@@ -28,7 +28,7 @@ fn text(text: &'static str) -> Sample {
 }
 
 #[test]
-fn a_silent_program_is_all_inference_and_one_that_tells_leaves_the_way_to_it() {
+fn silent_program_is_inference_else_remainder_is_ipc() {
     let bank = bank(&[&model("device = 'cuda:3'\nenv = { COLOUR = 'red' }\nworkers = 2")]);
     let pool = loaded(&bank, "p");
     assert_eq!((pool.device(), pool.workers()), ("cuda:3".to_owned(), 2));
@@ -47,7 +47,7 @@ fn a_silent_program_is_all_inference_and_one_that_tells_leaves_the_way_to_it() {
 }
 
 #[test]
-fn the_first_answer_of_a_program_that_was_started_anew_is_its_restart() {
+fn first_answer_after_restart_has_restart_stage() {
     let script = r#"
 sleep 0.3
 while read -r word bytes media shape source; do
@@ -74,7 +74,7 @@ done
 }
 
 #[test]
-fn a_program_that_tells_more_time_than_there_was_fails_the_sample_alone() {
+fn stages_longer_than_exchange_fail_one_sample() {
     let bank = bank(&[&model("")]);
     let pool = loaded(&bank, "p");
     let error = run(&pool, text("lie")).result.expect_err("an hour has not passed");
@@ -86,7 +86,7 @@ fn a_program_that_tells_more_time_than_there_was_fails_the_sample_alone() {
 }
 
 #[test]
-fn what_is_not_there_is_found_by_a_check_and_by_loading() {
+fn missing_program_is_found_by_check_and_load() {
     let bank = bank(&["name = 'p'\nkind = 'exec'\ncommand = ['./no-such-program']"]);
     assert!(matches!(bank.check().as_slice(), [(0, LoadError::Program { .. })]));
     let error = bank.load(&slug("p"), None).expect_err("is not there").to_string();

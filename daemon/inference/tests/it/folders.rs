@@ -1,4 +1,4 @@
-//! Folders of models: what is found in them, and what a bank makes of it.
+//! Folders of models: the models that are found in them, and a bank of such folders.
 
 use std::fs;
 use std::os::unix::fs::symlink;
@@ -10,7 +10,7 @@ use peernet_inference::{Bank, BankConfig, LoadError, MODEL_HASH, OnnxRuntimeConf
 
 use super::{clock, demo, slug};
 
-/// Puts the demo model into a folder under a name.
+/// Copies the demo model into a folder under a name.
 fn put(folder: &Path, name: &str) -> PathBuf {
     let model = folder.join(name);
     fs::create_dir_all(&model).expect("made");
@@ -29,7 +29,7 @@ fn bank(folder: &Path, keys: &str) -> Bank {
 }
 
 #[test]
-fn models_are_found_by_name_in_the_order_of_the_folders_and_by_path() {
+fn models_are_found_by_name_and_path() {
     let root = tempfile::tempdir().expect("a folder");
     let (first, second) = (root.path().join("first"), root.path().join("second"));
     let chosen = put(&first, "twin");
@@ -71,7 +71,7 @@ fn models_are_found_by_name_in_the_order_of_the_folders_and_by_path() {
 }
 
 #[test]
-fn a_bank_offers_what_is_whole_and_on_the_devices_that_it_allows() {
+fn bank_offers_complete_models_on_allowed_devices() {
     let root = tempfile::tempdir().expect("a folder");
     let bank = bank(root.path(), "");
     assert!(matches!(bank.only(), Err(LoadError::Unnamed { known }) if known.is_empty()));
@@ -99,7 +99,7 @@ fn a_bank_offers_what_is_whole_and_on_the_devices_that_it_allows() {
 }
 
 #[test]
-fn a_configured_model_hides_that_of_a_folder_and_the_built_in_one_is_nobodys_choice() {
+fn configured_model_has_priority_over_folder_model() {
     let root = tempfile::tempdir().expect("a folder");
     put(root.path(), "echo");
     put(root.path(), "plates");
@@ -114,7 +114,7 @@ fn a_configured_model_hides_that_of_a_folder_and_the_built_in_one_is_nobodys_cho
 }
 
 #[test]
-fn no_more_models_than_allowed_are_in_memory_and_none_in_use_goes() {
+fn limit_of_loaded_models_unloads_idle_ones_only() {
     let root = tempfile::tempdir().expect("a folder");
     for name in ["a", "b", "c"] {
         put(root.path(), name);
@@ -138,7 +138,7 @@ fn no_more_models_than_allowed_are_in_memory_and_none_in_use_goes() {
 }
 
 #[test]
-fn a_model_that_was_replaced_on_disk_is_loaded_anew_once_nobody_uses_it() {
+fn replaced_model_is_reloaded_when_unused() {
     let root = tempfile::tempdir().expect("a folder");
     let folder = put(root.path(), "plates");
     let bank = bank(root.path(), "");
@@ -155,7 +155,7 @@ fn a_model_that_was_replaced_on_disk_is_loaded_anew_once_nobody_uses_it() {
 }
 
 #[test]
-fn a_model_that_cannot_be_loaded_takes_no_place() {
+fn failed_load_leaves_no_cache_entry() {
     let root = tempfile::tempdir().expect("a folder");
     put(root.path(), "good");
     let bad = put(root.path(), "bad");
@@ -171,7 +171,7 @@ fn a_model_that_cannot_be_loaded_takes_no_place() {
 }
 
 #[test]
-fn what_is_wrong_with_the_table_is_named_by_its_key() {
+fn table_errors_name_their_key() {
     let root = tempfile::tempdir().expect("a folder");
     fs::write(root.path().join("file"), "").expect("written");
     let keys = "devices = ['cpu', 'gpu']\nmost_loaded = 65\nqueue = 70000";
@@ -185,7 +185,7 @@ fn what_is_wrong_with_the_table_is_named_by_its_key() {
 }
 
 #[test]
-fn a_card_that_is_no_card_holds_up_nobody_and_is_told_to_nobody_else() {
+fn invalid_card_blocks_no_other_model() {
     let place = tempfile::tempdir().expect("a folder");
     let folder = |name: &str| {
         let folder = place.path().join(name);

@@ -1,5 +1,5 @@
-//! The committed demo model on its committed pictures, through the bank and the pool that serve an agent, with the
-//! real ONNX Runtime (`make setup` fetches it).
+//! Tests of the committed demo model on its committed pictures, through the bank and the pool that serve an agent,
+//! with the real ONNX Runtime (`make setup` fetches it).
 
 mod accuracy;
 mod bank;
@@ -21,7 +21,7 @@ use peernet_logger::{HostId, Recorder, Slug};
 use peernet_sample::{Description, MediaType, Sample};
 use serde::Deserialize;
 
-/// The demo model's folder.
+/// Returns the demo model's folder.
 fn demo() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR"))
         .join("../../models/quality-control")
@@ -33,13 +33,13 @@ fn clock() -> SharedClock {
     Arc::new(SystemClock::new(ClockIdentity::new("test", ClockIdentity::SYSTEM)))
 }
 
-/// One `[[model]]` each, as it stands in a configuration.
+/// Returns a bank of `[[model]]` tables, each given as its text.
 fn bank(models: &[&str]) -> Bank {
     let models = models.iter().map(|model| toml::from_str::<ModelConfig>(model).expect(model));
     Bank::new(models.collect(), OnnxRuntimeConfig::default(), clock())
 }
 
-/// The demo model with more lines of configuration.
+/// Returns the table of the demo model with additional lines.
 fn quality_control(more: &str) -> String {
     format!("name = \"qc\"\nkind = \"onnx\"\npath = {:?}\n{more}", demo())
 }
@@ -66,7 +66,7 @@ fn run(pool: &Pool, sample: Sample) -> Done {
     receiver.recv().expect("is answered")
 }
 
-/// A classifier's answer.
+/// Answer of a classifier.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Answer {
@@ -88,14 +88,14 @@ fn answer(result: Result<Sample, InferenceError>) -> Answer {
     serde_json::from_slice(&sample.parts[0].bytes).expect("has the promised keys")
 }
 
-/// A picture of the demo and what is right for it.
+/// Picture of the demo with its label.
 #[derive(Deserialize)]
 struct Labelled {
     file: String,
     label: String,
 }
 
-/// The labelled pictures of a folder of the demo model: file contents and labels.
+/// Returns the labelled pictures in a folder of the demo model: file contents and labels.
 fn pictures(folder: &str) -> Vec<(Vec<u8>, String)> {
     let folder = demo().join(folder);
     let mut labels = csv::Reader::from_path(folder.join("labels.csv")).expect("is committed");

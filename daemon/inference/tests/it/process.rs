@@ -1,4 +1,5 @@
-//! What needs a process of its own: a process loads one library for ever, and its threads are counted.
+//! Tests that need a process of their own, because a process loads one library for ever, and because they count its
+//! threads.
 
 use std::fs;
 use std::path::Path;
@@ -6,7 +7,7 @@ use std::process::Command;
 
 use super::{bank, loaded, quality_control};
 
-/// Runs one of the ignored tests below in a process of its own and returns what it printed.
+/// Runs one of the ignored tests below in a separate process and returns its output.
 fn alone(test: &str, library: Option<&Path>) -> String {
     let mut command = Command::new(std::env::current_exe().expect("is known"));
     command.args(["--ignored", "--exact", "--nocapture", &format!("process::{test}")]);
@@ -28,7 +29,7 @@ fn child_checks() {
 }
 
 #[test]
-fn a_library_that_cannot_be_used_is_an_error_with_file_reason_and_remedy() {
+fn unusable_library_error_names_file_reason_and_remedy() {
     let folder = tempfile::tempdir().expect("can be made");
     let at = |name: &str| folder.path().join(name);
     fs::write(at("text.so"), "no library ".repeat(10)).expect("can be written");
@@ -64,7 +65,7 @@ fn build(library: &Path, source: &str) {
 fn child_counts_threads() {
     let threads = || fs::read_dir("/proc/self/task").expect("is Linux").count();
     let bank = bank(&[&quality_control("workers = 2\nintra_threads = 3")]);
-    assert!(bank.check().is_empty()); // loads the library, which has a thread of its own
+    assert!(bank.check().is_empty()); // loads the library, which starts a thread
     let before = threads();
     let pool = loaded(&bank, "qc");
     println!("{} more threads", threads() - before);
@@ -77,9 +78,9 @@ fn child_counts_threads() {
     println!("{} left", threads() - before);
 }
 
-/// Two workers, each with two threads to help its own; one copy of the weights, mapped by both.
+/// Two workers, each with two threads of ONNX Runtime; both map one copy of the weights.
 #[test]
-fn threads_are_as_many_as_configured_and_weights_are_shared() {
+fn configured_threads_are_used_and_weights_shared() {
     let printed = alone("child_counts_threads", None);
     assert!(printed.contains("6 more threads") && printed.contains("0 left"), "{printed}");
 }

@@ -17,7 +17,7 @@ class Net:
     def postprocess(self, y): return [y, os.environ['PEERNET_DEVICE'], os.environ['COLOUR']]
 ";
 
-/// The object of the module `net` with more lines of configuration.
+/// Returns the table of an object in the module `net`, with additional lines.
 fn model(folder: &tempfile::TempDir, object: &str, more: &str) -> String {
     fs::write(folder.path().join("net.py"), MODEL).expect("can be written");
     format!("name = 'p'\nkind = 'python'\nobject = '{object}'\nfolder = {:?}\n{more}", folder.path())
@@ -28,7 +28,7 @@ fn text(text: &'static str) -> Sample {
 }
 
 #[test]
-fn each_step_is_a_stage_and_the_rest_is_the_way_to_the_process() {
+fn each_step_is_a_stage_remainder_is_ipc() {
     let folder = tempfile::tempdir().expect("can be made");
     let config = model(&folder, "net::Net", "device = 'cuda:3'\nenv = { COLOUR = 'red' }\nworkers = 2");
     let bank = bank(&[&config]);
@@ -47,7 +47,7 @@ fn each_step_is_a_stage_and_the_rest_is_the_way_to_the_process() {
 }
 
 #[test]
-fn what_it_raises_and_what_cannot_cross_fail_one_sample() {
+fn exceptions_and_unsupported_values_fail_one_sample() {
     let folder = tempfile::tempdir().expect("can be made");
     let bank = bank(&[&model(&folder, "net::Net", "env = { COLOUR = 'red' }")]);
     let pool = loaded(&bank, "p");
@@ -64,7 +64,7 @@ fn what_it_raises_and_what_cannot_cross_fail_one_sample() {
 }
 
 #[test]
-fn the_wait_for_a_worker_that_was_started_anew_is_told() {
+fn restart_of_worker_is_recorded() {
     let source = "
 import os, time
 time.sleep(0.3)
@@ -88,7 +88,7 @@ class Net:
 }
 
 #[test]
-fn what_is_not_there_is_found_by_a_check_or_by_loading() {
+fn missing_object_is_found_by_check_or_load() {
     let folder = tempfile::tempdir().expect("can be made");
     let missing = bank(&[&model(&folder, "nowhere::Net", "")]);
     let checked = missing.check();

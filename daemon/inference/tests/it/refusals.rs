@@ -18,7 +18,7 @@ fn an_unknown_model_is_refused_with_the_list() {
 }
 
 #[test]
-fn a_device_that_is_not_offered_is_refused_with_the_one_that_is() {
+fn refusal_of_device_names_offered_device() {
     let error = refused(&bank(&[&quality_control("")]), "qc", Some("cuda:0")).to_string();
     assert_eq!(error, "model qc is not offered on cuda:0, only on cpu; ask for that or name no device");
     let error = refused(&bank(&[&quality_control("device = \"gpu\"")]), "qc", None).to_string();
@@ -26,14 +26,14 @@ fn a_device_that_is_not_offered_is_refused_with_the_one_that_is() {
 }
 
 #[test]
-fn two_models_of_one_name_are_found_by_the_check() {
+fn check_finds_two_models_with_one_name() {
     let errors = bank(&["name = \"a\"\nkind = \"echo\"", "name = \"a\"\nkind = \"sleep\""]).check();
     assert!(matches!(errors.as_slice(), [(1, LoadError::Duplicate(name))] if name == "a"), "{errors:?}");
 }
 
-/// The library that tests run with is built for the CPU alone.
+/// The library of the tests is built for the CPU only.
 #[test]
-fn a_device_that_the_library_lacks_is_refused_with_the_reason() {
+fn unsupported_device_is_refused_with_reason() {
     for (device, provider) in [
         ("cuda:0", "CUDAExecutionProvider"),
         ("tensorrt:0", "TensorrtExecutionProvider"),
@@ -64,7 +64,7 @@ fn a_second_library_is_refused_in_one_process() {
     assert!(matches!(error, LoadError::Library(LibraryError::AnotherLoaded { .. })), "{error}");
 }
 
-/// A model's folder made of the demo's files, changed.
+/// Creates a model's folder from changed files of the demo, and a bank of it.
 fn changed(model: &[u8], card: &str) -> (tempfile::TempDir, Bank) {
     let folder = tempfile::tempdir().expect("can be made");
     fs::write(folder.path().join("model.onnx"), model).expect("can be written");
@@ -88,7 +88,7 @@ fn missing_and_broken_files_are_named() {
 }
 
 #[test]
-fn a_card_that_does_not_fit_the_model_is_refused_when_it_is_loaded() {
+fn card_that_contradicts_model_is_refused_at_load() {
     let model = fs::read(demo().join("model.onnx")).expect("is committed");
     let card = fs::read_to_string(demo().join("model.toml")).expect("is committed");
     for (from, to, named) in [

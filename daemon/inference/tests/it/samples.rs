@@ -4,7 +4,7 @@ use peernet_sample::{Description, MediaType, PixelFormat, Sample};
 use super::{answer, bank, jpeg, loaded, pictures, quality_control, run};
 
 #[test]
-fn an_answer_ranks_all_labels_and_its_stages_are_recorded() {
+fn answer_ranks_all_labels_and_stages_are_recorded() {
     let bank = bank(&[&quality_control("")]);
     let pool = loaded(&bank, "qc");
     let (file, _) = pictures("pictures").swap_remove(0);
@@ -23,7 +23,7 @@ fn an_answer_ranks_all_labels_and_its_stages_are_recorded() {
 }
 
 #[test]
-fn a_label_that_is_no_class_of_the_model_is_marked() {
+fn label_outside_model_classes_is_marked() {
     let bank = bank(&[&quality_control("")]);
     let pool = loaded(&bank, "qc");
     let (file, _) = pictures("pictures").swap_remove(0);

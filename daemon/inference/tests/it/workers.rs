@@ -6,7 +6,7 @@ use peernet_logger::{HostId, Recorder};
 
 use super::{Answer, answer, bank, clock, jpeg, loaded, pictures, quality_control, run};
 
-/// The answers of a model with this configuration to all pictures of the demo, submitted at once.
+/// Returns the answers of a model with this configuration to all pictures of the demo, which are submitted at once.
 fn answers(more: &str) -> Vec<Answer> {
     let bank = bank(&[&quality_control(more)]);
     let pool = loaded(&bank, "qc");
@@ -25,7 +25,7 @@ fn answers(more: &str) -> Vec<Answer> {
     results.into_iter().map(|(_, result)| answer(result)).collect()
 }
 
-/// Equal but for the last digits: a kernel may add up in another order.
+/// Compares answers up to rounding: a kernel may add up in another order.
 fn assert_equal(a: &[Answer], b: &[Answer]) {
     assert_eq!(a.len(), b.len());
     for (a, b) in a.iter().zip(b) {
@@ -35,7 +35,7 @@ fn assert_equal(a: &[Answer], b: &[Answer]) {
 }
 
 #[test]
-fn any_number_of_workers_and_threads_gives_the_same_answers() {
+fn answers_are_independent_of_workers_and_threads() {
     let alone = answers("queue = 30");
     assert_equal(&alone, &answers("queue = 30\nworkers = 3"));
     assert_equal(&alone, &answers("queue = 30\nworkers = 2\nintra_threads = 2\ninter_threads = 2"));

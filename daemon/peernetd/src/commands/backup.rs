@@ -1,4 +1,4 @@
-//! `peernetd backup`
+//! The command `peernetd backup`.
 
 use std::io::IsTerminal;
 use std::path::Path;
@@ -15,10 +15,10 @@ use tokio_util::sync::CancellationToken;
 use super::Database;
 use crate::log;
 
-/// How often the growing copy is looked at.
-const LOOK: Duration = Duration::from_millis(200);
+/// Interval at which the size of the growing copy is read.
+const PROGRESS_INTERVAL: Duration = Duration::from_millis(200);
 
-/// Copies the database to a file that does not exist yet.
+/// Copies the database to a file that must not exist.
 pub(crate) fn backup(database: Database, target: &Path) -> Exit {
     let _log = log::temporary();
     let made = database.path().and_then(|database| {
@@ -56,7 +56,7 @@ async fn copy(database: &Path, target: &Path) -> Result<FinishedCopy, Failure> {
     let stop = CancellationToken::new();
     let made = backup.run(stop.clone());
     tokio::pin!(made);
-    let mut look = tokio::time::interval(LOOK);
+    let mut progress_timer = tokio::time::interval(PROGRESS_INTERVAL);
     loop {
         tokio::select! {
             made = &mut made => {
@@ -65,7 +65,7 @@ async fn copy(database: &Path, target: &Path) -> Result<FinishedCopy, Failure> {
             }
             _ = interrupts.recv() => stop.cancel(),
             _ = terminations.recv() => stop.cancel(),
-            _ = look.tick() => {
+            _ = progress_timer.tick() => {
                 if let Ok(file) = std::fs::metadata(&partial) {
                     bar.set_position(file.len());
                 }
@@ -74,7 +74,7 @@ async fn copy(database: &Path, target: &Path) -> Result<FinishedCopy, Failure> {
     }
 }
 
-/// How much of the copy is there; nothing where nobody looks.
+/// Returns the progress bar of the copy; hidden if standard error is not a terminal.
 fn bar(expected: u64) -> ProgressBar {
     if !std::io::stderr().is_terminal() {
         return ProgressBar::hidden();

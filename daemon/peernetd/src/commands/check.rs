@@ -1,4 +1,4 @@
-//! `peernetd check`
+//! The command `peernetd check`.
 
 use std::path::PathBuf;
 

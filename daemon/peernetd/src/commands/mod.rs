@@ -1,17 +1,17 @@
-//! What the commands do.
+//! Implementations of the commands.
 
 mod backup;
 mod check;
+mod database_argument;
 mod doctor;
-mod place;
 mod rebuild;
 mod run;
 mod secrets;
 
 pub(crate) use backup::backup;
 pub(crate) use check::check;
+pub(crate) use database_argument::Database;
 pub(crate) use doctor::{Arguments as DoctorArguments, doctor};
-pub(crate) use place::Database;
 pub(crate) use rebuild::rebuild;
 pub(crate) use run::run;
 pub(crate) use secrets::clear_secret;

@@ -1,4 +1,4 @@
-//! `peernetd rebuild-rollups`
+//! The command `peernetd rebuild-rollups`.
 
 use std::io::IsTerminal;
 
@@ -12,7 +12,7 @@ use peernet_store::maintenance::{RebuildError, Rebuilt, rebuild_rollups};
 use super::Database;
 use crate::log;
 
-/// Computes roll-ups again from the nodes that are stored.
+/// Computes the roll-ups from the stored nodes.
 pub(crate) fn rebuild(database: Database, run: Option<i64>) -> Exit {
     let _log = log::temporary();
     let bar = spinner();
@@ -64,7 +64,7 @@ fn exit(error: &RebuildError) -> Exit {
     }
 }
 
-/// What is done so far; nothing where nobody looks.
+/// Returns the progress display; hidden if standard error is not a terminal.
 fn spinner() -> ProgressBar {
     if !std::io::stderr().is_terminal() {
         return ProgressBar::hidden();

@@ -1,4 +1,5 @@
-//! `peernetd run`: a fixed order. Temporary log, configuration with all checks, real log, runtime, parts, READY.
+//! The command `peernetd run`, with a fixed order: temporary log, configuration with all checks, real log, runtime,
+//! parts, READY.
 
 use std::path::Path;
 use std::time::Duration;
@@ -16,10 +17,10 @@ use peernet_cli::VERSION;
 use peernet_cli::exit::{Exit, Failure, in_one_line};
 use peernet_cli::output::complain;
 
-/// How long threads that block may take to end after everything else has.
-const LAST_MOMENTS: Duration = Duration::from_secs(1);
+/// Time that blocking threads have to end after everything else has ended.
+const BLOCKING_THREADS_TIMEOUT: Duration = Duration::from_secs(1);
 
-/// Runs the roles of a configuration file until a signal comes.
+/// Runs the roles of a configuration file until a signal arrives.
 pub(crate) fn run(file: &Path) -> Exit {
     let temporary = log::temporary();
     let configuration = match load(file) {
@@ -37,7 +38,7 @@ pub(crate) fn run(file: &Path) -> Exit {
         return Exit::Configuration;
     }
     info!("peernetd {VERSION} with {}", file.display());
-    // Before any port takes its share.
+    // The limit must be raised before a port computes its share of it.
     if let Err(error) = raise_limit() {
         warn!("cannot raise the number of files that this process may open, going on with fewer: {error}");
     }
@@ -50,16 +51,16 @@ pub(crate) fn run(file: &Path) -> Exit {
                 return Exit::Unavailable;
             }
         };
-    let exit = runtime.block_on(live(configuration)).unwrap_or_else(|failure| {
+    let exit = runtime.block_on(run_parts(configuration)).unwrap_or_else(|failure| {
         tracing::error!("{failure}");
         failure.exit
     });
-    runtime.shutdown_timeout(LAST_MOMENTS);
+    runtime.shutdown_timeout(BLOCKING_THREADS_TIMEOUT);
     exit
 }
 
-/// Starts the parts from the ground up: who receives before who sends.
-async fn live(configuration: Configuration) -> Result<Exit, Failure> {
+/// Starts the parts, receivers before senders, and runs until the end.
+async fn run_parts(configuration: Configuration) -> Result<Exit, Failure> {
     let unavailable = |error: anyhow::Error| Failure::new(Exit::Unavailable, error);
     let clock = configuration.clock().map_err(|error| unavailable(error.into()))?;
     let agent_clock = configuration.agent_clock(&clock).map_err(|error| unavailable(error.into()))?;

@@ -1,4 +1,4 @@
-//! `peernetd clear-host-secret`
+//! The command `peernetd clear-host-secret`.
 
 use peernet_cli::exit::{Exit, Failure};
 use peernet_cli::output::{complain, say};
@@ -7,7 +7,7 @@ use peernet_store::maintenance::{ClearSecretError, clear_host_secret};
 use super::Database;
 use crate::log;
 
-/// Clears the secret of a host, so that the next agent with its id is enrolled.
+/// Deletes the secret of a host, so that the next agent with its id is enrolled.
 pub(crate) fn clear_secret(database: Database, host: &str) -> Exit {
     let _log = log::temporary();
     let cleared = database.path().and_then(|database| {

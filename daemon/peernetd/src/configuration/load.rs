@@ -1,4 +1,4 @@
-//! Reading the file and checking everything it names.
+//! Reading of the configuration file, and checks of everything that it names.
 
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
@@ -23,14 +23,14 @@ use super::mistakes::{self, Mistake, Remainder};
 use crate::lifecycle::LifecycleConfig;
 use crate::log::LogConfig;
 
-/// Bytes of the largest configuration file that is read.
-const LARGEST_FILE: u64 = 4 << 20;
+/// Largest size of a configuration file, bytes.
+const MAX_FILE_BYTES: u64 = 4 << 20;
 
-/// Tables that belong into another one, and what to write.
+/// Tables that belong into another table, and the hint for them.
 const MISPLACED: [(&str, &str); 1] = [("retention", "did you mean [aggregator.retention]?")];
 
-/// What is checked against another table: that table, and the end of the keys of the problems. They are not told where that table has
-/// mistakes of its own.
+/// Pairs of a table and the end of the keys whose check depends on that table. Their problems are not reported if the
+/// table itself has mistakes.
 const DEPENDENT: [(&str, &str); 9] = [
     ("model", ".placement.model"),
     ("bank", ".placement.model"),
@@ -43,7 +43,7 @@ const DEPENDENT: [(&str, &str); 9] = [
     ("lifecycle", "agent.stop_timeout_ms"),
 ];
 
-/// Keys of the file that are arrays of tables; all others are tables.
+/// Keys of the file that are arrays of tables; all other keys are tables.
 const ARRAYS: [&str; 2] = ["model", "pipeline"];
 
 /// The whole file.
@@ -70,7 +70,7 @@ struct File {
     pipeline: Vec<PipelineConfig>,
 }
 
-/// What a configuration file switches on.
+/// Roles and settings of a configuration file.
 #[derive(Debug)]
 pub(crate) struct Configuration {
     pub(crate) log: LogConfig,
@@ -80,7 +80,7 @@ pub(crate) struct Configuration {
     pub(crate) agent: Option<AgentConfig>,
 }
 
-/// Something in a configuration file that cannot work.
+/// Problem of a configuration file that prevents its use.
 #[derive(Debug, PartialEq, Eq)]
 pub(crate) struct Problem {
     file: PathBuf,
@@ -90,26 +90,26 @@ pub(crate) struct Problem {
 }
 
 impl fmt::Display for Problem {
-    /// `FILE:LINE: KEY: what is wrong and what to do`
+    /// Formats the problem: `FILE:LINE: KEY: problem and remedy`.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "{}", self.file.display())?;
         if let Some(line) = self.line {
             write!(f, ":{line}")?;
         }
         if !self.key.is_empty() {
-            // Both may have parts of the file in them, which is not printed as it is to a terminal.
+            // Both may contain parts of the file, which must not control the terminal.
             write!(f, ": {}", printable_line(&self.key))?;
         }
         write!(f, ": {}", printable_lines(&self.text))
     }
 }
 
-/// Reads a configuration file and checks everything that it names without starting anything.
+/// Reads a configuration file and checks everything that it names, without starting anything.
 ///
 /// # Errors
-/// All problems found; more than one where the file could be read.
+/// All problems; several only if the file could be read.
 pub(crate) fn load(path: &Path) -> Result<Configuration, Vec<Problem>> {
-    let text = small_file::read(path, LARGEST_FILE).map_err(|error| vec![unreadable(path, &error)])?;
+    let text = small_file::read(path, MAX_FILE_BYTES).map_err(|error| vec![unreadable(path, &error)])?;
     let locator = Locator::new(&text);
     let problem = |(key, text): (String, String)| Problem {
         file: path.to_owned(),
@@ -141,9 +141,9 @@ pub(crate) fn load(path: &Path) -> Result<Configuration, Vec<Problem>> {
 /// Reads a configuration file without checking what it names.
 ///
 /// # Errors
-/// When it cannot be read or understood.
+/// If it cannot be read or parsed.
 pub(super) fn read_unchecked(path: &Path) -> Result<Configuration, Vec<Problem>> {
-    let text = small_file::read(path, LARGEST_FILE).map_err(|error| vec![unreadable(path, &error)])?;
+    let text = small_file::read(path, MAX_FILE_BYTES).map_err(|error| vec![unreadable(path, &error)])?;
     let unread = |mistake| vec![unread(path, mistake, &Locator::new(&text))];
     mistakes::read::<File>(&text, &ARRAYS).map(Configuration::from).map_err(unread)
 }
@@ -153,10 +153,11 @@ fn unreadable(path: &Path, error: &io::Error) -> Problem {
     Problem { file: path.to_owned(), line: None, key: String::new(), text }
 }
 
-/// The problem of a key that could not be read.
+/// Returns the problem of a key that could not be read.
 fn unread(path: &Path, mistake: Mistake, locator: &Locator<'_>) -> Problem {
     let Mistake { key, error } = mistake;
-    // Within tables that are told apart by their `kind` the span is that of the first of them; the key knows better.
+    // Within tables that are distinguished by their `kind` the span is that of the first table; the line of the key
+    // is more precise.
     let line = error.span().map(|span| locator.line_at(span.start)).max(locator.line(&key));
     let mut text = describe_error(&error);
     if text.starts_with("unknown field")
@@ -167,7 +168,7 @@ fn unread(path: &Path, mistake: Mistake, locator: &Locator<'_>) -> Problem {
     Problem { file: path.to_owned(), line, key, text }
 }
 
-/// What is wrong with all that could be read, as far as it does not depend on what could not.
+/// Returns the problems of the readable part of a file, except for those that depend on the unreadable part.
 fn check_remainder(mut remainder: Remainder<File>) -> Vec<(String, String)> {
     let file = std::mem::take(&mut remainder.file);
     let roles = roles(&file, &remainder.incomplete).into_iter();
@@ -182,8 +183,8 @@ fn check_remainder(mut remainder: Remainder<File>) -> Vec<(String, String)> {
     roles.chain(found.filter(is_certain)).collect()
 }
 
-/// Tables that make no sense together or alone: a key and what is wrong. Tables that are `incomplete` are there, although `file` may
-/// not have them.
+/// Returns the problems of tables that contradict each other or make no sense alone: key and text. Tables in
+/// `incomplete` exist in the file, even if `file` does not have them.
 fn roles(file: &File, incomplete: &BTreeSet<String>) -> Vec<(&'static str, &'static str)> {
     let (has_agent, has_aggregator) = (
         file.agent.is_some() || incomplete.contains("agent"),
@@ -244,23 +245,23 @@ impl From<File> for Configuration {
 }
 
 impl Configuration {
-    /// This machine's clock, under the identity that the agent's table gives it.
+    /// Returns this machine's clock, with the identity that the agent's table gives it.
     ///
     /// # Errors
-    /// When the kernel's boot id cannot be read.
+    /// If the kernel's boot id cannot be read.
     pub(crate) fn clock(&self) -> io::Result<SharedClock> {
         clock::system(self.agent.as_ref().map_or(ClockIdentity::SYSTEM, |agent| &agent.agent.clock_identity))
     }
 
-    /// The clock that the agent reads: `truth`, or what `[rehearsal]` makes of it from now on.
+    /// Returns the clock that the agent reads: `truth`, or the faulty clock that `[rehearsal]` defines, from now on.
     ///
     /// # Errors
-    /// When the kernel's boot id cannot be read.
+    /// If the kernel's boot id cannot be read.
     pub(crate) fn agent_clock(&self, truth: &SharedClock) -> io::Result<SharedClock> {
         clock::rehearsed(truth, self.agent.as_ref().and_then(|agent| agent.rehearsal.as_ref()))
     }
 
-    /// Key and text of everything that each role finds wrong with its tables.
+    /// Returns key and text of all problems that the roles find in their tables.
     fn check(&self) -> Vec<(String, String)> {
         let mut problems = Vec::new();
         if let Err(error) = self.log.check() {
@@ -307,7 +308,7 @@ mod tests {
 
     use super::*;
 
-    /// The true clock and the agent's.
+    /// Returns the true clock and the agent's clock.
     fn clocks(tables: &str) -> (SharedClock, SharedClock) {
         let folder = tempfile::tempdir().expect("there is room for a temporary folder");
         let file = folder.path().join("it.toml");
@@ -406,19 +407,19 @@ mod tests {
     }
 
     #[test]
-    fn a_deadline_that_no_clock_can_reach_is_refused() {
+    fn unrepresentable_deadline_is_refused() {
         let text = said("[lifecycle]\nshutdown_deadline_s = 9223372036854775807\n[aggregator]\n");
         assert!(text.contains(":2: lifecycle.shutdown_deadline_s: ") && text.contains("a day"), "{text}");
     }
 
     #[test]
-    fn without_a_rehearsal_there_is_one_clock() {
+    fn without_clock_fault_there_is_one_clock() {
         let (truth, agents) = clocks("");
         assert!(Arc::ptr_eq(&truth, &agents));
     }
 
     #[test]
-    fn a_rehearsed_agent_reads_another_clock_than_the_rest_of_the_process() {
+    fn agent_with_clock_fault_reads_another_clock() {
         let (truth, agents) = clocks("[rehearsal]\noffset_ms = 86400000\n");
         assert_eq!(truth.identity().clock.as_ref(), ClockIdentity::SYSTEM);
         assert!(agents.identity().clock.starts_with("rehearsal-"), "{:?}", agents.identity());

@@ -1,4 +1,4 @@
-//! All mistakes of a file that cannot be read: unknown keys, values of the wrong type, and keys that are missing.
+//! All mistakes of a file that cannot be read: unknown keys, values of the wrong type, and missing keys.
 
 use std::borrow::Cow;
 use std::collections::{BTreeMap, BTreeSet};
@@ -10,31 +10,31 @@ use serde_path_to_error::{Path, Segment};
 use toml::Spanned;
 use toml::de::{DeArray, DeTable, DeValue, Deserializer, Error};
 
-/// Most mistakes that are told of one file.
-const MOST_MISTAKES: usize = 100;
-/// How serde names a key that is not there.
+/// Largest number of mistakes that are reported for one file.
+const MAX_MISTAKES: usize = 100;
+/// Beginning of serde's message about a missing key.
 const MISSING: &str = "missing field";
 
-/// A key that could not be read, and why.
+/// Key that could not be read, with the error.
 #[derive(Debug)]
 pub(super) struct Mistake {
-    /// The key's path; empty for the whole file.
+    /// Path of the key; empty for the whole file.
     pub(super) key: String,
     pub(super) error: Error,
 }
 
-/// What is left of a file when the keys with mistakes are taken away, and the tables that cannot be read without them.
+/// The file without the keys that have mistakes, and without the tables that cannot be read without these keys.
 pub(super) struct Remainder<T> {
     pub(super) file: T,
-    /// The names of the tables with mistakes, whether they are left or not.
+    /// Names of the tables with mistakes, whether they remain or not.
     pub(super) incomplete: BTreeSet<String>,
-    /// The paths of the keys that were taken away.
+    /// Paths of the removed keys.
     removed: Vec<String>,
-    /// Of each array of tables, which elements of the file are left.
+    /// For each array of tables, the indices in the file of the elements that remain.
     places: BTreeMap<String, Vec<usize>>,
 }
 
-/// Reads a file, in which only the keys in `arrays` are arrays.
+/// Reads a file in which only the keys in `arrays` are arrays.
 ///
 /// # Errors
 /// The first key that could not be read.
@@ -49,8 +49,8 @@ pub(super) fn read<'a, T: Deserialize<'a>>(text: &'a str, arrays: &[&str]) -> Re
     })
 }
 
-/// Returns the mistake of an entry that is an array and should be a table. serde reads an array as a struct, whose fields may all have
-/// defaults.
+/// Returns the mistake of an entry that is an array and should be a table. serde would read an array as a struct,
+/// whose fields may all have defaults.
 fn needless_array(
     (name, value): (&Spanned<Cow<'_, str>>, &Spanned<DeValue<'_>>),
     arrays: &[&str],
@@ -61,8 +61,8 @@ fn needless_array(
     is_needless.then(|| Mistake { key: name.to_string(), error: error() })
 }
 
-/// Returns the mistakes of a file in which [`read`] found `first`, each table and each element of an array of tables read by itself, and
-/// what is left without them.
+/// Returns all mistakes of a file in which [`read`] found `first`, and the rest of the file without them. Each table
+/// and each element of an array of tables is read separately.
 pub(super) fn all_mistakes<'a, T: Deserialize<'a>>(
     text: &'a str,
     arrays: &[&str],
@@ -95,7 +95,7 @@ pub(super) fn all_mistakes<'a, T: Deserialize<'a>>(
 }
 
 impl<T> Remainder<T> {
-    /// The path in the whole file of a key of this one.
+    /// Returns the path in the whole file of a key of the remainder.
     pub(super) fn key_in_file(&self, key: &str) -> String {
         let in_array = || {
             let (array, rest) = key.split_once('[')?;
@@ -106,7 +106,7 @@ impl<T> Remainder<T> {
         in_array().unwrap_or_else(|| key.to_owned())
     }
 
-    /// Whether something was taken away at a path of the whole file, below it or above it.
+    /// Returns whether a key was removed at a path of the whole file, below it or above it.
     pub(super) fn lacks(&self, key: &str) -> bool {
         let is_at = |key: &str, above: &str| {
             key.strip_prefix(above).is_some_and(|below| below.is_empty() || below.starts_with(['.', '[']))
@@ -118,9 +118,9 @@ impl<T> Remainder<T> {
 /// One table of a file, or one element of an array of tables.
 struct Part<'a> {
     name: String,
-    /// Its place in the array.
+    /// Index in the array.
     index: Option<usize>,
-    /// A document with this part alone.
+    /// Document that contains only this part.
     document: Spanned<DeTable<'a>>,
 }
 
@@ -147,8 +147,8 @@ fn parts<'a>(root: &DeTable<'a>) -> Vec<Part<'a>> {
 }
 
 impl<'a> Part<'a> {
-    /// Reads it again and again, each time without the key that could not be read, until nothing is wrong with the rest, which it
-    /// returns. Adds the paths of the keys that it took away.
+    /// Reads the part repeatedly, each time without the key that could not be read, until the rest is valid; returns
+    /// the rest and adds the paths of the removed keys.
     fn find<T: Deserialize<'a>>(
         &self,
         mistakes: &mut Vec<Mistake>,
@@ -156,24 +156,24 @@ impl<'a> Part<'a> {
     ) -> Option<Spanned<DeTable<'a>>> {
         let mut document = self.document.clone();
         let mut removed = Vec::new();
-        while mistakes.len() < MOST_MISTAKES {
+        while mistakes.len() < MAX_MISTAKES {
             let read = serde_path_to_error::deserialize::<_, T>(Deserializer::from(document.clone()));
             let Err(error) = read else {
-                // Nothing of it is left where a key that is required at its top was taken away.
+                // Nothing remains if a key was removed that is required at the top of this part.
                 document.get_ref().get(self.name.as_str())?;
                 without.extend(removed.iter().map(|steps: &Vec<Step>| self.key(steps)));
                 return Some(document);
             };
             let steps = steps(error.path());
             let missing = missing_key(error.inner().message());
-            // That a required key is missing is no mistake of the user when it was taken away here: its table goes as well.
+            // A missing key that was removed here is not a mistake of the user: its table is removed as well.
             if missing.is_some_and(|name| removed.contains(&below(&steps, name))) {
                 if remove(document.get_mut(), &steps, &mut removed) {
                     continue;
                 }
                 return None;
             }
-            if mistakes.len() + 1 == MOST_MISTAKES {
+            if mistakes.len() + 1 == MAX_MISTAKES {
                 let error = Error::custom(
                     "there may be more mistakes, which are not listed; correct those above first",
                 );
@@ -189,7 +189,8 @@ impl<'a> Part<'a> {
         None
     }
 
-    /// Puts what is left of it into the rest of the file, and says where it stood; an element of an array behind those before it.
+    /// Adds the rest of this part to the rest of the file and records its index; an element of an array is appended
+    /// to those before it.
     fn put(
         &self,
         left: Spanned<DeTable<'a>>,
@@ -213,7 +214,7 @@ impl<'a> Part<'a> {
         }
     }
 
-    /// The path of a key in the whole file.
+    /// Returns the path of a key in the whole file.
     fn key(&self, steps: &[Step]) -> String {
         let mut key = String::new();
         for (place, step) in steps.iter().enumerate() {
@@ -228,7 +229,7 @@ impl<'a> Part<'a> {
     }
 }
 
-/// One step on the way to a key.
+/// One element of the path to a key.
 #[derive(Clone, Debug, PartialEq, Eq)]
 enum Step {
     Key(String),
@@ -245,18 +246,18 @@ fn steps(path: &Path) -> Vec<Step> {
         .collect()
 }
 
-/// The path of a key of the table at `steps`.
+/// Returns the path of a key in the table at `steps`.
 fn below(steps: &[Step], name: &str) -> Vec<Step> {
     steps.iter().cloned().chain([Step::Key(name.to_owned())]).collect()
 }
 
-/// The name of the key that is not there, if this is what an error says.
+/// Returns the name of the missing key, if the error reports one.
 fn missing_key(text: &str) -> Option<&str> {
     text.strip_prefix(MISSING)?.trim().strip_prefix('`')?.split('`').next()
 }
 
-/// Removes the key at the end of a path; of an element of an array the key of the array, because the others would change their places.
-/// Returns whether there was one.
+/// Removes the key at the end of a path. For an element of an array it removes the key of the array, because
+/// otherwise the indices of the other elements would change. Returns whether the key existed.
 fn remove(table: &mut DeTable<'_>, steps: &[Step], removed: &mut Vec<Vec<Step>>) -> bool {
     let Some(last) = steps.iter().rposition(|step| matches!(step, Step::Key(_))) else { return false };
     let (Some((Step::Key(name), way)), path) = (steps[..=last].split_last(), &steps[..=last]) else {
@@ -337,7 +338,7 @@ mod tests {
     }
 
     #[test]
-    fn every_mistake_of_every_table_is_found_once() {
+    fn all_errors_of_all_tables_are_found_once() {
         let (told, rest) = found(
             "third = 1\n[first]\nnumbr = 1\nnumber = 'x'\nlist = [1, 'y', 2]\n[second]\na = 1\n\
              [[element]]\nname = 'a'\nkind = { kind = 'one', size = 1 }\n\
@@ -365,7 +366,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_left_of_a_file_knows_where_it_stood() {
+    fn remaining_tables_keep_their_positions() {
         let (_, rest) = found(
             "[first]\nnumber = 'x'\nlist = [1, 2]\n[[element]]\nname = 'a'\n\
              [[element]]\nname = 'b'\nkind = { kind = 'one', size = 1 }\nnumber = 'x'\n",
@@ -391,8 +392,8 @@ mod tests {
     fn list_of_too_many_mistakes_says_that_it_is_not_whole() {
         let keys: String = (0..200).map(|key| format!("k{key} = 1\n")).collect();
         let (told, _) = found(&format!("[first]\n{keys}"));
-        assert_eq!(told.len(), MOST_MISTAKES);
-        assert!(told[MOST_MISTAKES - 1].contains("more mistakes"), "{told:#?}");
+        assert_eq!(told.len(), MAX_MISTAKES);
+        assert!(told[MAX_MISTAKES - 1].contains("more mistakes"), "{told:#?}");
     }
 
     #[test]

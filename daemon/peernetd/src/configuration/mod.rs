@@ -1,10 +1,10 @@
-//! The configuration file: one TOML file for all roles; a role is on when its table is there.
+//! The configuration: one TOML file for all roles. A role is on if its table exists.
 
+mod data_files;
 mod load;
-mod locate;
+mod locator;
 mod mistakes;
-mod places;
 
+pub(crate) use data_files::{DataFiles, data_files};
 pub(crate) use load::{Configuration, Problem, load};
-pub(crate) use locate::Locator;
-pub(crate) use places::{Places, places};
+pub(crate) use locator::Locator;

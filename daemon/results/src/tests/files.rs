@@ -1,4 +1,4 @@
-//! Files written and read back.
+//! Tests of files that are written and read back.
 
 use std::path::Path;
 
@@ -49,7 +49,7 @@ fn record() -> RunRecord {
     }
 }
 
-fn write(folder: &Path, rows: &[Row]) -> Finished {
+fn write(folder: &Path, rows: &[Row]) -> WrittenResults {
     let folder = ResultFolder::create(folder, Overwrite::Replace).expect("it can be made");
     let mut writer = folder.writer().expect("writable");
     rows.iter().for_each(|row| writer.write(row));
@@ -58,7 +58,7 @@ fn write(folder: &Path, rows: &[Row]) -> Finished {
 }
 
 #[test]
-fn what_is_written_reads_back_as_it_was() {
+fn written_rows_are_read_back() {
     let folder = tempfile::tempdir().expect("a folder");
     let finished = write(folder.path(), &rows(10));
     assert!(finished.trouble.is_none());
@@ -76,7 +76,7 @@ fn what_is_written_reads_back_as_it_was() {
 }
 
 #[test]
-fn rows_are_in_the_file_before_the_run_ends() {
+fn rows_are_written_during_the_run() {
     let folder = tempfile::tempdir().expect("a folder");
     let folder = ResultFolder::create(folder.path(), Overwrite::Refuse).expect("it is empty");
     let mut writer = folder.writer().expect("writable");
@@ -118,7 +118,7 @@ fn columns_that_come_late_reach_the_file() {
 }
 
 #[test]
-fn a_file_that_was_cut_off_gives_the_rows_that_are_whole() {
+fn truncated_file_gives_complete_rows() {
     let folder = tempfile::tempdir().expect("a folder");
     write(folder.path(), &rows(10));
     let path = folder.path().join("data.csv");
@@ -137,7 +137,7 @@ fn a_file_that_was_cut_off_gives_the_rows_that_are_whole() {
 }
 
 #[test]
-fn results_that_are_not_of_a_whole_run_say_so() {
+fn partial_results_are_marked() {
     let folder = tempfile::tempdir().expect("a folder");
     let told = |limit: u64, reason: &str| {
         let pipeline = serde_json::json!({ "limit": { "total": limit } });
@@ -166,10 +166,10 @@ fn results_that_are_not_of_a_whole_run_say_so() {
 }
 
 #[test]
-fn a_folder_that_cannot_be_written_loses_nothing() {
+fn unwritable_folder_loses_no_rows() {
     let folder = tempfile::tempdir().expect("a folder");
     let result = ResultFolder::create(folder.path(), Overwrite::Refuse).expect("it is empty");
-    // Every write to it fails as on a full disk, root's as well.
+    // Every write to this file fails like on a full disk, also for root.
     std::os::unix::fs::symlink("/dev/full", folder.path().join("run.json")).expect("a link");
     let mut writer = result.writer().expect("writable");
     rows(10).iter().for_each(|row| writer.write(row));
@@ -183,7 +183,7 @@ fn a_folder_that_cannot_be_written_loses_nothing() {
 }
 
 #[test]
-fn a_full_disk_at_the_start_is_told_at_the_start() {
+fn full_disk_is_reported_at_start() {
     let folder = tempfile::tempdir().expect("a folder");
     let folder = ResultFolder::create(folder.path(), Overwrite::Refuse).expect("it is empty");
     std::os::unix::fs::symlink("/dev/full", folder.path().join("data.csv")).expect("a link");
@@ -192,7 +192,7 @@ fn a_full_disk_at_the_start_is_told_at_the_start() {
 }
 
 #[test]
-fn what_is_there_is_replaced_only_when_that_was_asked_for() {
+fn existing_results_are_replaced_only_with_overwrite() {
     let folder = tempfile::tempdir().expect("a folder");
     let at = folder.path();
     for name in ["data.csv", "sensing-time.png", "series.svg", "stacked.svg", "notes.txt"] {
@@ -212,7 +212,7 @@ fn what_is_there_is_replaced_only_when_that_was_asked_for() {
 }
 
 #[test]
-fn a_folder_is_written_by_one_program_at_a_time() {
+fn folder_is_locked_for_one_program() {
     let folder = tempfile::tempdir().expect("a folder");
     let first = ResultFolder::create(folder.path(), Overwrite::Replace).expect("it is free");
     for overwrite in [Overwrite::Replace, Overwrite::Refuse] {
@@ -227,7 +227,7 @@ fn a_folder_is_written_by_one_program_at_a_time() {
 }
 
 #[test]
-fn folders_are_found_in_the_order_that_people_expect() {
+fn folders_are_found_in_natural_order() {
     let folder = tempfile::tempdir().expect("a folder");
     for name in ["b/run-10", "b/run-2", "a", "empty", ".hidden"] {
         std::fs::create_dir_all(folder.path().join(name)).expect("made");
@@ -242,7 +242,7 @@ fn folders_are_found_in_the_order_that_people_expect() {
 }
 
 #[test]
-fn a_file_that_makes_no_sense_says_where() {
+fn invalid_file_error_names_line_and_column() {
     let folder = tempfile::tempdir().expect("a folder");
     let open = |text: &str| {
         std::fs::write(folder.path().join("data.csv"), text).expect("writable");
@@ -280,7 +280,7 @@ proptest! {
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(64))]
     #[test]
-    fn whenever_columns_come_the_file_is_in_the_end_as_if_written_at_once(
+    fn late_columns_give_same_file_as_early_ones(
         count in 1..60_usize,
         cells in prop::collection::vec((0..60_usize, "[a-e]", 0.0..1.0_f64), 0..12),
     ) {

@@ -1,4 +1,4 @@
-//! Results as a whole: rows in, files out, rows back.
+//! Tests of results as a whole: rows are written to files and read back.
 
 mod files;
 mod published;
@@ -11,12 +11,12 @@ use peernet_analysis::summary::Summary;
 use super::*;
 use crate::iterations::iterations;
 
-/// So many rows, the first two of them warm-up, the sixth lost.
+/// Returns rows, of which the first two are warm-up and the sixth is lost.
 fn rows(count: u64) -> Vec<Row> {
     iterations(count).iter().map(Row::of).collect()
 }
 
-/// As they are kept.
+/// Returns rows in the form in which they are kept.
 fn kept(rows: &[Row]) -> Rows {
     rows.iter().cloned().collect()
 }

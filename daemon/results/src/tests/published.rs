@@ -1,8 +1,8 @@
-//! What the published program wrote.
+//! Tests with files of the published program.
 
 use super::*;
 
-/// As pandas writes it, with the model's own stages and without a word about warm-up.
+/// File as pandas writes it, with the model's own stages and without a column for warm-up.
 const SAMPLE: &str = "\
 iteration,sensing,upload,preprocessing,inference,postprocessing,download,download-bytes,download-logger-bytes,upload-bytes,upload-logger-bytes,upload-throughput,download-throughput
 1,0.000912,0.018211,0.010112,0.080204,0.010095,0.000377,132.0,555.0,1343220.0,301.0,590200000.0,14600000.0
@@ -15,7 +15,7 @@ iteration,sensing,upload,preprocessing,inference,postprocessing,download,downloa
 ";
 
 #[test]
-fn a_published_file_that_stands_alone_can_be_read() {
+fn published_file_without_record_is_read() {
     let folder = tempfile::tempdir().expect("a folder");
     let results = folder.path().join("jetson");
     std::fs::create_dir(&results).expect("made");
@@ -43,7 +43,7 @@ fn a_published_file_that_stands_alone_can_be_read() {
 }
 
 #[test]
-fn what_a_dashboard_exported_can_be_read() {
+fn export_of_dashboard_is_read() {
     let folder = tempfile::tempdir().expect("a folder");
     let path = folder.path().join("run-7.csv");
     let text = "iteration,episode,step,warm-up,outcome,reason,started,total,sensing,upload,upload-lo,upload-hi\n\
@@ -59,7 +59,7 @@ fn what_a_dashboard_exported_can_be_read() {
 }
 
 #[test]
-fn an_infinite_number_is_not_known_but_for_an_open_bound() {
+fn infinite_number_is_unknown_except_upper_bound() {
     let folder = tempfile::tempdir().expect("a folder");
     let path = folder.path().join("data.csv");
     let text = "sensing,upload,upload-bytes,grip,upload-throughput-lo,upload-throughput-hi\n\
@@ -76,7 +76,7 @@ fn an_infinite_number_is_not_known_but_for_an_open_bound() {
 }
 
 #[test]
-fn a_record_of_another_version_is_read_as_far_as_it_is_understood() {
+fn record_of_other_version_is_read_partly() {
     let folder = tempfile::tempdir().expect("a folder");
     std::fs::write(folder.path().join("data.csv"), "iteration,inference\n1,0.5\n").expect("writable");
     std::fs::write(

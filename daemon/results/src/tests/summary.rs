@@ -1,4 +1,4 @@
-//! Summaries as text.
+//! Tests of the text forms of summaries.
 
 use peernet_analysis::rows::Units;
 use peernet_logger::{Measure, Unit};
@@ -10,7 +10,7 @@ use crate::iterations::{add, iteration, offloaded, timer};
 use crate::summary::{csv, latex, markdown, text};
 
 #[test]
-fn labels_that_are_no_classes_of_the_model_are_told() {
+fn labels_outside_model_classes_are_reported() {
     let mut rows = rows(20);
     rows.iter_mut().for_each(|row| row.values.push(("unknown-label".into(), 1.0)));
     let facts = vec![("Classes".to_owned(), "4: good, dented".to_owned())];
@@ -85,7 +85,7 @@ Clock verdicts: upload 7 ok (in-band, ±0.010 ms); download 7 ok (in-band, ±0.0
 Clock bounds contain the median of the true values.";
 
 #[test]
-fn the_summary_reads_as_the_papers_metrics() {
+fn summary_has_metrics_of_the_paper() {
     let record = RunRecord { title: "robot_1".to_owned(), ..RunRecord::default() };
     let summary = Summary::of(&kept(&rows(10))).about(&record);
     assert_eq!(text(&summary), TEXT);
@@ -108,7 +108,7 @@ fn the_summary_reads_as_the_papers_metrics() {
 }
 
 #[test]
-fn nodes_of_a_known_stage_are_times_wherever_they_are() {
+fn nodes_named_like_stages_are_durations() {
     let values =
         [("ipc", 0.001), ("capture_capture-ipc", 0.002), ("mine_capture-ipc_2", 0.003), ("mine", 4.0)];
     let mut rows = rows(9).split_off(8);
@@ -126,7 +126,7 @@ fn nodes_of_a_known_stage_are_times_wherever_they_are() {
 }
 
 #[test]
-fn nodes_of_ones_own_have_the_unit_that_they_were_logged_with() {
+fn custom_nodes_keep_their_unit() {
     let logged = |number: u64, mixed: Unit| {
         let mut tree = offloaded(17_000, 3_700);
         let value = |value: f64, unit: Unit| Measure::Value(value, unit);

@@ -1,9 +1,9 @@
-//! `exec`: a program of the user's own.
+//! Sensor kind `exec`: a program of the user.
 
 use peernet_clock::{MonoTime, SharedClock};
 pub use peernet_external::exec::ExecConfig;
 use peernet_external::exec::{
-    CommandLine, ExchangeError, FingerprintKey, Notes, Program, Request, Role, Said,
+    CommandLine, ExchangeError, FingerprintKey, Notes, Program, ReplyOutcome, Request, Role,
 };
 use peernet_external::hide_values;
 use peernet_logger::{Name, Recorder, Unit, stage};
@@ -12,12 +12,12 @@ use peernet_sample::Sample;
 use super::{DROPPED_SAMPLES, SensorConfig, SensorKind};
 use crate::{Sensor, SensorError};
 
-/// A program that is asked for each sample.
+/// Program that is asked for each sample.
 struct Exec {
     command: String,
     facts: Vec<(String, String)>,
     program: Program,
-    /// Number of the last sample, where the program numbers them.
+    /// Sequence number of the last sample, if the program numbers its samples.
     last: Option<u64>,
 }
 
@@ -31,7 +31,7 @@ impl SensorKind for ExecConfig {
     }
 
     fn check(&self, _clock: &SharedClock) -> Result<(), SensorError> {
-        // The program's own check, which does not run it.
+        // This check does not run the program.
         Self::check(self)
             .map_err(|reason| SensorError::Config(format!("the program of an exec sensor: {reason}")))
     }
@@ -50,7 +50,7 @@ impl SensorKind for ExecConfig {
 }
 
 impl SensorConfig {
-    /// A program of the user's own, as a line for the shell.
+    /// Returns the configuration of a program, given as a line for the shell.
     pub fn program(command: &str) -> Self {
         ExecConfig::of(CommandLine::Shell(command.to_owned())).into()
     }
@@ -61,8 +61,8 @@ impl Exec {
         SensorError::Program { command: self.command.clone(), error }
     }
 
-    /// Records what the program told beside its sample.
-    fn note(&mut self, notes: &Notes, log: &mut Recorder, began: MonoTime) {
+    /// Records the stages, values and dropped samples that the program reported with its sample.
+    fn record_notes(&mut self, notes: &Notes, log: &mut Recorder, began: MonoTime) {
         for (name, span) in &notes.stages {
             log.timed(Name::from(name.as_str()), began, began + *span);
         }
@@ -70,8 +70,8 @@ impl Exec {
             log.value(Name::from(name.as_str()), *value, Unit::new(unit));
         }
         if let Some(sequence) = notes.sequence {
-            // What the program took and did not give leaves gaps in its numbers. One that counts from the beginning again has
-            // been started anew: what it missed is not known.
+            // Samples that the program captured and did not pass on leave gaps in its numbers. A smaller number than
+            // expected means that the program was restarted; then the number of missed samples is unknown.
             let next = self.last.and_then(|last| last.checked_add(1));
             let dropped = next.and_then(|next| sequence.checked_sub(next)).unwrap_or(0);
             log.value(DROPPED_SAMPLES, dropped as f64, Unit::NONE);
@@ -84,11 +84,11 @@ impl Sensor for Exec {
     fn sample(&mut self, log: &mut Recorder) -> Result<Option<Sample>, SensorError> {
         let exchange = self.program.ask(Request::Next).map_err(|error| self.failed(error))?;
         let restart = exchange.restart();
-        let Said::Parts(parts) = exchange.said else { return Ok(None) };
+        let ReplyOutcome::Parts(parts) = exchange.outcome else { return Ok(None) };
         if let Some((from, to)) = restart {
             log.timed(stage::CAPTURE_RESTART, from, to);
         }
-        self.note(&exchange.notes, log, exchange.began);
+        self.record_notes(&exchange.notes, log, exchange.began);
         let Notes { source, label, .. } = exchange.notes;
         Ok(Some(Sample { parts, source: source.unwrap_or_default(), label }))
     }

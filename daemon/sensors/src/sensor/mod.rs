@@ -1,4 +1,4 @@
-//! The sensors: one file or folder for each kind, and the registration of each in [`SensorConfig`].
+//! Sensors: one file or folder for each kind, and their registration in [`SensorConfig`].
 
 pub mod exec;
 pub mod images;
@@ -15,59 +15,60 @@ use serde::{Deserialize, Serialize};
 
 use crate::{Sensor, SensorError};
 
-/// Samples that a sensor could not give since the one before, because the pipeline was busy or they were lost.
+/// Number of samples that were lost since the previous one, because the pipeline was busy or the transport lost them.
 const DROPPED_SAMPLES: Name = Name::from_static("dropped-samples");
 
-/// A kind of sensor, implemented by its configuration.
+/// Kind of sensor, implemented by its configuration.
 #[enum_dispatch]
 pub trait SensorKind {
-    /// Opens the sensor; `clock` is what its deadlines are taken from.
+    /// Opens the sensor; `clock` is the clock of its deadlines.
     ///
     /// # Errors
-    /// When the configuration contradicts itself, or what it names is not there.
+    /// If the configuration contradicts itself, or if something that it names does not exist.
     fn open(&self, clock: &SharedClock) -> Result<Box<dyn Sensor>, SensorError>;
 
-    /// Checks what can be checked without running a user's code.
+    /// Checks everything that can be checked without running users' code.
     ///
     /// # Errors
-    /// When the configuration contradicts itself, or what it names is not there.
+    /// If the configuration contradicts itself, or if something that it names does not exist.
     fn check(&self, clock: &SharedClock) -> Result<(), SensorError> {
         self.open(clock).map(drop)
     }
 
-    /// What is not wrong, but keeps samples from coming now, for people. May ask other hosts for some seconds.
+    /// Returns conditions that are not errors but prevent samples now, as texts. May ask other hosts for some
+    /// seconds.
     fn remarks(&self) -> Vec<String> {
         Vec::new()
     }
 
-    /// Whether it runs a program of the user's own, whose arguments are told by their fingerprint alone.
+    /// Returns whether this kind runs a program of the user, whose arguments are published as a fingerprint only.
     fn is_program(&self) -> bool {
         false
     }
 
-    /// What tells programs with different arguments apart, as a fact; the arguments themselves may be secret.
+    /// Returns the fact that distinguishes programs with different arguments; the arguments themselves may be secret.
     fn arguments(&self, _key: &FingerprintKey) -> Option<(String, String)> {
         None
     }
 
-    /// Takes out what may not be published: the values of `env`.
+    /// Removes what must not be published: the values of `env`.
     fn hide_secrets(&mut self) {}
 }
 
-/// `sensor` in the configuration of a pipeline. A new kind is registered here.
+/// The key `sensor` in the configuration of a pipeline. New kinds are registered here.
 #[enum_dispatch(SensorKind)]
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(tag = "kind", rename_all = "kebab-case")]
 pub enum SensorConfig {
-    /// Pictures from files, sent as they are.
+    /// Pictures from files, sent without any change.
     Images(images::ImagesConfig),
     /// Random letters and digits.
     Text(text::TextConfig),
-    /// A program of your own: docs/external-programs.md.
+    /// A program of the user; see docs/external-programs.md.
     Exec(exec::ExecConfig),
-    /// A Python object of your own with `sample()`: docs/python.md.
+    /// A Python object of the user with `sample()`; see docs/python.md.
     Python(python::PythonConfig),
-    /// The messages of a topic of ROS 1 or ROS 2: docs/ros.md.
+    /// The messages of a topic of ROS 1 or ROS 2; see docs/ros.md.
     Ros(ros::RosSensorConfig),
     /// Random bytes.
     Synthetic(synthetic::SyntheticConfig),

@@ -1,4 +1,4 @@
-//! `python`: an object of the user's own with `sample()`.
+//! Sensor kind `python`: an object of the user with `sample()`.
 
 use peernet_clock::SharedClock;
 use peernet_external::hide_values;
@@ -10,14 +10,14 @@ use peernet_sample::Sample;
 use super::{SensorConfig, SensorKind};
 use crate::{Sensor, SensorError};
 
-/// A Python object that is asked for each sample.
+/// Python object that is asked for each sample.
 struct Python {
     name: String,
     object: PythonObject,
 }
 
 impl SensorKind for PythonConfig {
-    /// Starts its process and makes the object.
+    /// Starts its process and creates the object.
     fn open(&self, clock: &SharedClock) -> Result<Box<dyn Sensor>, SensorError> {
         let name = format!("sensor {}", self.object);
         let object = PythonObject::start(self, Role::Sensor, &name, None, clock)?;
@@ -34,7 +34,7 @@ impl SensorKind for PythonConfig {
 }
 
 impl SensorConfig {
-    /// A Python object of the user's own; `pickle` as in [`PythonConfig`].
+    /// Returns the configuration of a Python object; `pickle` as in [`PythonConfig`].
     pub fn python_object(object: &str, pickle: bool) -> Self {
         PythonConfig { pickle, ..PythonConfig::of(object) }.into()
     }
@@ -47,7 +47,8 @@ impl Sensor for Python {
         if let Some(from) = called.times.restarted {
             log.timed(stage::CAPTURE_RESTART, from, begun);
         }
-        log.timed(stage::CAPTURE_IPC, begun, begun + called.times.border());
+        // Summaries group nodes by name, so that this stage must not have the name of the model's `ipc`.
+        log.timed(stage::CAPTURE_IPC, begun, begun + called.times.overhead());
         let Some(parts) = called.result? else { return Ok(None) };
         Ok(Some(Sample { parts, source: self.name.clone(), label: None }))
     }

@@ -1,4 +1,4 @@
-//! `synthetic`: random bytes.
+//! Sensor kind `synthetic`: random bytes.
 
 use bytes::Bytes;
 use peernet_clock::SharedClock;
@@ -11,20 +11,21 @@ use serde::{Deserialize, Serialize};
 use super::{SensorConfig, SensorKind, default_seed};
 use crate::{Sensor, SensorError};
 
-/// The largest payload: 1 GiB.
+/// Largest payload, bytes (1 GiB).
 const MAX_BYTES: usize = 1 << 30;
 
-/// `{ kind = "synthetic", … }`: made once per size, so that a sample costs nothing.
+/// Configuration of the sensor: `{ kind = "synthetic", … }`. Payloads are created when the sensor is opened, so that
+/// a sample takes no time.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct SyntheticConfig {
-    /// Payload of every sample, in bytes. Give this or `sizes_bytes`.
+    /// Payload of every sample, bytes. Either this or `sizes_bytes` must be given.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub size_bytes: Option<usize>,
-    /// Payloads of successive samples, in bytes, over and over: a size sweep.
+    /// Payloads of successive samples, bytes, repeated: a sweep over sizes.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub sizes_bytes: Vec<usize>,
-    /// What the bytes follow from.
+    /// Seed of the bytes. Default: 1.
     #[serde(default = "default_seed")]
     pub seed: u64,
 }
@@ -53,18 +54,18 @@ impl SensorKind for SyntheticConfig {
 }
 
 impl SensorConfig {
-    /// Random payloads of one size in bytes.
+    /// Returns the configuration of random payloads of one size, bytes.
     pub fn random_bytes(size: usize) -> Self {
         SyntheticConfig { size_bytes: Some(size), sizes_bytes: Vec::new(), seed: default_seed() }.into()
     }
 
-    /// Random payloads of these sizes in bytes, one after the other, over and over.
+    /// Returns the configuration of random payloads of these sizes, bytes, one after the other and repeated.
     pub fn size_sweep(sizes_bytes: Vec<usize>) -> Self {
         SyntheticConfig { size_bytes: None, sizes_bytes, seed: default_seed() }.into()
     }
 }
 
-/// Payloads of given sizes in turn, all of them the beginning of one random buffer.
+/// Payloads of given sizes in turn; each is the beginning of one random buffer.
 struct Synthetic {
     payloads: Vec<Bytes>,
     next: usize,

@@ -1,4 +1,4 @@
-//! `text`: random letters and digits.
+//! Sensor kind `text`: random letters and digits.
 
 use peernet_clock::SharedClock;
 use peernet_logger::Recorder;
@@ -11,16 +11,18 @@ use serde::{Deserialize, Serialize};
 use super::{SensorConfig, SensorKind, default_seed};
 use crate::{Sensor, SensorError};
 
-/// The longest text: 64 MiB. It is made anew each time.
+/// Longest text, bytes (64 MiB). The limit is lower than that of `synthetic`, because each text is generated for its
+/// sample.
 const MAX_LENGTH: usize = 64 << 20;
 
-/// `{ kind = "text", … }`: another text each time, what was published as "random string".
+/// Configuration of the sensor: `{ kind = "text", … }`. Each sample is another text; the published program calls this
+/// "random string".
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct TextConfig {
-    /// Characters of every sample, one byte each.
+    /// Number of characters of every sample, one byte each.
     pub length: usize,
-    /// What the text follows from.
+    /// Seed of the text. Default: 1.
     #[serde(default = "default_seed")]
     pub seed: u64,
 }
@@ -37,13 +39,13 @@ impl SensorKind for TextConfig {
 }
 
 impl SensorConfig {
-    /// Random texts of so many characters.
+    /// Returns the configuration of random texts of this number of characters.
     pub fn random_text(length: usize) -> Self {
         TextConfig { length, seed: default_seed() }.into()
     }
 }
 
-/// Letters and digits, as many as asked for, another text each time.
+/// Letters and digits of the configured number, another text each time.
 struct Text {
     length: usize,
     random: StdRng,
@@ -55,7 +57,7 @@ impl Sensor for Text {
         Ok(Some(Sample::of(Description::unshaped(MediaType::Text), text.into())))
     }
 
-    /// A long text takes longer to make than a thread takes to be woken.
+    /// Generating a long text takes longer than waking a thread.
     fn blocks(&self) -> bool {
         self.length > 4096
     }

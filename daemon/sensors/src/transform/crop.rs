@@ -1,4 +1,4 @@
-//! `crop`: cuts a rectangle out of pictures.
+//! Transform `crop`, which cuts a rectangle out of pictures.
 
 use peernet_imaging::{Crop, Picture, crop, read_part};
 use peernet_logger::Recorder;
@@ -8,18 +8,18 @@ use serde::{Deserialize, Serialize};
 use super::{TransformKind, change, channels, check_size};
 use crate::{SensorError, Transform};
 
-/// `{ kind = "crop", … }`
+/// Configuration of the transform: `{ kind = "crop", … }`.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct CropConfig {
-    /// Pixels.
+    /// Width of the rectangle, pixels.
     pub width: u32,
-    /// Pixels.
+    /// Height of the rectangle, pixels.
     pub height: u32,
-    /// Left edge in pixels; without it the rectangle is centred.
+    /// Left edge, pixels. Default: centred.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub x: Option<u32>,
-    /// Upper edge in pixels; without it the rectangle is centred.
+    /// Upper edge, pixels. Default: centred.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub y: Option<u32>,
 }
@@ -28,23 +28,23 @@ impl TransformKind for CropConfig {
     fn build(&self) -> Result<Box<dyn Transform>, SensorError> {
         let &Self { width, height, x, y } = self;
         check_size(width, height, "crop")?;
-        Ok(Box::new(Cut { crop: Crop { width, height, x, y }, picture: Picture::default() }))
+        Ok(Box::new(CropTransform { crop: Crop { width, height, x, y }, picture: Picture::default() }))
     }
 }
 
-struct Cut {
+struct CropTransform {
     crop: Crop,
     picture: Picture,
 }
 
-impl Transform for Cut {
+impl Transform for CropTransform {
     fn apply(&mut self, sample: Sample, _log: &mut Recorder) -> Result<Sample, SensorError> {
         let Self { crop: rectangle, picture } = self;
         change(sample, "crop", |part| {
             read_part(part, channels(part), picture)?;
-            let mut cut = Picture::default();
-            crop(picture, *rectangle, &mut cut)?;
-            Ok(cut.into_part())
+            let mut cropped = Picture::default();
+            crop(picture, *rectangle, &mut cropped)?;
+            Ok(cropped.into_part())
         })
     }
 

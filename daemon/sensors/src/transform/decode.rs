@@ -1,4 +1,4 @@
-//! `decode`: pictures into pixels.
+//! Transform `decode`, which decodes pictures to pixels.
 
 use peernet_imaging::{Picture, read_part};
 use peernet_logger::Recorder;
@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 use super::{TransformConfig, TransformKind, change, channels};
 use crate::{SensorError, Transform};
 
-/// `{ kind = "decode" }`
+/// Configuration of the transform: `{ kind = "decode" }`.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct DecodeConfig {}
@@ -20,7 +20,7 @@ impl TransformKind for DecodeConfig {
 }
 
 impl TransformConfig {
-    /// Decodes pictures into pixels.
+    /// Returns the configuration that decodes pictures to pixels.
     pub fn to_pixels() -> Self {
         DecodeConfig {}.into()
     }

@@ -1,4 +1,4 @@
-//! `encode`: compresses pictures.
+//! Transform `encode`, which compresses pictures.
 
 use peernet_imaging::{Encoding, Picture, encode, read_part};
 use peernet_logger::Recorder;
@@ -8,22 +8,22 @@ use serde::{Deserialize, Serialize};
 use super::{TransformConfig, TransformKind, change, channels};
 use crate::{SensorError, Transform};
 
-/// `{ kind = "encode", … }`
+/// Configuration of the transform: `{ kind = "encode", … }`.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct EncodeConfig {
-    /// Into which kind of file.
+    /// Format of the file.
     pub format: Format,
-    /// 1 to 100, of JPEG alone; 85 unless given.
+    /// Quality of a JPEG file, 1 to 100. Default: 85.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub quality: Option<u8>,
 }
 
-/// Formats of picture files.
+/// File format of a picture.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Format {
-    /// Lossy, small.
+    /// Lossy and small.
     Jpeg,
     /// Lossless.
     Png,
@@ -44,7 +44,7 @@ impl TransformKind for EncodeConfig {
 }
 
 impl TransformConfig {
-    /// Compresses pictures as JPEG files of this quality, 1 to 100.
+    /// Returns the configuration that compresses pictures as JPEG files of this quality, 1 to 100.
     pub fn to_jpeg(quality: u8) -> Self {
         EncodeConfig { format: Format::Jpeg, quality: Some(quality) }.into()
     }

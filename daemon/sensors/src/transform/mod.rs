@@ -1,4 +1,4 @@
-//! The transforms: one file for each kind, and the registration of each in [`TransformConfig`].
+//! Transforms: one file for each kind, and their registration in [`TransformConfig`].
 
 pub mod crop;
 pub mod decode;
@@ -12,31 +12,32 @@ use serde::{Deserialize, Serialize};
 
 use crate::{SensorError, Transform};
 
-/// A kind of transform, implemented by its configuration.
+/// Kind of transform, implemented by its configuration.
 #[enum_dispatch]
 pub trait TransformKind {
     /// Builds the transform.
     ///
     /// # Errors
-    /// When the configuration contradicts itself.
+    /// If the configuration contradicts itself.
     fn build(&self) -> Result<Box<dyn Transform>, SensorError>;
 }
 
-/// One of `transforms` in the configuration of a pipeline; they are applied in their order. A new kind is registered here.
+/// An element of `transforms` in the configuration of a pipeline; they are applied in their order. New kinds are
+/// registered here.
 ///
-/// `resize`, `crop` and `decode` leave decoded pixels (of a file: in colour): put an `encode` after them to send a
-/// small file again. Each changes every picture of the sample and leaves its other parts as they are.
+/// `resize`, `crop` and `decode` yield decoded pixels (in colour, if the picture was a file). An `encode` after them
+/// makes a small file again. Each transform changes every picture of the sample and leaves its other parts unchanged.
 #[enum_dispatch(TransformKind)]
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(tag = "kind", rename_all = "kebab-case")]
 pub enum TransformConfig {
-    /// Scales a picture to exactly this size, decoding it first where needed.
+    /// Scales a picture to exactly this size; decodes it first if necessary.
     Resize(resize::ResizeConfig),
-    /// Cuts a rectangle out of a picture, decoding it first where needed.
+    /// Cuts a rectangle out of a picture; decodes it first if necessary.
     Crop(crop::CropConfig),
-    /// Compresses a picture; one that is a file already is decoded first and compressed anew.
+    /// Compresses a picture; decodes it first if it is a file.
     Encode(encode::EncodeConfig),
-    /// Decodes a picture into pixels.
+    /// Decodes a picture to pixels.
     Decode(decode::DecodeConfig),
 }
 
@@ -49,7 +50,7 @@ fn check_size(width: u32, height: u32, what: &str) -> Result<(), SensorError> {
     Ok(())
 }
 
-/// Changes every picture of a sample and leaves its other parts; a sample without a picture is an error.
+/// Changes every picture of a sample and leaves its other parts unchanged. A sample without a picture is an error.
 fn change(
     mut sample: Sample,
     action: &'static str,
@@ -73,7 +74,7 @@ fn change(
     Ok(sample)
 }
 
-/// The order of channels in which a part is worked on: its own, and colour for files.
+/// Returns the order of channels for the work on a part: its own for pixels, colour for files.
 fn channels(part: &Part) -> PixelFormat {
     match part.description.media {
         MediaType::Pixels(format) => format,

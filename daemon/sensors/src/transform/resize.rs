@@ -1,4 +1,4 @@
-//! `resize`: scales pictures.
+//! Transform `resize`, which scales pictures.
 
 use peernet_imaging::{Filter, Picture, Resizer, read_part};
 use peernet_logger::Recorder;
@@ -8,15 +8,15 @@ use serde::{Deserialize, Serialize};
 use super::{TransformKind, change, channels, check_size};
 use crate::{SensorError, Transform};
 
-/// `{ kind = "resize", … }`
+/// Configuration of the transform: `{ kind = "resize", … }`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ResizeConfig {
-    /// Pixels.
+    /// New width, pixels.
     pub width: u32,
-    /// Pixels.
+    /// New height, pixels.
     pub height: u32,
-    /// How pixels are combined.
+    /// Filter that combines pixels. Default: `bilinear`.
     #[serde(default)]
     pub filter: Filter,
 }

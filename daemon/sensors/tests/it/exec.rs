@@ -9,13 +9,13 @@ fn config(command: &str) -> SensorConfig {
 
 #[test]
 fn samples_labels_and_drops_come_from_the_program() {
-    // Its own numbers: 5, 6, 9, and 1 after it began anew.
+    // The program's own numbers: 5, 6, 9, then 1 as after a restart.
     let script = "for n in 5 6 9 1; do read -r next; \
                   printf 'sequence %d\\nlabel cat %d\\nsource n%d\\nvalue gain 2 dB\\nanswer 2 text/plain\\n%02d' $n $n $n $n; \
                   done; read -r next; echo end; cat";
     let mut sensor = config(script).open(&real_clock()).expect("sh is there");
     assert!(sensor.blocks());
-    // A command may hold secrets: facts name the program alone.
+    // A command may contain secrets, so that facts name the program only.
     assert!(sensor.facts().iter().all(|(_, fact)| !fact.contains("for n in")), "{:?}", sensor.facts());
     for (number, dropped) in [(5, 0.0), (6, 0.0), (9, 2.0), (1, 0.0)] {
         let mut log = recorder();
@@ -31,7 +31,7 @@ fn samples_labels_and_drops_come_from_the_program() {
 }
 
 #[test]
-fn a_failure_names_the_program_and_the_next_sample_is_another_try() {
+fn failure_names_program_and_next_sample_retries() {
     let folder = tempfile::tempdir().expect("can be made");
     let mark = folder.path().join("mark");
     let script =

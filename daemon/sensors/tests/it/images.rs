@@ -26,7 +26,7 @@ fn refused(path: &Path) -> String {
 }
 
 #[test]
-fn files_come_by_name_as_they_are_and_once_or_over_and_over() {
+fn files_are_sent_unchanged_in_order_of_names() {
     let folder =
         folder(&[("b.jpg", "bytes of b"), ("a.PNG", "bytes of a"), ("c.txt", "no picture"), (".d.jpg", "")]);
     let mut once = images(folder.path(), Order::Name, 1, false).expect("opens");
@@ -52,7 +52,7 @@ fn files_come_by_name_as_they_are_and_once_or_over_and_over() {
 }
 
 #[test]
-fn labels_come_from_the_file_of_labels_or_from_folders() {
+fn labels_come_from_file_or_folders() {
     let listed = folder(&[
         ("a.jpg", ""),
         ("sub/b.jpg", ""),
@@ -90,7 +90,7 @@ fn labels_come_from_the_file_of_labels_or_from_folders() {
 }
 
 #[test]
-fn a_seed_decides_the_order_which_is_new_in_each_round() {
+fn seed_determines_new_order_of_each_round() {
     let names: Vec<_> = (0..30).map(|index| format!("{index:02}.jpg")).collect();
     let files: Vec<_> = names.iter().map(|name| (name.as_str(), "")).collect();
     let folder = folder(&files);
@@ -109,7 +109,7 @@ fn a_seed_decides_the_order_which_is_new_in_each_round() {
 }
 
 #[test]
-fn what_cannot_be_opened_is_named() {
+fn errors_name_the_wrong_file_or_label() {
     let empty = folder(&[("readme.txt", "")]);
     assert!(refused(empty.path()).contains("holds no picture"));
     assert!(refused(&empty.path().join("missing")).contains("missing"));

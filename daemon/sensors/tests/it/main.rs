@@ -1,4 +1,4 @@
-//! Sensors on real folders, transforms on real pictures.
+//! Tests of sensors on real folders and of transforms on real pictures.
 
 mod exec;
 mod images;
@@ -18,7 +18,7 @@ fn clock() -> SharedClock {
     Arc::new(ManualClock::new(WallTime::from_unix_nanos(0), ClockIdentity::new("boot", "clock")))
 }
 
-/// For processes, which are waited for.
+/// Returns a real clock, for tests that wait for processes.
 fn real_clock() -> SharedClock {
     Arc::new(SystemClock::new(ClockIdentity::new("boot", "clock")))
 }
@@ -31,7 +31,7 @@ fn next(sensor: &mut dyn Sensor) -> Result<Option<Sample>, SensorError> {
     sensor.sample(&mut recorder())
 }
 
-/// The sources of the next `count` samples.
+/// Returns the sources of the next `count` samples.
 fn sources(sensor: &mut dyn Sensor, count: usize) -> Vec<String> {
     (0..count).map(|_| next(sensor).expect("is readable").expect("goes on").source).collect()
 }

@@ -41,7 +41,7 @@ fn samples_come_from_the_object_until_it_stops() {
 }
 
 #[test]
-fn the_wait_for_a_process_that_was_started_anew_is_told() {
+fn restart_of_python_process_is_recorded() {
     let source = "
 import os, time
 time.sleep(0.3)
@@ -56,7 +56,7 @@ class Own:
     let folder = Some(folder.path().to_owned());
     let config = SensorConfig::Python(PythonConfig { folder, ..PythonConfig::of("own::Own") });
     let mut sensor = config.open(&real_clock()).expect("is there");
-    // Each process gives two and dies.
+    // Each process gives two samples and dies.
     for (restarted, gives) in [(false, true), (false, true), (false, false), (true, true), (false, true)] {
         let mut log = recorder();
         assert_eq!(sensor.sample(&mut log).is_ok(), gives);

@@ -16,7 +16,7 @@ fn payload(sensor: &mut dyn Sensor) -> Bytes {
 }
 
 #[test]
-fn sizes_come_in_turn_and_payloads_are_made_once() {
+fn sizes_alternate_and_payloads_are_reused() {
     let mut sensor = synthetic(None, &[1000, 0, 70_000], 1).expect("opens");
     assert!(!sensor.blocks());
     let first: Vec<_> = (0..3).map(|_| payload(sensor.as_mut())).collect();
@@ -26,7 +26,7 @@ fn sizes_come_in_turn_and_payloads_are_made_once() {
 }
 
 #[test]
-fn the_bytes_follow_from_the_seed_and_do_not_compress() {
+fn bytes_follow_from_seed_and_are_incompressible() {
     let of = |seed| payload(synthetic(Some(4096), &[], seed).expect("opens").as_mut());
     assert_eq!(of(1), of(1));
     assert_ne!(of(1), of(2));

@@ -15,7 +15,7 @@ fn sample(sensor: &mut dyn Sensor) -> String {
 }
 
 #[test]
-fn each_text_is_another_one_of_the_length_that_follows_from_the_seed() {
+fn texts_and_lengths_follow_from_the_seed() {
     let of = |seed| {
         let mut sensor = text(1000, seed).expect("opens");
         (sample(sensor.as_mut()), sample(sensor.as_mut()))

@@ -43,7 +43,7 @@ fn resized_pictures_stay_pixels_until_they_are_encoded() {
 }
 
 #[test]
-fn a_crop_is_where_it_should_be() {
+fn crop_uses_configured_rectangle() {
     let crop = |x, y| TransformConfig::from(CropConfig { width: 2, height: 1, x, y });
     let pixels = apply(photograph(16, 8), &[TransformConfig::to_pixels()]).expect("decodes");
     let corner = apply(pixels.clone(), &[crop(Some(0), Some(0))]).expect("fits");
@@ -68,7 +68,7 @@ fn every_picture_is_changed_and_nothing_else() {
 }
 
 #[test]
-fn what_is_no_picture_fails_alone() {
+fn non_picture_fails_one_sample() {
     let error = apply(Sample::of(Description::bytes(), "abc".into()), &[RESIZE]).expect_err("is none");
     assert!(error.to_string().contains("plain bytes, not a picture"), "{error}");
     let mut broken = photograph(64, 48);

@@ -1,58 +1,58 @@
-//! Figures that are estimated from samples, with their intervals, in ms.
+//! Estimates from samples with their intervals, in ms.
 
 use super::milliseconds::own_decimals;
 use super::{between, decimals, fixed, has_digit, plus};
 
-/// No estimate is shown finer than a picosecond for its interval's sake.
-const FINEST: usize = 9;
+/// Largest number of decimals of an estimate: a picosecond.
+const MAX_DECIMALS: usize = 9;
 
-/// An estimate and the interval that it lies in. The last digit of both is that of the interval's second significant one:
-/// unlike a bound of the clocks it has no least width.
+/// Estimate with its interval. Both end with the second significant digit of the interval's half width. Unlike a
+/// bound from clocks, an interval may be arbitrarily narrow.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Estimate {
-    /// In ms.
+    /// Estimated value, ms.
     value: f64,
     interval: (f64, f64),
     decimals: usize,
 }
 
 impl Estimate {
-    /// Of seconds. An interval without width gives the digits of the value's own size.
+    /// Creates an estimate from seconds. If the interval has no width, the digits follow from the value's size.
     pub fn new(seconds: f64, (lo, hi): (f64, f64)) -> Self {
         let [value, lo, hi] = [seconds, lo, hi].map(|seconds| seconds * 1e3);
         let half_width = (hi - lo) / 2.0;
         let decimals =
-            if half_width > 0.0 { decimals(half_width, 2).min(FINEST) } else { own_decimals(value) };
+            if half_width > 0.0 { decimals(half_width, 2).min(MAX_DECIMALS) } else { own_decimals(value) };
         Self { value, interval: (lo, hi), decimals }
     }
 
-    /// Returns how many decimals the interval supports.
+    /// Returns the number of decimals that the interval supports.
     pub fn decimals(&self) -> usize {
         self.decimals
     }
 
-    /// The same with so many decimals, as the others of its column have.
+    /// Returns the estimate with this number of decimals, such as that of its column.
     #[must_use]
     pub fn with_decimals(self, decimals: usize) -> Self {
         Self { decimals, ..self }
     }
 
-    /// Without its unit: `0.0183`, `−0.00070`.
+    /// Formats the value without its unit: `0.0183`, `−0.00070`.
     pub fn value(&self) -> String {
         self.shown(self.value)
     }
 
-    /// With a plus where it is more than zero.
+    /// Formats the value with its sign.
     pub fn signed(&self) -> String {
         plus(self.value())
     }
 
-    /// Both ends: `0.0179 – 0.0187`, `−1.54 to −1.35`.
+    /// Formats both ends: `0.0179 – 0.0187`, `−1.54 to −1.35`.
     pub fn between(&self) -> String {
         between(self.ends())
     }
 
-    /// Both ends with their signs: `−0.65 to +0.63`.
+    /// Formats both ends with their signs: `−0.65 to +0.63`.
     pub fn shift(&self) -> String {
         self.ends().map(plus).join(" to ")
     }
@@ -61,7 +61,8 @@ impl Estimate {
         [self.interval.0, self.interval.1].map(|end| self.shown(end))
     }
 
-    /// What is not zero does not become zero where the whole interval is on one side of it: one digit is left.
+    /// Formats a number. If the interval excludes zero, a number other than zero keeps at least one digit, so that it
+    /// is not shown as zero.
     fn shown(&self, value: f64) -> String {
         let is_apart = self.interval.0 > 0.0 || self.interval.1 < 0.0;
         let first = if is_apart && value != 0.0 { -value.abs().log10().floor() } else { 0.0 };
@@ -93,7 +94,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_more_than_chance_does_not_touch_zero() {
+    fn significant_difference_excludes_zero() {
         let told = |it: Estimate| format!("{}, {}", it.signed(), it.shift());
         assert_eq!(
             told(of(-0.000_7, -0.001_2, -0.000_2)),
@@ -106,7 +107,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn ends_that_differ_are_told_apart_and_from_zero(
+        fn different_ends_are_distinct_after_rounding(
             lo in -9f64..3.0, width in -6f64..6.0, is_negative in any::<bool>()
         ) {
             let lo = 10f64.powf(lo);

@@ -1,8 +1,8 @@
-//! Lengths of time in words.
+//! Formatting of longer durations.
 
 use super::{NONE, SPACE, count, measured};
 
-/// A length of time in words: `0.4 s`, `35 s`, `4 min 12 s`, `2 h 5 min`, `3 d 4 h`.
+/// Formats a duration: `0.4 s`, `35 s`, `4 min 12 s`, `2 h 5 min`, `3 d 4 h`.
 pub fn length(seconds: f64) -> String {
     if !seconds.is_finite() || seconds < 0.0 {
         return NONE.to_owned();
@@ -22,7 +22,7 @@ pub fn length(seconds: f64) -> String {
     shown.map(|(_, (value, unit))| format!("{}{SPACE}{unit}", count(*value))).collect::<Vec<_>>().join(" ")
 }
 
-/// A length of time as far as an estimate goes: `40 s`, `5 min`, `3 h 20 min`.
+/// Formats a duration with the precision of an estimate: `40 s`, `5 min`, `3 h 20 min`.
 pub fn roughly(seconds: f64) -> String {
     let step = match seconds {
         seconds if seconds < 60.0 => 10.0,
@@ -30,6 +30,6 @@ pub fn roughly(seconds: f64) -> String {
         seconds if seconds < 86_400.0 => 600.0,
         _ => 3_600.0,
     };
-    // Rounded up: what ends sooner than it was said disappoints nobody.
+    // Rounded up, because ending earlier than announced does no harm.
     length((seconds / step).ceil() * step)
 }

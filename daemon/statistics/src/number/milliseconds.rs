@@ -1,61 +1,64 @@
-//! Durations, in ms wherever they are compared.
+//! Formatting of durations, in ms where they are compared.
 
 use super::{Quantity, between, decimals, figure, fixed, measured, signed};
 
-/// Most decimals of a figure in ms: a nanosecond.
-const MOST: usize = 6;
-/// Decimals of a tenth of a microsecond.
+/// Largest number of decimals of a value in ms: a nanosecond.
+const MAX_DECIMALS: usize = 6;
+/// Number of decimals for a resolution of a tenth of a microsecond.
 const TENTH_OF_MICROSECOND: usize = 4;
-/// Below so many ms there is nothing that a clock could tell from zero.
+/// Durations below this number of ms are shorter than a clock can distinguish from zero.
 const NOTHING: f64 = 1e-6;
 
-/// Below so many ms two decimals are one digit.
+/// Durations below this number of ms would have one significant digit with two decimals.
 const SHORT: f64 = 0.099_95;
 
-/// Decimals of a column of figures that have a bound or deviation.
-const LEAST_IN_COLUMN: usize = 2;
-const MOST_IN_COLUMN: usize = 3;
+/// Smallest number of decimals in a column of values with a bound or deviation.
+const MIN_COLUMN_DECIMALS: usize = 2;
+/// Largest number of decimals in such a column.
+const MAX_COLUMN_DECIMALS: usize = 3;
 
-/// The decimals of a number of ms that has no interval: three significant digits, to the nanosecond.
+/// Returns the number of decimals of a value in ms without an interval: three significant digits, to the nanosecond.
 pub(super) fn own_decimals(ms: f64) -> usize {
-    if ms.abs() < NOTHING { 2 } else { decimals(ms, 3).min(MOST) }
+    if ms.abs() < NOTHING { 2 } else { decimals(ms, 3).min(MAX_DECIMALS) }
 }
 
-/// Seconds in ms with three significant digits: `0.126`, `6.31`, `16.1`, `141`.
+/// Formats seconds in ms with three significant digits: `0.126`, `6.31`, `16.1`, `141`.
 pub fn milliseconds(seconds: f64) -> String {
     fixed(seconds * 1e3, own_decimals(seconds * 1e3))
 }
 
-/// A duration in a sentence or figure: in ms, from 1,000 ms on in s.
+/// Formats a duration for a sentence or as a figure: in ms, from 1,000 ms on in s.
 pub fn duration(seconds: f64) -> Quantity {
     if seconds.abs() < 0.999_5 { short_duration(seconds) } else { Quantity::new(figure(seconds), "s") }
 }
 
-/// A duration in a figure that is always in ms. What two decimals would leave with one digit has three: `0.0183 ms`.
+/// Formats a duration as a figure that is always in ms. It has three significant digits where two decimals would
+/// leave one: `0.0183 ms`.
 pub fn short_duration(seconds: f64) -> Quantity {
     let ms = seconds * 1e3;
     let text = if ms.abs() < SHORT { milliseconds(seconds) } else { figure(ms) };
     Quantity::new(text, "ms")
 }
 
-/// A stage's duration in a table, in ms with two decimals; what would round to nothing is `<0.01`.
+/// Formats a stage's duration for a table, in ms with two decimals; a value that would be rounded to zero is `<0.01`.
 pub fn stage_ms(seconds: f64) -> String {
     measured(seconds * 1e3, 2)
 }
 
-/// A total on a live page, in ms with one decimal.
+/// Formats a total for a live page, in ms with one decimal.
 pub fn total_ms(seconds: f64) -> String {
     measured(seconds * 1e3, 1)
 }
 
-/// A difference of durations in ms: `+0.03`, `−0.02`; zero has no sign.
+/// Formats a difference of durations in ms: `+0.03`, `−0.02`; zero has no sign.
 pub fn difference_ms(seconds: f64) -> String {
     signed(seconds * 1e3, 2)
 }
 
-/// Mean and deviation, or value and margin, in ms, `16.2` and `1.1`: the last digit of both is the second one of the
-/// deviation, to a tenth of a microsecond, and finer where the value itself is shorter. Without a deviation a value has
-/// three digits.
+/// Formats mean and deviation, or value and margin, in ms: `16.2` and `1.1`.
+///
+/// Both end with the second digit of the deviation, down to a tenth of a microsecond, or further if the value is
+/// shorter. Without a deviation the value has three digits.
 pub fn mean_std_ms(mean: f64, std: Option<f64>) -> (String, Option<String>) {
     let std = std.filter(|std| std.is_finite());
     let decimals = match std {
@@ -67,7 +70,7 @@ pub fn mean_std_ms(mean: f64, std: Option<f64>) -> (String, Option<String>) {
     (fixed(mean * 1e3, decimals), std.map(|std| fixed(std * 1e3, decimals)))
 }
 
-/// The same in one text: `16.2 ± 1.1`.
+/// Formats mean and deviation as one text: `16.2 ± 1.1`.
 pub fn mean_std(mean: f64, std: Option<f64>) -> String {
     match mean_std_ms(mean, std) {
         (mean, Some(std)) => format!("{mean} ± {std}"),
@@ -75,8 +78,8 @@ pub fn mean_std(mean: f64, std: Option<f64>) -> String {
     }
 }
 
-/// An interval of what was measured, in ms, to the second digit of its half width: `0.0418 – 0.0561`, `−1.54 to −1.35`. One
-/// figure where the ends are the same.
+/// Formats an interval of measured values in ms, to the second digit of its half width: `0.0418 – 0.0561`,
+/// `−1.54 to −1.35`. Equal ends give one number.
 pub fn range_ms((lo, hi): (f64, f64)) -> String {
     if lo == hi {
         return milliseconds(lo);
@@ -85,24 +88,25 @@ pub fn range_ms((lo, hi): (f64, f64)) -> String {
     between([lo, hi].map(|end| fixed(end * 1e3, decimals)))
 }
 
-/// The decimals of a column of ms of whose figures is known how far they can be off: two, or three where the half width
-/// has its second digit there. All figures of a stage have as many, so that they compare.
+/// Returns the number of decimals of a column in ms whose values have a known error: two, or three if the half width
+/// has its second digit there. All values of a stage have the same number, so that they can be compared.
 pub fn column_decimals(half_width: Option<f64>) -> usize {
     match half_width {
-        None => LEAST_IN_COLUMN,
-        // Exact: as fine as it is measured.
-        Some(0.0) => MOST_IN_COLUMN,
-        Some(half_width) => decimals(half_width * 1e3, 2).clamp(LEAST_IN_COLUMN, MOST_IN_COLUMN),
+        None => MIN_COLUMN_DECIMALS,
+        // Exact values are shown as precisely as they are measured.
+        Some(0.0) => MAX_COLUMN_DECIMALS,
+        Some(half_width) => decimals(half_width * 1e3, 2).clamp(MIN_COLUMN_DECIMALS, MAX_COLUMN_DECIMALS),
     }
 }
 
-/// A round trip in ms: as any figure, and to the microsecond where it is short: `1.30`, `0.018`.
+/// Formats a round trip in ms with three significant digits and at most two decimals; a short one to the microsecond:
+/// `1.30`, `0.018`.
 pub fn trip_ms(seconds: f64) -> String {
     let ms = seconds * 1e3;
     measured(ms, if ms.abs() < 0.095 { 3 } else { decimals(ms, 3).min(2) })
 }
 
-/// An error in seconds, in ms with two significant digits.
+/// Formats an error in seconds, in ms with two significant digits.
 pub fn error_ms(seconds: f64) -> String {
-    fixed(seconds * 1e3, decimals(seconds * 1e3, 2).min(MOST))
+    fixed(seconds * 1e3, decimals(seconds * 1e3, 2).min(MAX_DECIMALS))
 }

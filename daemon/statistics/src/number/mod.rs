@@ -1,8 +1,9 @@
-//! Numbers as people read them: one place, so that a figure looks the same on every page, in every table and in every
-//! line of a program.
+//! Formatting of numbers for people, so that a value looks the same on every page, in every table and in every
+//! program.
 //!
-//! Values come in SI base units, as they are stored, and leave as text without its unit, which stands in a column's name or
-//! beside the number ([`Quantity`]). The dashboard's script follows the same rules; `tests/numbers.json` has cases for both.
+//! Values are given in SI base units, as they are stored. The result is text without the unit, which is in the
+//! column's name or beside the number ([`Quantity`]). The dashboard's script follows the same rules;
+//! `tests/numbers.json` has test cases for both.
 
 mod bounds;
 mod estimate;
@@ -23,32 +24,34 @@ pub use quantity::{
     Quantity, bytes, gigabytes, percent, rate, share, throughput, throughput_between, throughput_with, times,
 };
 
-/// What stands where a number does not exist or is not known.
+/// Text for a number that does not exist or is not known.
 pub const NONE: &str = "—";
-/// Between a number and its unit on a page: a narrow space at which no line breaks.
+/// Narrow no-break space between a number and its unit on a page.
 pub const SPACE: &str = "\u{202f}";
-/// What stands where a bound would, if there is nothing to bound.
+/// Text instead of a bound of zero.
 pub const EXACT: &str = "exact";
 
 const MINUS: &str = "\u{2212}";
 
-/// From this on a number is written with its power of ten: its digits say nothing any more.
+/// From this magnitude on a number is written with its power of ten, because its digits mean nothing any more.
 const HUGE: f64 = 1e12;
-/// Below this it is as well, where so small a number is told from zero at all.
+/// Below this magnitude a number is written with its power of ten, if it has enough decimals to differ from zero.
 const TINY: f64 = 1e-12;
-/// No number has more decimals that say something.
-const MOST_DIGITS: usize = 17;
+/// Largest number of decimals that is meaningful.
+const MAX_DIGITS: usize = 17;
 
-/// A number with a fixed count of decimals: a true minus sign, thousands with commas, no signed zero. From 10¹² on, and
-/// below 10⁻¹² where the decimals reach that far, four significant digits and the power of ten: `−1.234e300`. What is not
-/// a number is [`NONE`].
+/// Formats a number with a fixed number of decimals: with a true minus sign, commas between thousands, and no signed
+/// zero.
+///
+/// From 10¹² on, and below 10⁻¹² if there are enough decimals, it has four significant digits and the power of ten:
+/// `−1.234e300`. A number that is not finite gives [`NONE`].
 pub fn fixed(value: f64, decimals: usize) -> String {
     if !value.is_finite() {
         return NONE.to_owned();
     }
-    let decimals = decimals.min(MOST_DIGITS);
+    let decimals = decimals.min(MAX_DIGITS);
     let size = value.abs();
-    let is_tiny = value != 0.0 && size < TINY && decimals == MOST_DIGITS;
+    let is_tiny = value != 0.0 && size < TINY && decimals == MAX_DIGITS;
     if size >= HUGE || is_tiny {
         let sign = if value < 0.0 { MINUS } else { "" };
         return format!("{sign}{size:.3e}");
@@ -71,40 +74,40 @@ fn group(digits: &str) -> String {
     grouped
 }
 
-/// A count: `17,640`.
+/// Formats a count: `17,640`.
 pub fn count(value: u64) -> String {
     group(&value.to_string())
 }
 
-/// So many of something: `1 iteration`, `2,000 iterations`.
+/// Formats a count with its noun: `1 iteration`, `2,000 iterations`.
 pub fn counted(value: u64, what: &str) -> String {
     format!("{} {what}{}", count(value), if value == 1 { "" } else { "s" })
 }
 
-/// How many decimals show so many significant digits.
+/// Returns the number of decimals that show this number of significant digits.
 pub fn decimals(value: f64, digits: usize) -> usize {
     let after_first = digits.saturating_sub(1);
     if value == 0.0 || !value.is_finite() {
         return after_first;
     }
-    // Rounded first, because that may carry into the next place: 0.09996 has three digits as 0.100.
+    // Rounded first, because rounding may carry into the next place: 0.09996 has three digits as 0.100.
     let rounded = format!("{value:.after_first$e}");
     let power: i32 = rounded.split_once('e').and_then(|(_, power)| power.parse().ok()).unwrap_or_default();
     usize::try_from(after_first as i32 - power).unwrap_or_default()
 }
 
-/// A number with three significant digits, however small it is: `0.00631`, `0.620`, `16.1`, `1,243`.
+/// Formats a number with three significant digits, however small it is: `0.00631`, `0.620`, `16.1`, `1,243`.
 pub fn significant(value: f64) -> String {
     fixed(value, decimals(value, 3))
 }
 
-/// A number in a sentence or figure: three significant digits, but not more than two decimals: `0.62`, `6.31`, `16.1`,
-/// `141`.
+/// Formats a number for a sentence or as a figure: three significant digits, but at most two decimals: `0.62`,
+/// `6.31`, `16.1`, `141`.
 pub fn figure(value: f64) -> String {
     fixed(value, decimals(value, 3).min(2))
 }
 
-/// A measured number that is not negative: `0` is exactly zero, `<0.01` is small.
+/// Formats a measured number that is not negative: `0` is exactly zero, `<0.01` is a small number.
 pub fn measured(value: f64, decimals: usize) -> String {
     let smallest = 10f64.powi(-(decimals as i32));
     if value == 0.0 {
@@ -116,7 +119,7 @@ pub fn measured(value: f64, decimals: usize) -> String {
     }
 }
 
-/// With a plus where it is more than zero as shown.
+/// Formats a number with its sign, unless it is shown as zero.
 fn signed(value: f64, decimals: usize) -> String {
     plus(fixed(value, decimals))
 }
@@ -125,13 +128,13 @@ fn plus(text: String) -> String {
     if !text.starts_with(MINUS) && has_digit(&text) { format!("+{text}") } else { text }
 }
 
-/// Whether a number is not zero as shown.
+/// Returns whether a number is shown as other than zero.
 fn has_digit(text: &str) -> bool {
     text.bytes().any(|digit| (b'1'..=b'9').contains(&digit))
 }
 
-/// Both ends of an interval: a dash, or a word, because a dash before a minus is hard to read. One number where both ends
-/// read the same.
+/// Joins both ends of an interval by a dash, or by a word, because a dash before a minus sign is hard to read. Equal
+/// ends give one number.
 fn between([lo, hi]: [String; 2]) -> String {
     match (lo == hi, lo.starts_with(MINUS) || hi.starts_with(MINUS)) {
         (true, _) => lo,

@@ -1,18 +1,18 @@
-//! Shares, rates and sizes.
+//! Formatting of shares, rates and sizes.
 
 use std::fmt;
 
 use super::{SPACE, decimals, fixed, measured, significant};
 
-/// Most decimals of a throughput in MB/s: a byte per second.
-const MOST: usize = 6;
+/// Largest number of decimals of a throughput in MB/s: a byte per second.
+const MAX_DECIMALS: usize = 6;
 
-/// A number and its unit. A page sets the unit quieter than the number, so they are kept apart.
+/// Number and unit, kept apart because a page formats them differently.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Quantity {
     /// The digits.
     pub number: String,
-    /// The unit's symbol.
+    /// Symbol of the unit.
     pub unit: &'static str,
 }
 
@@ -21,20 +21,20 @@ impl Quantity {
         Self { number, unit }
     }
 
-    /// The text for a terminal or a file, with an ordinary space: `26.2 kB`.
+    /// Returns the text for a terminal or a file, with an ordinary space: `26.2 kB`.
     pub fn plain(&self) -> String {
         format!("{} {}", self.number, self.unit)
     }
 }
 
-/// With the narrow space of a page.
+/// Formats the quantity for a page, with a narrow space.
 impl fmt::Display for Quantity {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "{}{SPACE}{}", self.number, self.unit)
     }
 }
 
-/// A share in percent without its sign: `0`, `<0.01`, `0.02`, `1.3`, `14`.
+/// Formats a share in percent without its sign: `0`, `<0.01`, `0.02`, `1.3`, `14`.
 pub fn percent(share: f64) -> String {
     let value = share * 100.0;
     match value {
@@ -44,12 +44,12 @@ pub fn percent(share: f64) -> String {
     }
 }
 
-/// A share of a whole in percent with one decimal: `29.0`.
+/// Formats a share of a whole in percent with one decimal: `29.0`.
 pub fn share(share: f64) -> String {
     measured(share * 100.0, 1)
 }
 
-/// Something per second: `0`, `5.00`, `30.0`, `12,346`.
+/// Formats a rate per second: `0`, `5.00`, `30.0`, `12,346`.
 pub fn rate(hz: f64) -> String {
     match hz {
         0.0 => "0".to_owned(),
@@ -59,32 +59,32 @@ pub fn rate(hz: f64) -> String {
     }
 }
 
-/// Bits per second in MB/s with three significant digits: `0.00625`, `0.690`, `106`.
+/// Formats bits per second in MB/s with three significant digits: `0.00625`, `0.690`, `106`.
 pub fn throughput(bits_per_second: f64) -> String {
     let value = bits_per_second / 8e6;
-    if value == 0.0 { "0".to_owned() } else { fixed(value, decimals(value, 3).min(MOST)) }
+    if value == 0.0 { "0".to_owned() } else { fixed(value, decimals(value, 3).min(MAX_DECIMALS)) }
 }
 
-/// Bits per second with their margin in MB/s: `943 ± 14`, to the margin's second digit.
+/// Formats bits per second with their margin in MB/s, to the margin's second digit: `943 ± 14`.
 pub fn throughput_with(bits_per_second: f64, margin: f64) -> String {
     let [rate, margin] = [bits_per_second, margin].map(|bits| bits / 8e6);
-    let decimals = if margin > 0.0 { decimals(margin, 2) } else { decimals(rate, 3) }.min(MOST);
+    let decimals = if margin > 0.0 { decimals(margin, 2) } else { decimals(rate, 3) }.min(MAX_DECIMALS);
     format!("{} ± {}", fixed(rate, decimals), fixed(margin, decimals))
 }
 
-/// An interval of bits per second in MB/s, to the second digit of its half width: `930 – 957`. One without a finite upper
-/// end is open: `≥ 1.00`.
+/// Formats an interval of bits per second in MB/s, to the second digit of its half width: `930 – 957`. An interval
+/// without a finite upper end is open: `≥ 1.00`.
 pub fn throughput_between((lo, hi): (f64, Option<f64>)) -> String {
     let Some(hi) = hi.filter(|hi| hi.is_finite()) else { return format!("≥ {}", throughput(lo)) };
     if lo == hi {
         return throughput(lo);
     }
-    let decimals = decimals((hi - lo) / 2.0 / 8e6, 2).min(MOST);
+    let decimals = decimals((hi - lo) / 2.0 / 8e6, 2).min(MAX_DECIMALS);
     super::between([lo, hi].map(|end| fixed(end / 8e6, decimals)))
 }
 
-/// A size in decimal units, with the largest that leaves at least 1: `412 B`, `151 kB`, `1.2 MB`. Bytes are counted, so
-/// that a zero at the end says nothing and is left out.
+/// Formats a size in decimal units, in the largest unit that leaves at least 1: `412 B`, `151 kB`, `1.2 MB`. Zeros at
+/// the end are left out, because bytes are counted exactly.
 pub fn bytes(value: f64) -> Quantity {
     const UNITS: [&str; 5] = ["B", "kB", "MB", "GB", "TB"];
     if value < 999.5 {
@@ -101,12 +101,12 @@ pub fn bytes(value: f64) -> Quantity {
     Quantity::new(text.to_owned(), UNITS[unit])
 }
 
-/// Gigabytes with one decimal: `5.2`.
+/// Formats bytes in gigabytes with one decimal: `5.2`.
 pub fn gigabytes(bytes: u64) -> String {
     measured(bytes as f64 / 1e9, 1)
 }
 
-/// How many times: `1.9 ×`.
+/// Formats a ratio: `1.9 ×`.
 pub fn times(ratio: f64) -> String {
     let text = match ratio.abs() {
         size if size < 0.995 => fixed(ratio, 2),

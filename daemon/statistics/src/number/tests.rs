@@ -3,7 +3,7 @@ use serde_json::Value;
 
 use super::*;
 
-/// Cases that `tests/browser/numbers.mjs` holds the dashboard's script to as well.
+/// Test cases that `tests/browser/numbers.mjs` also applies to the dashboard's script.
 const CASES: &str = include_str!("../../tests/numbers.json");
 
 fn number(value: &Value) -> f64 {
@@ -11,7 +11,7 @@ fn number(value: &Value) -> f64 {
 }
 
 #[test]
-fn every_case_of_the_shared_table_is_written_as_it_says() {
+fn shared_table_of_numbers_is_formatted_as_listed() {
     let cases: Value = serde_json::from_str(CASES).expect("JSON");
     for (function, cases) in cases.as_object().expect("functions") {
         for case in cases.as_array().expect("cases") {
@@ -29,7 +29,7 @@ fn every_case_of_the_shared_table_is_written_as_it_says() {
 }
 
 #[test]
-fn what_rounds_to_a_power_of_ten_has_three_digits_too() {
+fn rounding_to_power_of_ten_keeps_three_digits() {
     let shown = [0.099_99, 0.009_996, 0.999_6, 0.099_94].map(|value| milliseconds(value / 1e3));
     assert_eq!(shown, ["0.100", "0.0100", "1.00", "0.0999"]);
 }
@@ -56,7 +56,7 @@ fn durations_have_three_significant_digits_or_two_decimals() {
 }
 
 #[test]
-fn a_table_keeps_its_decimals_and_tells_small_from_zero() {
+fn table_keeps_decimals_and_distinguishes_small_from_zero() {
     assert_eq!(stage_ms(0.004_70), "4.70");
     assert_eq!(stage_ms(0.033_46), "33.46");
     assert_eq!(stage_ms(1.204_18), "1,204.18");
@@ -77,7 +77,7 @@ fn differences_carry_their_sign_and_zero_has_none() {
 }
 
 #[test]
-fn a_value_has_no_more_digits_than_its_deviation_supports() {
+fn deviation_limits_digits_of_value() {
     assert_eq!(mean_std_ms(0.016_22, Some(0.001_1)), ("16.2".into(), Some("1.1".into())));
     assert_eq!(mean_std_ms(0.006_34, Some(0.000_91)), ("6.34".into(), Some("0.91".into())));
     assert_eq!(mean_std_ms(0.141_2, Some(0.023)), ("141".into(), Some("23".into())));
@@ -107,7 +107,7 @@ fn a_value_has_no_more_digits_than_its_deviation_supports() {
 }
 
 #[test]
-fn digits_follow_the_bound_and_negative_ends_are_parted_by_a_word() {
+fn digits_follow_bound_and_negative_ends_use_to() {
     assert_eq!(offset_ms(0.250, 0.125), "+250");
     assert_eq!(interval_ms(0.250, 0.290), "250 – 290");
     assert_eq!(interval_ms(-1.201_538, -1.201_350), "\u{2212}1,201.538 to \u{2212}1,201.350");
@@ -152,14 +152,14 @@ fn lengths_in_words() {
 }
 
 #[test]
-fn what_is_not_a_number_is_a_dash() {
+fn nan_is_shown_as_dash() {
     assert_eq!(fixed(f64::NAN, 2), NONE);
     assert_eq!(stage_ms(f64::INFINITY), NONE);
 }
 
 proptest! {
     #[test]
-    fn what_is_shown_is_what_was_measured(value in -1e12f64..1e12, decimals in 0usize..4) {
+    fn shown_figure_equals_rounded_measurement(value in -1e12f64..1e12, decimals in 0usize..4) {
         let text = fixed(value, decimals);
         let back: f64 = text.replace(',', "").replace('\u{2212}', "-").parse().expect("a number again");
         prop_assert!((back - value).abs() <= 0.51 * 10f64.powi(-(decimals as i32)) + value.abs() * 1e-12);
@@ -167,7 +167,7 @@ proptest! {
     }
 
     #[test]
-    fn any_figure_has_at_most_three_digits_below_a_thousand(value in 0f64..999.0) {
+    fn figures_below_thousand_have_three_digits_at_most(value in 0f64..999.0) {
         prop_assert!(figure(value).chars().filter(char::is_ascii_digit).count() <= 3);
     }
 }
@@ -187,7 +187,7 @@ fn estimates_claim_no_more_than_they_know() {
 }
 
 #[test]
-fn values_with_a_margin_end_at_its_second_digit() {
+fn value_ends_at_second_digit_of_margin() {
     assert_eq!(mean_std(61.23e-6, Some(4.21e-6)), "0.0612 ± 0.0042");
     assert_eq!(mean_std(-2.0142e-3, Some(0.11e-3)), "\u{2212}2.01 ± 0.11");
     assert_eq!(mean_std(6.31e-3, Some(0.0)), "6.31 ± 0.00");
@@ -201,7 +201,7 @@ fn values_with_a_margin_end_at_its_second_digit() {
 }
 
 #[test]
-fn interval_without_width_keeps_the_digits_of_its_value() {
+fn interval_without_width_keeps_digits_of_value() {
     assert_eq!([30.2e-6, 61.2e-6].map(|ms| interval_ms(ms, ms)), ["0.0302", "0.0612"]);
     assert_eq!(
         (interval_ms(30.21e-6, 30.24e-6), range_ms((30.21e-6, 30.24e-6))),
@@ -232,7 +232,7 @@ fn tiny_numbers_have_their_power_of_ten() {
 }
 
 #[test]
-fn figures_of_a_column_have_two_or_three_decimals() {
+fn column_figures_have_two_or_three_decimals() {
     let decimals = [None, Some(0.0), Some(60e-6), Some(0.65e-3), Some(15e-3)].map(column_decimals);
     assert_eq!(decimals, [2, 3, 3, 2, 2]);
     let bounds = [0.0, 0.1e-6, 6e-6, 60e-6, 0.65e-3, 15e-3].map(bound_ms);

@@ -1,37 +1,37 @@
-//! Counts per logarithmic bin, densely stored between the lowest and the highest bin in use.
+//! Counts per logarithmic bin, stored densely between the lowest and the highest bin in use.
 
 use super::Sketch;
 
-/// Bins, at most; the lowest share one when there would be more.
+/// Largest number of bins; the lowest ones share a bin if there would be more.
 pub(super) const MAX: usize = 2048;
 
 const GAMMA: f64 = (1.0 + Sketch::RELATIVE_ERROR) / (1.0 - Sketch::RELATIVE_ERROR);
-/// ln(γ) = 2 artanh(1 %), written out because logarithms are not constant functions.
+/// ln(γ) = 2 artanh(1 %), as a literal because logarithms cannot be computed in constants.
 const LN_GAMMA: f64 = 0.020_000_666_706_669_524;
 const PER_LN_GAMMA: f64 = 1.0 / LN_GAMMA;
 
 /// Keys of all numbers between [`Sketch::SMALLEST`] and the largest finite one, with room for rounding.
 pub(super) const KEYS: std::ops::RangeInclusive<i32> = -1_200..=35_600;
 
-/// Bin of a finite magnitude.
+/// Returns the key of the bin of a finite magnitude.
 #[inline]
 pub(super) fn key(magnitude: f64) -> i32 {
     (magnitude.ln() * PER_LN_GAMMA).ceil() as i32
 }
 
-/// Lower and upper end of a bin; the upper one belongs to it.
+/// Returns the lower and upper end of a bin; the upper end belongs to the bin.
 pub(super) fn range(key: i32) -> (f64, f64) {
     let upper = (f64::from(key) * LN_GAMMA).exp();
     (upper / GAMMA, upper)
 }
 
-/// The number that stands for all of a bin: its relative distance to both ends is the same.
+/// Returns the number that represents a bin: its relative distance to both ends is the same.
 pub(super) fn middle(key: i32) -> f64 {
     let (lower, _) = range(key);
     lower * (1.0 + Sketch::RELATIVE_ERROR)
 }
 
-/// The store: `counts[i]` belongs to key `first + i`.
+/// Bins with their counts: `counts[i]` belongs to the key `first + i`.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Bins {
     first: i32,
@@ -50,7 +50,7 @@ impl Bins {
         self.total += count;
     }
 
-    /// The rare case: the store must grow, or the number is below what it may hold.
+    /// Adds a count in the rare case that the store must grow, or that the key is below the lowest possible one.
     #[cold]
     fn add_outside(&mut self, key: i32, count: u64) {
         self.cover(key, key);
@@ -75,7 +75,7 @@ impl Bins {
         self.total
     }
 
-    /// Bins that are not empty, lowest first.
+    /// Iterates over the bins that are not empty, lowest first.
     pub(super) fn iter(&self) -> impl DoubleEndedIterator<Item = (i32, u64)> + '_ {
         let keyed = self.counts.iter().enumerate().map(|(index, count)| (self.first + index as i32, *count));
         keyed.filter(|(_, count)| *count > 0)
@@ -85,7 +85,7 @@ impl Bins {
         Some(self.first + i32::try_from(self.counts.len()).ok()? - 1).filter(|_| !self.counts.is_empty())
     }
 
-    /// Makes room for the keys `low..=high`, as far down as [`MAX`] bins reach from the highest.
+    /// Makes room for the keys `low..=high`, as far down as [`MAX`] bins reach from the highest key.
     fn cover(&mut self, low: i32, high: i32) {
         let (lowest, highest) = match self.highest() {
             None => (low, high),
@@ -109,7 +109,7 @@ impl Bins {
     }
 }
 
-/// Two stores are equal when they count the same, however much room they have.
+/// Compares the counts, without regard to the allocated room.
 impl PartialEq for Bins {
     fn eq(&self, other: &Self) -> bool {
         self.total == other.total && self.iter().eq(other.iter())

@@ -1,4 +1,4 @@
-//! A mergeable quantile sketch with a bounded relative error and bounded memory.
+//! Mergeable quantile sketch with bounded relative error and bounded memory.
 
 mod bins;
 mod packed;
@@ -9,15 +9,15 @@ use self::bins::Bins;
 pub use self::packed::PackedError;
 use crate::Merge;
 
-/// Quantiles of numbers of any sign, within 1 % of the true value.
+/// Quantiles of numbers of any sign, with a relative error of at most 1 %.
 ///
-/// DDSketch (Masson, Rim and Lee, VLDB 2019): a number falls into the bin of its rounded-up logarithm to the
-/// base γ = 1.01 / 0.99; the bin's midpoint is within 1 % of everything in it. Merging adds bins and loses
-/// nothing, in whatever order.
+/// DDSketch (Masson, Rim and Lee, VLDB 2019): the bin of a number is its logarithm to the base γ = 1.01 / 0.99,
+/// rounded up; the bin's midpoint differs by at most 1 % from every number in it. Merging adds bins, in any order,
+/// without loss.
 ///
-/// Memory is bounded: at most [`Sketch::MAX_BINS`] bins a sign, which spans a factor of 6 × 10¹⁷ between the
-/// largest number and the smallest one that is told apart; what is nearer to zero than that shares a bin, so
-/// that the large quantiles keep their promise.
+/// Memory is bounded: at most [`Sketch::MAX_BINS`] bins per sign, which span a factor of 6 × 10¹⁷ between the largest
+/// number and the smallest one that is distinguished. Numbers closer to zero share a bin, so that the error of the
+/// large quantiles stays bounded.
 ///
 /// ```
 /// # use peernet_statistics::Sketch;
@@ -29,21 +29,21 @@ use crate::Merge;
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Sketch {
     positive: Bins,
-    /// Bins of the magnitudes.
+    /// Bins of the magnitudes of negative numbers.
     negative: Bins,
     zero: u64,
 }
 
 impl Sketch {
-    /// The relative error of a quantile.
+    /// Largest relative error of a quantile.
     pub const RELATIVE_ERROR: f64 = 0.01;
-    /// Bins per sign, at most.
+    /// Largest number of bins per sign.
     pub const MAX_BINS: usize = bins::MAX;
 
-    /// Numbers nearer to zero than this count as zero: a tenth of a nanosecond, in seconds.
+    /// Numbers of smaller magnitude count as zero: a tenth of a nanosecond, in seconds.
     const SMALLEST: f64 = 1e-10;
 
-    /// Adds a number. What is not finite has no place among quantiles and is left out.
+    /// Adds a number. A number that is not finite is ignored.
     #[inline]
     pub fn record(&mut self, value: f64) {
         let magnitude = value.abs();
@@ -55,22 +55,22 @@ impl Sketch {
         }
     }
 
-    /// Adds all numbers of another; costs one addition per bin.
+    /// Adds all numbers of another sketch, at the cost of one addition per bin.
     pub fn merge(&mut self, other: &Self) {
         self.positive.merge(&other.positive);
         self.negative.merge(&other.negative);
         self.zero += other.zero;
     }
 
-    /// How many numbers.
+    /// Returns the number of recorded numbers.
     pub fn count(&self) -> u64 {
         self.positive.count() + self.negative.count() + self.zero
     }
 
-    /// The number below which a fraction `q` (0 to 1) of all numbers lies; `None` when there are none.
+    /// Returns the number below which the fraction `q` (0 to 1) of all numbers lies; `None` if there are none.
     ///
-    /// Between two neighbours by linear interpolation, as numpy's default and the tables do it (definition 7 of
-    /// Hyndman and Fan 1996). Both neighbours are known within 1 %, and so is what lies between two of one sign.
+    /// Interpolates linearly between neighbours, like numpy by default (definition 7 of Hyndman and Fan 1996). Both
+    /// neighbours are known within 1 %, and so is every value between two neighbours of the same sign.
     pub fn quantile(&self, q: f64) -> Option<f64> {
         let rank = q.clamp(0.0, 1.0) * self.count().checked_sub(1)? as f64;
         let (lower, upper) = (rank.floor() as u64, rank.ceil() as u64);
@@ -85,7 +85,7 @@ impl Sketch {
         })
     }
 
-    /// Midpoints and counts of all bins that are not empty, in rising order of midpoints.
+    /// Iterates over midpoints and counts of all bins that are not empty, in ascending order of midpoints.
     pub fn bins(&self) -> impl Iterator<Item = (f64, u64)> + '_ {
         let negative = self.negative.iter().rev().map(|(key, count)| (-bins::middle(key), count));
         let zero = (self.zero > 0).then_some((0.0, self.zero));
@@ -93,8 +93,8 @@ impl Sketch {
         negative.chain(zero).chain(positive)
     }
 
-    /// How many numbers lie below `x`, for drawing: numbers within one bin count as spread evenly over it, so
-    /// the answer may be a fraction.
+    /// Returns the number of values below `x`, for drawing. Values within a bin count as evenly distributed, so that
+    /// the result may be a fraction.
     pub fn count_below(&self, x: f64) -> f64 {
         let part = |lower: f64, upper: f64| ((x - lower) / (upper - lower)).clamp(0.0, 1.0);
         let negative = self.negative.iter().map(|(key, count)| {
@@ -109,14 +109,14 @@ impl Sketch {
         negative.sum::<f64>() + zero + positive.sum::<f64>()
     }
 
-    /// The share of all numbers, 0 to 1, that lies below `x`; `None` when there are none.
+    /// Returns the share of all numbers below `x`, 0 to 1; `None` if there are none.
     pub fn fraction_below(&self, x: f64) -> Option<f64> {
         let count = self.count();
         (count > 0).then(|| self.count_below(x) / count as f64)
     }
 
-    /// How many numbers lie between each edge and the next (lower edge included, upper one not), for
-    /// drawing; `edges` must rise. One bar fewer than edges; counts may be fractions.
+    /// Returns the number of values between each edge and the next (lower edge included, upper edge excluded), for
+    /// drawing. `edges` must be ascending. The result has one element fewer than `edges`; elements may be fractions.
     pub fn histogram(&self, edges: &[f64]) -> Vec<f64> {
         edges
             .windows(2)
@@ -124,15 +124,15 @@ impl Sketch {
             .collect()
     }
 
-    /// The compact form that is stored and sent: usually two bytes per bin that is not empty.
+    /// Returns the packed form that is stored and sent: usually two bytes per bin that is not empty.
     pub fn to_bytes(&self) -> Vec<u8> {
         packed::pack(self)
     }
 
-    /// Reads the compact form back.
+    /// Reads the packed form.
     ///
     /// # Errors
-    /// When the bytes are not a sketch; they may come from anyone.
+    /// If the bytes are not a sketch. They may come from anyone.
     pub fn from_bytes(bytes: &[u8]) -> Result<Self, PackedError> {
         packed::unpack(bytes)
     }

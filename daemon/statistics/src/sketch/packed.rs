@@ -1,25 +1,27 @@
-//! The compact form: three runs of LEB128 numbers, the zeros' count, the negative and the positive bins. A run
-//! of bins is its length, the lowest key (zigzag) and, bin by bin, the count and the distance to the next key.
+//! Packed form of a sketch: LEB128 numbers for the count of zeros, the negative bins and the positive bins.
+//!
+//! A list of bins is its length, the lowest key (zigzag), and for each bin its count and the distance to the next
+//! key.
 
 use super::Sketch;
 use super::bins::{Bins, KEYS, MAX};
 
-/// Bytes that are not a sketch.
+/// Reason that bytes are not a sketch.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum PackedError {
     /// The bytes end too early, or a number is longer than 64 bits.
     #[error("the sketch is cut off or damaged at byte {0}")]
     Damaged(usize),
-    /// More bins than a sketch has.
+    /// The sketch has more bins than permitted.
     #[error("the sketch has {0} bins, the limit is {max}", max = MAX)]
     TooManyBins(u64),
-    /// A bin that no finite number falls into, a bin twice, or bins too far apart.
+    /// A bin is outside of the range of finite numbers, occurs twice, is empty, or is too far from the first one.
     #[error("the sketch has a bin that cannot be")]
     ImpossibleBin,
-    /// The counts add up to more than 2⁵³: no one counted that, and sums of such counts could overflow.
+    /// The counts add up to more than 2⁵³. No sketch counts that much, and sums of such counts could overflow.
     #[error("the sketch counts more numbers than can be counted")]
     Overflow,
-    /// Something follows.
+    /// Bytes follow the sketch.
     #[error("{0} bytes follow the sketch")]
     Trailing(usize),
 }

@@ -8,7 +8,7 @@ fn of(values: &[f64]) -> Sketch {
     sketch
 }
 
-/// The quantile from all numbers, and by how much it may be missed: 1 % of each neighbour's share in it.
+/// Returns the quantile of all numbers, and the permitted error: 1 % of each neighbour's share.
 fn exact(values: &[f64], q: f64) -> (f64, f64) {
     let mut sorted = values.to_vec();
     sorted.sort_by(f64::total_cmp);
@@ -18,8 +18,8 @@ fn exact(values: &[f64], q: f64) -> (f64, f64) {
     (between(lower, upper), between(lower.abs(), upper.abs()) * Sketch::RELATIVE_ERROR)
 }
 
-/// Durations, throughputs and temperatures as well as shapes that sketches find hard.
-/// Together they span a factor below the 6 × 10¹⁷ that a sketch tells apart.
+/// Generates durations, throughputs and temperatures, and distributions that are difficult for sketches. Together
+/// they span less than the factor of 6 × 10¹⁷ that a sketch distinguishes.
 fn numbers() -> impl Strategy<Value = Vec<f64>> {
     let uniform = 1e-6..1e7_f64;
     let signed = (-1e3..1e3_f64).prop_filter("counts as zero", |value| value.abs() >= Sketch::SMALLEST);
@@ -64,7 +64,7 @@ proptest! {
     }
 
     #[test]
-    fn the_compact_form_leads_back(values in numbers()) {
+    fn compact_form_is_read_back(values in numbers()) {
         let sketch = of(&values);
         prop_assert_eq!(&Sketch::from_bytes(&sketch.to_bytes()).expect("reads back"), &sketch);
         let wire = rmp_serde::to_vec(&sketch).expect("serialises");
@@ -88,7 +88,7 @@ proptest! {
     }
 
     #[test]
-    fn a_histogram_over_everything_counts_everything(values in numbers()) {
+    fn full_histogram_counts_all_numbers(values in numbers()) {
         let sketch = of(&values);
         let edges = [f64::MIN, -10.0, 0.0, 1e-3, 1.0, 1e3, f64::MAX];
         let bars = sketch.histogram(&edges);
@@ -99,7 +99,7 @@ proptest! {
     }
 
     #[test]
-    fn the_share_below_a_number_is_right_up_to_one_percent_of_the_number(values in numbers(), x in 1e-3..1e3_f64) {
+    fn fraction_below_is_right_within_one_percent(values in numbers(), x in 1e-3..1e3_f64) {
         let share = of(&values).fraction_below(x).expect("not empty");
         let below = |x: f64| values.iter().filter(|value| **value < x).count() as f64 / values.len() as f64;
         prop_assert!(below(x * 0.979) - 1e-9 <= share && share <= below(x * 1.021) + 1e-9);
@@ -107,7 +107,7 @@ proptest! {
 }
 
 #[test]
-fn few_numbers_have_the_quantiles_that_numpy_gives_them() {
+fn quantiles_of_few_numbers_equal_numpy() {
     let sketch = of(&[10.0, 20.0, 40.0]);
     for (q, numpy) in [(0.25, 15.0), (0.5, 20.0), (0.75, 30.0), (0.95, 38.0)] {
         let seen = sketch.quantile(q).expect("not empty");
@@ -123,12 +123,12 @@ fn an_empty_sketch_has_no_quantile() {
 }
 
 #[test]
-fn what_is_not_finite_is_left_out() {
+fn non_finite_numbers_are_ignored() {
     assert_eq!(of(&[f64::NAN, f64::INFINITY, f64::NEG_INFINITY]), Sketch::default());
 }
 
 #[test]
-fn numbers_too_far_below_the_largest_share_a_bin_and_are_still_counted() {
+fn very_small_numbers_share_one_bin() {
     let sketch = of(&[1e-9, 1e-8, 1e300]);
     assert_eq!(sketch.count(), 3);
     let top = sketch.quantile(1.0).expect("not empty");
@@ -136,7 +136,7 @@ fn numbers_too_far_below_the_largest_share_a_bin_and_are_still_counted() {
 }
 
 #[test]
-fn a_typical_stage_packs_small() {
+fn typical_stage_is_stored_in_few_bytes() {
     let values: Vec<f64> = (0..10_000).map(|n| 0.002 * (1.0 + f64::from(n % 100) / 100.0)).collect();
     let bytes = of(&values).to_bytes();
     assert!(bytes.len() < 150, "{}", bytes.len());

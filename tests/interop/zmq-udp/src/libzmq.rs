@@ -1,4 +1,4 @@
-//! As much of libzmq's interface as RADIO and DISH need (`zmq.h`, with drafts).
+//! Binding to the part of libzmq's interface that RADIO and DISH need (`zmq.h`, with drafts).
 
 use std::ffi::{CStr, CString, c_char, c_int, c_void};
 

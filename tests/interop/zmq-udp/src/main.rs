@@ -1,5 +1,5 @@
-//! A relay between an edge and a cloud of `zmq-udp` that reads and writes with a real RADIO and DISH of libzmq in both
-//! directions. Prints the port that the edge is to send to, and runs until it is killed or something is wrong.
+//! Relay between an edge and a cloud of `zmq-udp`, which uses RADIO and DISH of libzmq in both directions. Prints the port
+//! to which the edge has to send, and runs until it is killed or an error occurs.
 //!
 //! Usage: `peernet-interop-zmq-udp CLOUD` (address and port on loopback)
 
@@ -11,18 +11,18 @@ use anyhow::{Context as _, Result, ensure};
 use libzmq::{Context, Socket};
 use socket2::{Domain, Type};
 
-/// The group of all datagrams.
+/// Group of all datagrams.
 const GROUP: &str = "peernet";
 
-/// Where a hello and a request for a connection name the port of the edge's DISH.
+/// First byte of a hello and of a connection request, each with the offset of the port of the edge's DISH.
 const REPLY_PORTS: [(u8, usize); 2] = [(1, 10), (3, 25)];
 
-/// A port that nobody has.
+/// Returns a free port.
 fn free_port() -> Result<u16> {
     Ok(UdpSocket::bind("127.0.0.1:0")?.local_addr()?.port())
 }
 
-/// Passes everything that a DISH receives on to a RADIO; returns why it cannot any more.
+/// Forwards everything that a DISH receives to a RADIO; returns the first error.
 fn pass(from: &Socket, to: &Socket, change: impl Fn(&mut Vec<u8>)) -> Result<()> {
     loop {
         let (group, mut body) = from.receive()?;
@@ -34,13 +34,13 @@ fn pass(from: &Socket, to: &Socket, change: impl Fn(&mut Vec<u8>)) -> Result<()>
 
 fn main() -> Result<()> {
     let cloud: SocketAddr = std::env::args().nth(1).context("no address of a cloud")?.parse()?;
-    // The DISH takes the port while this socket has it, so that nobody finds it closed.
+    // The DISH binds the port while this socket holds it, so that the port is never closed.
     let front = socket2::Socket::new(Domain::IPV4, Type::DGRAM, None)?;
     front.set_reuse_address(true)?;
     front.bind(&SocketAddr::from(([127, 0, 0, 1], 0)).into())?;
     let front = UdpSocket::from(front);
     println!("{}", front.local_addr()?);
-    // libzmq does not tell where a message came from: the first datagram is read here.
+    // libzmq does not report the sender of a message, so that the first datagram is read here.
     let (_, edge) = front.recv_from(&mut [0; 65_536])?;
     let context = Context::new();
     let back = free_port()?;

@@ -1,16 +1,16 @@
-//! Arguments of programs, which may be secret.
+//! Tests of programs' arguments, which may be secret.
 
 use std::os::unix::fs::PermissionsExt;
 use std::path::Path;
 
-use peernet_tests::{Process, Site, program, root};
+use peernet_tests::{LoopbackDeployment, Process, program, root};
 use serde_json::Value;
 
 use crate::experiments::{Results, json};
 
 const SECRET: &str = "hunter2-in-an-argument";
 
-/// Programs with a secret in each of the places where one can stand.
+/// Programs with a secret in each place where one can be.
 const TABLES: &str = r#"
 [[model]]
 name = "own"
@@ -49,16 +49,16 @@ fn fact<'a>(run: &'a Value, name: &str) -> Option<&'a str> {
 }
 
 #[test]
-fn arguments_are_told_by_fingerprints_alone() {
-    let site = Site::new();
-    let (aggregator, api) = site.aggregator();
-    let edge = site.agent("edge", &TABLES.replace("{secret}", SECRET));
+fn arguments_are_published_as_fingerprints() {
+    let deployment = LoopbackDeployment::new();
+    let (aggregator, api) = deployment.aggregator();
+    let edge = deployment.agent("edge", &TABLES.replace("{secret}", SECRET));
     let runs = api.until("/api/v1/runs", |runs| {
         let runs = runs["runs"].as_array()?;
         let ended = runs.len() == 4 && runs.iter().all(|run| !run["reason"].is_null());
         ended.then(|| runs.iter().map(|run| run["number"].as_i64().expect("has one")).collect::<Vec<_>>())
     });
-    // So short a run may be stored before its pipeline has reported itself.
+    // A run of this length may be stored before its pipeline has reported.
     api.until("/api/v1/pipelines", |told| (told["pipelines"].as_array()?.len() == 4).then_some(()));
     let details: Vec<Value> = runs.iter().map(|run| api.json(&format!("/api/v1/runs/{run}"))).collect();
     let of = |pipeline: &str| details.iter().find(|run| run["pipeline"] == pipeline).expect("is there");
@@ -106,8 +106,8 @@ fn arguments_are_told_by_fingerprints_alone() {
     let ended = edge.stop();
     assert!(!ended.log.contains(SECRET), "{}", ended.log);
     aggregator.stop();
-    // Nor is it stored.
-    for file in std::fs::read_dir(site.folder()).expect("is there") {
+    // The database does not contain the secret either.
+    for file in std::fs::read_dir(deployment.folder()).expect("is there") {
         let path = file.expect("is readable").path();
         if path.file_name().is_some_and(|name| name.to_string_lossy().starts_with("aggregator.sqlite")) {
             let bytes = std::fs::read(&path).expect("is readable");
@@ -129,11 +129,11 @@ sensor = { kind = "exec", command = ["{root}/docs/examples/external/light.sh", "
 
 #[test]
 fn run_json_keeps_arguments_from_other_users() {
-    let site = Site::new();
-    let file = site.write("arguments.toml", &EXPERIMENT.replace("{secret}", SECRET));
-    let results = Results::of(site.folder().join("results"));
+    let deployment = LoopbackDeployment::new();
+    let file = deployment.write("arguments.toml", &EXPERIMENT.replace("{secret}", SECRET));
+    let results = Results::of(deployment.folder().join("results"));
     let arguments = [Path::new("run"), &file, Path::new("--result-loc"), &results.folder];
-    let state = site.folder().display().to_string();
+    let state = deployment.folder().display().to_string();
     let environment = [("XDG_STATE_HOME", state.as_str())];
     let ended = Process::start(&program("peernet"), &arguments, root(), &environment).ended();
     assert_eq!(ended.code(), 0, "{}", ended.log);

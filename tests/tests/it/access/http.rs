@@ -1,65 +1,66 @@
-//! The web port, asked over plain sockets.
+//! Tests of the web port over plain sockets.
 
 use std::io::{Read, Write};
 use std::net::{SocketAddr, TcpStream};
 
-use peernet_tests::{PATIENCE, Process, Site, until};
+use peernet_tests::{LoopbackDeployment, PATIENCE, Process, until};
 use rustix::net::{AddressFamily, SocketType, bind, connect, socket};
 
-/// A connection to the site's web port from an address of this machine.
-fn connection(site: &Site, from: [u8; 4]) -> TcpStream {
+/// Returns a connection to the deployment's web port from an address of this machine.
+fn connection(deployment: &LoopbackDeployment, from: [u8; 4]) -> TcpStream {
     let socket = socket(AddressFamily::INET, SocketType::STREAM, None).expect("a socket");
     bind(&socket, &SocketAddr::from((from, 0))).expect("an address of loopback");
-    connect(&socket, &SocketAddr::from(([127, 0, 0, 1], site.http))).expect("connects");
+    connect(&socket, &SocketAddr::from(([127, 0, 0, 1], deployment.http))).expect("connects");
     let stream = TcpStream::from(socket);
     stream.set_read_timeout(Some(PATIENCE)).expect("sets");
     stream
 }
 
-/// The first line of the answer to a request, which may be cut off where the server closes early.
-fn answer(site: &Site, request: &str) -> String {
-    let mut stream = connection(site, [127, 0, 0, 1]);
+/// Returns the first line of the answer to a request, which may be incomplete if the server closes early.
+fn answer(deployment: &LoopbackDeployment, request: &str) -> String {
+    let mut stream = connection(deployment, [127, 0, 0, 1]);
     let _ = stream.write_all(request.as_bytes());
     let mut text = Vec::new();
     let _ = stream.read_to_end(&mut text);
     String::from_utf8_lossy(&text).lines().next().unwrap_or_default().to_owned()
 }
 
-/// An aggregator that lets everybody look.
-fn open_to_all(site: &Site) -> Process {
+/// Starts an aggregator whose dashboard needs no authentication.
+fn open_to_all(deployment: &LoopbackDeployment) -> Process {
     let text = peernet_tests::AGGREGATOR.replace("[web]\n", "[web]\nallow_unauthenticated = true\n");
-    site.write("aggregator.toml", &text);
-    let process = site.start("aggregator.toml");
+    deployment.write("aggregator.toml", &text);
+    let process = deployment.start("aggregator.toml");
     process.wait_for("dashboard: http://");
     process
 }
 
 #[test]
-fn foreign_host_name_is_refused_where_everybody_may_look() {
-    let site = Site::new();
-    let _aggregator = open_to_all(&site);
+fn foreign_host_header_is_refused_on_open_dashboard() {
+    let deployment = LoopbackDeployment::new();
+    let _aggregator = open_to_all(&deployment);
     for (method, path) in [("GET", "/"), ("GET", "/api/v1/hosts"), ("DELETE", "/api/v1/runs/1/pin")] {
         let ask = |host: &str| {
             answer(
-                &site,
+                &deployment,
                 &format!(
                     "{method} {path} HTTP/1.1\r\nHost: {host}\r\nOrigin: http://{host}\r\nConnection: close\r\n\r\n"
                 ),
             )
         };
         assert!(ask("evil.example").starts_with("HTTP/1.1 421 "), "{method} {path}: {}", ask("evil.example"));
-        assert!(!ask(&format!("127.0.0.1:{}", site.http)).contains(" 421 "), "{method} {path}");
+        assert!(!ask(&format!("127.0.0.1:{}", deployment.http)).contains(" 421 "), "{method} {path}");
     }
     let foreign = "PUT /api/v1/runs/1/pin HTTP/1.1\r\nHost: 127.0.0.1\r\nOrigin: http://evil.example\r\nConnection: close\r\n\r\n";
-    assert!(answer(&site, foreign).starts_with("HTTP/1.1 403 "), "{}", answer(&site, foreign));
+    assert!(answer(&deployment, foreign).starts_with("HTTP/1.1 403 "), "{}", answer(&deployment, foreign));
 }
 
 #[test]
 fn request_without_exactly_one_host_is_refused() {
-    let site = Site::new();
-    let (_aggregator, _) = site.aggregator();
-    let ask =
-        |hosts: &str| answer(&site, &format!("GET /healthz HTTP/1.1\r\n{hosts}Connection: close\r\n\r\n"));
+    let deployment = LoopbackDeployment::new();
+    let (_aggregator, _) = deployment.aggregator();
+    let ask = |hosts: &str| {
+        answer(&deployment, &format!("GET /healthz HTTP/1.1\r\n{hosts}Connection: close\r\n\r\n"))
+    };
     assert!(ask("Host: localhost\r\n").starts_with("HTTP/1.1 200 "));
     for hosts in ["", "Host: localhost\r\nHost: localhost\r\n", "Host: a b\r\n"] {
         assert!(ask(hosts).starts_with("HTTP/1.1 400 "), "{hosts:?}: {}", ask(hosts));
@@ -68,12 +69,12 @@ fn request_without_exactly_one_host_is_refused() {
 
 #[test]
 fn headers_beyond_64_kib_are_refused() {
-    let site = Site::new();
-    let (_aggregator, _) = site.aggregator();
+    let deployment = LoopbackDeployment::new();
+    let (_aggregator, _) = deployment.aggregator();
     let ask = |target: usize, header: usize| {
         let (target, header) = ("x".repeat(target), "y".repeat(header));
         answer(
-            &site,
+            &deployment,
             &format!(
                 "GET /healthz?{target} HTTP/1.1\r\nHost: localhost\r\nX-Long: {header}\r\nConnection: close\r\n\r\n"
             ),
@@ -90,15 +91,15 @@ fn headers_beyond_64_kib_are_refused() {
     assert!(ask(100_000, 1).starts_with("HTTP/1.1 4"), "{}", ask(100_000, 1));
     let many = "X: y\r\n".repeat(500);
     let many = format!("GET /healthz HTTP/1.1\r\nHost: localhost\r\n{many}Connection: close\r\n\r\n");
-    assert!(answer(&site, &many).starts_with("HTTP/1.1 431 "), "{}", answer(&site, &many));
+    assert!(answer(&deployment, &many).starts_with("HTTP/1.1 431 "), "{}", answer(&deployment, &many));
 }
 
 #[test]
-fn answers_of_503_and_repeated_failures_do_not_fill_the_log() {
-    let site = Site::new();
-    let (aggregator, api) = site.aggregator();
-    let database = site.folder().join("aggregator.sqlite");
-    std::fs::rename(&database, site.folder().join("away.sqlite")).expect("moves");
+fn repeated_http_failures_are_logged_at_limited_rate() {
+    let deployment = LoopbackDeployment::new();
+    let (aggregator, api) = deployment.aggregator();
+    let database = deployment.folder().join("aggregator.sqlite");
+    std::fs::rename(&database, deployment.folder().join("away.sqlite")).expect("moves");
     until("503", || api.get("/readyz").filter(|(status, _)| *status == 503));
     for _ in 0..20 {
         assert_eq!(api.get("/readyz").map(|(status, _)| status), Some(503));
@@ -106,6 +107,6 @@ fn answers_of_503_and_repeated_failures_do_not_fill_the_log() {
     }
     let log = aggregator.stop().log;
     assert!(!log.contains("response failed"), "{log}");
-    // One for each way in which it failed.
+    // One line for each kind of failure.
     assert!(log.matches("a request failed").count() < 5, "{log}");
 }

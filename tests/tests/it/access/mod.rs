@@ -1,4 +1,4 @@
-//! Who gets in, and what one who is not known may take.
+//! Tests of access: permissions, secrets, and limits for unauthenticated clients.
 
 mod arguments;
 mod http;

@@ -1,10 +1,10 @@
-//! Who may read what PEERNet keeps.
+//! Tests of the permissions of PEERNet's files.
 
 use std::fs::{self, Permissions};
 use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
 
-use peernet_tests::{Api, Process, Site};
+use peernet_tests::{Api, LoopbackDeployment, Process};
 
 const PIPELINE: &str = r#"
 [[pipeline]]
@@ -14,15 +14,15 @@ placement = { kind = "none" }
 load = { mode = "rate", hz = 20.0 }
 "#;
 
-/// The files of the daemons: databases, spools, ids, locks, and the folders that they made.
-fn kept(site: &Site) -> Vec<PathBuf> {
+/// Returns the files of the daemons: databases, spools, ids, locks, and the folders that they created.
+fn kept(deployment: &LoopbackDeployment) -> Vec<PathBuf> {
     let entries = |folder: &Path| -> Vec<PathBuf> {
         let entries = fs::read_dir(folder).expect("is there");
         entries.map(|entry| entry.expect("is readable").path()).collect()
     };
     let is_configuration = |path: &Path| path.extension().is_some_and(|extension| extension == "toml");
     let mut found = Vec::new();
-    for path in entries(site.folder()).into_iter().filter(|path| !is_configuration(path)) {
+    for path in entries(deployment.folder()).into_iter().filter(|path| !is_configuration(path)) {
         if path.is_dir() {
             found.extend(entries(&path));
         }
@@ -35,9 +35,9 @@ fn mode(path: &Path) -> u32 {
     fs::metadata(path).expect("is there").permissions().mode() & 0o777
 }
 
-fn start(site: &Site) -> (Process, Process, Api) {
-    let (aggregator, api) = site.aggregator();
-    let edge = site.agent("edge", PIPELINE);
+fn start(deployment: &LoopbackDeployment) -> (Process, Process, Api) {
+    let (aggregator, api) = deployment.aggregator();
+    let edge = deployment.agent("edge", PIPELINE);
     api.until("/api/v1/runs", |runs| {
         runs["runs"].as_array()?.iter().find(|run| run["counts"]["ok"].as_u64() > Some(10)).map(drop)
     });
@@ -45,10 +45,10 @@ fn start(site: &Site) -> (Process, Process, Api) {
 }
 
 #[test]
-fn others_cannot_use_what_daemons_make() {
-    let site = Site::new();
-    let (aggregator, edge, _api) = start(&site);
-    let files = kept(&site);
+fn files_of_daemons_are_closed_to_other_users() {
+    let deployment = LoopbackDeployment::new();
+    let (aggregator, edge, _api) = start(&deployment);
+    let files = kept(&deployment);
     for name in
         ["aggregator.sqlite", "aggregator.sqlite-wal", "aggregator.sqlite-shm", "host-id", "spool.sqlite"]
     {
@@ -57,24 +57,24 @@ fn others_cannot_use_what_daemons_make() {
     for path in files {
         assert_eq!(mode(&path) & 0o007, 0, "{}: {:o}", path.display(), mode(&path));
     }
-    let secret = site.folder().join("edge/argument-key");
+    let secret = deployment.folder().join("edge/argument-key");
     assert_eq!(mode(&secret), 0o600);
-    let backup = site.peernetd(&["backup", "--config", "aggregator.toml", "copy.sqlite"]).ended();
+    let backup = deployment.peernetd(&["backup", "--config", "aggregator.toml", "copy.sqlite"]).ended();
     assert_eq!(backup.code(), 0, "{}", backup.log);
-    let copy = site.folder().join("copy.sqlite");
+    let copy = deployment.folder().join("copy.sqlite");
     assert_eq!(mode(&copy) & 0o007, 0, "{:o}", mode(&copy));
     edge.stop();
     aggregator.stop();
 }
 
 #[test]
-fn files_of_earlier_builds_are_closed_at_start() {
-    let site = Site::new();
-    let (aggregator, edge, _api) = start(&site);
+fn files_of_earlier_versions_are_restricted_at_start() {
+    let deployment = LoopbackDeployment::new();
+    let (aggregator, edge, _api) = start(&deployment);
     edge.stop();
     aggregator.stop();
     let set = |name: &str, mode: u32| {
-        let path = site.folder().join(name);
+        let path = deployment.folder().join(name);
         fs::set_permissions(&path, Permissions::from_mode(mode)).expect("own file");
         path
     };
@@ -82,10 +82,10 @@ fn files_of_earlier_builds_are_closed_at_start() {
         (set("aggregator.sqlite", 0o644), 0o640),
         (set("edge", 0o755), 0o750),
         (set("edge/host-id", 0o644), 0o640),
-        // Somebody let a group write.
+        // The operator has granted write permission to the group.
         (set("edge/spool.sqlite", 0o664), 0o660),
     ];
-    let (aggregator, edge, _api) = start(&site);
+    let (aggregator, edge, _api) = start(&deployment);
     edge.wait_for("their permissions were taken away");
     for (path, expected) in changed {
         assert_eq!(mode(&path), expected, "{}", path.display());

@@ -1,41 +1,42 @@
-//! Two edges with different clocks that a cloud sees at one address.
+//! Test of two edges with different clocks that a cloud sees at the same address.
 
 use peernet_clock::Span;
 use peernet_tests::truth::{HostClock, Iteration};
-use peernet_tests::{ClockShim, Network, Plant, until};
+use peernet_tests::{ClockShim, Network, TwoHostTestbed, until};
 
-use super::hold_to_the_truth;
+use super::assert_contains_truth;
 
-/// The addresses of the peers that are connected to the cloud's port.
-fn peers(plant: &Plant) -> Vec<String> {
-    let connections = plant.network.cloud().run("ss", &["-Htn", "state", "established", "sport = :5551"]);
+/// Returns the addresses of the peers that are connected to the cloud's port.
+fn peers(testbed: &TwoHostTestbed) -> Vec<String> {
+    let connections = testbed.network.cloud().run("ss", &["-Htn", "state", "established", "sport = :5551"]);
     let peer = |line: &str| Some(line.split_whitespace().last()?.rsplit_once(':')?.0.to_owned());
     connections.lines().filter_map(peer).collect()
 }
 
 #[test]
-fn edges_behind_one_address_have_true_delays_each_by_its_own_clock() {
-    let plant = Plant::new(|_| Network::behind_nat());
-    let shims = ["edge", "third"].map(|host| ClockShim::new(&plant.folder().join(format!("{host}-clocks"))));
+fn edges_behind_one_address_have_separate_clock_relations() {
+    let testbed = TwoHostTestbed::new(|_| Network::behind_nat());
+    let shims =
+        ["edge", "third"].map(|host| ClockShim::new(&testbed.folder().join(format!("{host}-clocks"))));
     let [edge, third] = &shims;
     edge.change(Span::from_seconds(40), 80.0, 0.0);
     third.change(Span::from_millis(-700), -120.0, 0.0);
-    let _cloud = plant.cloud("[clock]\ndiscipline = []\n");
+    let _cloud = testbed.cloud("[clock]\ndiscipline = []\n");
     let tables = |name: &str| {
         let load = "load = { mode = \"rate\", hz = 50.0 }\nlimit = { iterations = 700 }";
         let clock = "[clock]\ntimestamps = \"user\"\ndiscipline = []\n";
-        format!("clock_identity = \"{name}\"\n{clock}{}", plant.pipeline(name, 1000, load))
+        format!("clock_identity = \"{name}\"\n{clock}{}", testbed.pipeline(name, 1000, load))
     };
-    let _edge = plant.edge(&tables("edge"), &edge.environment());
-    let _third = plant.third_edge(&tables("third"), &third.environment());
+    let _edge = testbed.edge(&tables("edge"), &edge.environment());
+    let _third = testbed.third_edge(&tables("third"), &third.environment());
     until("both edges", || {
-        let peers = peers(&plant);
+        let peers = peers(&testbed);
         (peers.len() == 2).then(|| assert_eq!(peers[0], peers[1]))
     });
-    plant.finished(2);
+    testbed.wait_for_runs(2);
 
-    let iterations = plant.iterations();
-    let runs = plant.api.json("/api/v1/runs");
+    let iterations = testbed.iterations();
+    let runs = testbed.api.json("/api/v1/runs");
     let clocks = shims.each_ref().map(|shim| HostClock::shown(shim.errors()));
     for (host, clock) in ["edge", "third"].into_iter().zip(clocks) {
         let run = runs["runs"].as_array().expect("a list").iter().find(|run| run["host"] == host);
@@ -43,12 +44,12 @@ fn edges_behind_one_address_have_true_delays_each_by_its_own_clock() {
         let own: Vec<Iteration> =
             iterations.iter().filter(|iteration| iteration.run == number).cloned().collect();
         let what = format!("{host} behind one address");
-        let (up, down) = hold_to_the_truth(&what, &own, &clock, &HostClock::kernels());
+        let (up, down) = assert_contains_truth(&what, &own, &clock, &HostClock::of_kernel());
         assert_eq!((up.compared, down.compared), (705, 705), "{what}");
         let probes = format!(
             "SELECT sum(probes_answered) > 20 FROM clock_sample JOIN link ON link.id = clock_sample.link \
              JOIN host ON host.id = link.edge WHERE host.name = '{host}'"
         );
-        assert_eq!(plant.ask(&probes).trim(), "1", "{what}: its probes are answered");
+        assert_eq!(testbed.ask(&probes).trim(), "1", "{what}: its probes are answered");
     }
 }

@@ -1,20 +1,21 @@
-//! 40 ms there, 5 ms back, jitter and loss: what two-way exchanges can tell, and what only a disciplined clock can.
+//! Tests on a path with 40 ms up and 5 ms down, jitter and loss: the bounds of two-way exchanges, and the additional
+//! information from disciplined clocks.
 
 use std::path::Path;
 
 use peernet_clock::Span;
-use peernet_tests::Plant;
-use peernet_tests::network::{Network, Way};
+use peernet_tests::TwoHostTestbed;
+use peernet_tests::network::{Network, WireProperties};
 use peernet_tests::truth::{Delay, HostClock, Iteration};
 
-use super::{WARM_UP, hold_to_the_truth, rehearsal, say};
+use super::{WARM_UP, assert_contains_truth, rehearsal, say};
 
 fn wire(folder: &Path) -> Network {
-    let way = |delay_ms| Way { delay_ms, jitter_ms: 5, loss_percent: 2 };
+    let way = |delay_ms| WireProperties { delay_ms, jitter_ms: 5, loss_percent: 2 };
     Network::wire(folder, way(40), way(5))
 }
 
-/// What 300 iterations came to.
+/// Result of 300 iterations.
 struct Outcome {
     iterations: Vec<Iteration>,
     edge: HostClock,
@@ -22,28 +23,28 @@ struct Outcome {
     is_jump_suspected: bool,
 }
 
-/// Runs 300 iterations with both clocks rehearsed; what they claim is trusted.
+/// Runs 300 iterations with faults injected into both clocks; the claims of their time daemons are trusted.
 fn run(discipline: &str) -> Outcome {
-    let plant = Plant::new(wire);
+    let testbed = TwoHostTestbed::new(wire);
     let more = format!("discipline = \"{discipline}\"");
-    let _cloud = plant.cloud(&rehearsal(700.0, -20.0, &more));
+    let _cloud = testbed.cloud(&rehearsal(700.0, -20.0, &more));
     let load = "load = { mode = \"rate\", hz = 20.0 }\nlimit = { iterations = 300 }\nmax_in_flight = 64";
-    let pipeline = plant.pipeline("far", 1000, load);
-    let _edge = plant.edge(
+    let pipeline = testbed.pipeline("far", 1000, load);
+    let _edge = testbed.edge(
         &format!("[clock]\ntrust_time_daemons = true\n{}{pipeline}", rehearsal(-300.0, 20.0, &more)),
         &[],
     );
-    let (edge, cloud) = (plant.clock_of("edge"), plant.clock_of("cloud"));
-    plant.finished(1);
-    let iterations = plant.iterations();
+    let (edge, cloud) = (testbed.clock_of("edge"), testbed.clock_of("cloud"));
+    testbed.wait_for_runs(1);
+    let iterations = testbed.iterations();
     assert!(iterations.len() >= 300, "{}", iterations.len());
-    let is_jump_suspected = plant.api.json("/api/v1/incidents").to_string().contains("clock-step");
+    let is_jump_suspected = testbed.api.json("/api/v1/incidents").to_string().contains("clock-step");
     Outcome { iterations, edge, cloud, is_jump_suspected }
 }
 
-/// A delay is as good as it says: `ok` when its interval is no wider than half of it, else `limited`. Where a jump was suspected, as jitter
-/// makes it happen now and then, a narrow one is `limited` as well until the window is full again.
-fn as_good_as_it_says(delay: &Delay, is_jump_suspected: bool) {
+/// Checks the verdict of a delay: `ok` if its interval is no wider than half of it, else `limited`. After a suspected
+/// jump, which jitter causes now and then, a narrow one is `limited` as well until the window is full again.
+fn assert_verdict_matches_bounds(delay: &Delay, is_jump_suspected: bool) {
     let (value, (lo, hi)) = (delay.value.expect("a value"), delay.bounds.expect("bounds"));
     let is_wide = (hi - lo).nanos() * 2 > value.nanos();
     let may_be = match (is_wide, is_jump_suspected) {
@@ -55,9 +56,9 @@ fn as_good_as_it_says(delay: &Delay, is_jump_suspected: bool) {
 }
 
 #[test]
-fn exchanges_alone_bound_the_delays_by_the_smallest_round_trip() {
+fn smallest_round_trip_bounds_delays() {
     let Outcome { iterations, edge, cloud, is_jump_suspected } = run("none");
-    let (up, down) = hold_to_the_truth("40 ms up, 5 ms down, no discipline", &iterations, &edge, &cloud);
+    let (up, down) = assert_contains_truth("40 ms up, 5 ms down, no discipline", &iterations, &edge, &cloud);
     let smallest = iterations.iter().map(|iteration| {
         let there_and_back = edge.truth(iteration.down.received) - edge.truth(iteration.up.sent);
         there_and_back - (cloud.truth(iteration.down.sent) - cloud.truth(iteration.up.received))
@@ -70,25 +71,26 @@ fn exchanges_alone_bound_the_delays_by_the_smallest_round_trip() {
     }
     let settled = iterations.iter().filter(|iteration| iteration.number > WARM_UP);
     for iteration in settled {
-        as_good_as_it_says(&iteration.up, is_jump_suspected);
-        as_good_as_it_says(&iteration.down, is_jump_suspected);
+        assert_verdict_matches_bounds(&iteration.up, is_jump_suspected);
+        assert_verdict_matches_bounds(&iteration.down, is_jump_suspected);
     }
-    // The way back is shorter than the asymmetry that nobody can exclude.
+    // The download is shorter than the asymmetry that cannot be excluded.
     assert!(iterations.iter().any(|iteration| iteration.down.verdict == "limited"));
 }
 
 #[test]
-fn disciplined_clocks_tell_what_exchanges_cannot() {
+fn disciplined_clocks_narrow_delay_bounds() {
     let Outcome { iterations, edge, cloud, is_jump_suspected } = run("exact");
-    let (up, down) = hold_to_the_truth("40 ms up, 5 ms down, exact discipline", &iterations, &edge, &cloud);
+    let (up, down) =
+        assert_contains_truth("40 ms up, 5 ms down, exact discipline", &iterations, &edge, &cloud);
     for comparison in [&up, &down] {
         assert!(comparison.without_value.is_empty());
         assert!(comparison.error(1.0) <= Span::from_millis(1), "{}", comparison.in_words());
     }
-    // The first may be answered before there are three exchanges, and are `stale` then.
+    // The first iterations may be answered before there are three exchanges, and are `stale` then.
     for iteration in iterations.iter().filter(|iteration| iteration.number > WARM_UP) {
-        as_good_as_it_says(&iteration.up, is_jump_suspected);
-        as_good_as_it_says(&iteration.down, is_jump_suspected);
+        assert_verdict_matches_bounds(&iteration.up, is_jump_suspected);
+        assert_verdict_matches_bounds(&iteration.down, is_jump_suspected);
         assert!(is_jump_suspected || iteration.up.verdict == "ok", "{:?}", iteration.up);
     }
 }

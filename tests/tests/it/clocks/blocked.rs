@@ -1,23 +1,23 @@
-//! A network that lets data through and nothing else.
+//! Test of a network that passes data and blocks probes.
 
-use peernet_tests::{Network, Plant};
+use peernet_tests::{Network, TwoHostTestbed};
 
-use super::{hold_to_the_truth, rehearsal};
+use super::{assert_contains_truth, rehearsal};
 
 #[test]
-fn without_probes_the_data_itself_bounds_its_delays() {
-    let plant = Plant::new(|_| Network::direct());
-    plant.network.cloud().block_udp(8620);
-    let _cloud = plant.cloud(&rehearsal(1_000.0, 40.0, ""));
+fn data_messages_bound_delays_without_probes() {
+    let testbed = TwoHostTestbed::new(|_| Network::direct());
+    testbed.network.cloud().block_udp(8620);
+    let _cloud = testbed.cloud(&rehearsal(1_000.0, 40.0, ""));
     let load = "load = { mode = \"rate\", hz = 50.0 }\nlimit = { iterations = 300 }";
-    let _edge = plant.edge(&plant.pipeline("alone", 1000, load), &[]);
-    let cloud = plant.clock_of("cloud");
-    plant.finished(1);
-    let iterations = plant.iterations();
-    let edge = peernet_tests::truth::HostClock::kernels();
-    let (up, down) = hold_to_the_truth("probes blocked", &iterations, &edge, &cloud);
+    let _edge = testbed.edge(&testbed.pipeline("alone", 1000, load), &[]);
+    let cloud = testbed.clock_of("cloud");
+    testbed.wait_for_runs(1);
+    let iterations = testbed.iterations();
+    let edge = peernet_tests::truth::HostClock::of_kernel();
+    let (up, down) = assert_contains_truth("probes blocked", &iterations, &edge, &cloud);
     let all = iterations.len();
     assert_eq!((all, up.compared, down.compared), (305, all, all));
-    let probes = plant.ask("SELECT sum(probes_sent) > 10, sum(probes_answered) FROM clock_sample");
+    let probes = testbed.ask("SELECT sum(probes_sent) > 10, sum(probes_answered) FROM clock_sample");
     assert_eq!(probes.trim(), "1|0", "probes were sent, and none came back");
 }

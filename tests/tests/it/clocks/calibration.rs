@@ -1,37 +1,38 @@
-//! `peernet calibrate` of a cable, while the cloud's clock is a second ahead and gets further: its lines against those of
-//! the true delays.
+//! Test of `peernet calibrate` on a cable, with a cloud whose clock is a second ahead and drifts: its fitted lines
+//! are compared with those of the true delays.
 
 use std::collections::BTreeMap;
 use std::path::Path;
 
 use peernet_clock::{Span, WallTime};
 use peernet_tests::truth::HostClock;
-use peernet_tests::{Network, Plant, program};
+use peernet_tests::{Network, TwoHostTestbed, program};
 use serde_json::Value;
 
 use super::{rehearsal, say};
 
-/// The largest error of an intercept.
+/// Largest error of an intercept.
 const ERROR: Span = Span::from_micros(100);
 
-/// Close together: an intercept is to be that of an empty message, not of a link that is not linear in size.
+/// Similar sizes, so that the intercept is that of an empty message even if the link is not linear in size.
 const SIZES: &str = "100,500,1kB,2kB,5kB,10kB";
-/// Some seconds, in which the drift comes to more than the largest error.
+/// Number of repeats: in some seconds the drift exceeds the largest error.
 const REPEATS: &str = "1001";
 
-/// One way of one iteration.
+/// One direction of one iteration.
 struct Passage {
     payload: u64,
     warm_up: bool,
-    /// As it is reported.
+    /// Reported delay.
     value: Option<Span>,
     bounds: (Span, Span),
-    /// As it was, and by how much that may be wrong: the table tells the edge's time of the whole iteration only.
+    /// True delay, and its largest error: the table contains the edge's time of the whole iteration only.
     truth: Span,
     slack: Span,
 }
 
-/// Reads one direction of a study's table. `ahead` is by how much the receiver is ahead of the sender, for each moment.
+/// Reads one direction of a study's table. `ahead` is the offset of the receiver's clock from the sender's at each
+/// time.
 fn passages(samples: &Path, stage: &str, ahead: impl Fn(WallTime) -> Span) -> Vec<Passage> {
     let text = std::fs::read_to_string(samples).expect("it was written");
     let mut rows = text.lines().map(|line| line.split(',').collect::<Vec<_>>());
@@ -52,14 +53,15 @@ fn passages(samples: &Path, stage: &str, ahead: impl Fn(WallTime) -> Span) -> Ve
             value: nanos(cell(stage)),
             bounds: (part("lo"), part("hi")),
             truth: part("raw") - middle,
-            // The truth comes from stamps of the wall clocks, which are read up to 3 µs after those that delays are judged by.
+            // The truth is derived from stamps of the wall clocks, which are read up to 3 µs after those that delays
+            // are judged by.
             slack: (last - first).abs() + Span::from_nanos(3_002),
         }
     };
     rows.map(passage).collect()
 }
 
-/// Decimal seconds, of which a float would not hold all digits.
+/// Parses decimal seconds, which have more digits than a float.
 fn nanos(text: &str) -> Option<Span> {
     let (whole, part) = text.split_once('.')?;
     let digits = format!("{whole}{part:0<9}");
@@ -74,7 +76,7 @@ fn pair(value: &Value) -> (f64, f64) {
     (number(&value[0]), number(&value[1]))
 }
 
-/// The intercept of weighted least squares over points (x, y, weight).
+/// Returns the intercept of weighted least squares over points (x, y, weight).
 fn intercept(points: &[(f64, f64, f64)]) -> f64 {
     let sum =
         |of: &dyn Fn(&(f64, f64, f64)) -> f64| points.iter().map(|point| point.2 * of(point)).sum::<f64>();
@@ -92,9 +94,9 @@ fn median(mut spans: Vec<Span>) -> f64 {
     f64::midpoint(above.seconds(), below.seconds())
 }
 
-/// The study's own fit over the medians, with its own weights, of other delays.
+/// Repeats the study's fit over the medians, with its weights, for other delays.
 fn refitted(direction: &Value, delays: &BTreeMap<u64, Vec<Span>>) -> f64 {
-    /// No median counts as known better than that, seconds.
+    /// Smallest error of a median that counts, seconds.
     const CLOCK_READ: f64 = 1e-7;
     let sizes = direction["sizes"].as_array().expect("a list").iter();
     let point = |size: &Value| {
@@ -105,7 +107,7 @@ fn refitted(direction: &Value, delays: &BTreeMap<u64, Vec<Span>>) -> f64 {
     intercept(&sizes.map(point).collect::<Vec<_>>())
 }
 
-/// The delays of each size.
+/// Groups the delays by size.
 fn by_size<'a>(passages: impl Iterator<Item = (&'a Passage, Span)>) -> BTreeMap<u64, Vec<Span>> {
     let mut sizes = BTreeMap::<u64, Vec<Span>>::new();
     for (passage, delay) in passages {
@@ -114,8 +116,8 @@ fn by_size<'a>(passages: impl Iterator<Item = (&'a Passage, Span)>) -> BTreeMap<
     sizes
 }
 
-/// Holds one direction to the truth, its warm-up left out.
-fn hold(stage: &str, direction: &Value, passages: &[Passage]) {
+/// Compares one direction with the truth, without its warm-up.
+fn assert_intercept_is_right(stage: &str, direction: &Value, passages: &[Passage]) {
     for Passage { payload, bounds: (lo, hi), truth, slack, .. } in passages {
         let allowed = *lo - *slack..=*hi + *slack;
         assert!(allowed.contains(truth), "{stage} of {payload} B: {truth} is not in {allowed:?}");
@@ -145,22 +147,26 @@ fn hold(stage: &str, direction: &Value, passages: &[Passage]) {
 }
 
 #[test]
-fn intercepts_are_those_of_the_true_delays_and_lie_within_what_is_claimed() {
-    let plant = Plant::new(|_| Network::direct());
-    let _cloud = plant.cloud(&rehearsal(1_000.0, 50.0, ""));
-    let cloud: HostClock = plant.clock_of("cloud");
-    let peer = plant.peer();
+fn calibrated_intercepts_contain_the_true_delays() {
+    let testbed = TwoHostTestbed::new(|_| Network::direct());
+    let _cloud = testbed.cloud(&rehearsal(1_000.0, 50.0, ""));
+    let cloud: HostClock = testbed.clock_of("cloud");
+    let peer = testbed.peer();
     let sweep = ["--sizes", SIZES, "--repeats", REPEATS, "--seconds", "20"];
     let arguments = [&["calibrate", &peer, "--result-loc", "results"], &sweep[..]].concat();
-    let done = plant.network.edge().start(&program("peernet"), &arguments, plant.folder(), &[]).ended();
+    let done = testbed.network.edge().start(&program("peernet"), &arguments, testbed.folder(), &[]).ended();
     assert_eq!(done.code(), 0, "{}", done.log);
 
-    let results = plant.folder().join("results");
+    let results = testbed.folder().join("results");
     let study = std::fs::read(results.join("calibration.json")).expect("it was written");
     let study: Value = serde_json::from_slice(&study).expect("it is JSON");
     say(&format!("verdict {}, {}", study["verdict"], study["counts"]));
     let samples = results.join("samples.csv");
-    hold("upload", &study["up"], &passages(&samples, "upload", |at| cloud.ahead(at)));
-    hold("download", &study["down"], &passages(&samples, "download", |at| -cloud.ahead(at)));
+    assert_intercept_is_right("upload", &study["up"], &passages(&samples, "upload", |at| cloud.ahead(at)));
+    assert_intercept_is_right(
+        "download",
+        &study["down"],
+        &passages(&samples, "download", |at| -cloud.ahead(at)),
+    );
     assert_eq!(study["verdict"]["kind"], "trusted", "{}", study["verdict"]);
 }

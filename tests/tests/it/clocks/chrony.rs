@@ -1,46 +1,46 @@
-//! Hosts with real time daemons: what chrony claims stands beside what the exchanges say.
+//! Tests of hosts with real time daemons: chrony's claims and the exchanges are shown side by side.
 
 use std::path::Path;
 
 use peernet_clock::Span;
-use peernet_tests::network::{Network, TimeDaemons, Way};
+use peernet_tests::network::{Network, TimeDaemons, WireProperties};
 use peernet_tests::truth::{Delay, HostClock, Iteration, compare, truth};
-use peernet_tests::{Plant, Process, until};
+use peernet_tests::{Process, TwoHostTestbed, until};
 use serde_json::Value;
 
-use super::{hold_to_the_truth, rehearsal, say};
+use super::{assert_contains_truth, rehearsal, say};
 
-/// A clock that counts as one of its own, though it is the machine's.
+/// Clock identity by which the machine's clock counts as a separate clock.
 const OWN: &str = "clock_identity = \"edge\"\n";
 
-/// Delays that are looked at, both directions together.
+/// Number of delays to be examined, both directions together.
 const ENOUGH: u64 = 600;
 
-/// Two hosts whose time daemons are synchronised, and a pipeline that goes on until the edge is stopped.
+/// Two hosts whose time daemons are synchronised, and a pipeline that runs until the edge is stopped.
 struct Scene {
     edge: Process,
     _cloud: Process,
     _daemons: TimeDaemons,
-    plant: Plant,
+    testbed: TwoHostTestbed,
 }
 
 impl Scene {
-    /// `identity` and `rehearsal` are the edge's, which trusts the daemons or does not.
+    /// Starts the hosts. `identity` and `rehearsal` are the edge's; `trusts` is whether it trusts the daemons.
     fn new(network: impl FnOnce(&Path) -> Network, identity: &str, rehearsal: &str, trusts: bool) -> Self {
-        let plant = Plant::new(network);
-        let daemons = TimeDaemons::start(&plant.network, plant.folder());
+        let testbed = TwoHostTestbed::new(network);
+        let daemons = TimeDaemons::start(&testbed.network, testbed.folder());
         let clock = TimeDaemons::table();
-        let cloud = plant.cloud(&clock);
+        let cloud = testbed.cloud(&clock);
         let load = "load = { mode = \"rate\", hz = 50.0 }\nmax_in_flight = 64";
-        let pipeline = plant.pipeline("kept", 1000, load);
+        let pipeline = testbed.pipeline("kept", 1000, load);
         let trust = if trusts { "trust_time_daemons = true\n" } else { "" };
-        let edge = plant.edge(&format!("{identity}{clock}{trust}{rehearsal}{pipeline}"), &[]);
-        Self { edge, _cloud: cloud, _daemons: daemons, plant }
+        let edge = testbed.edge(&format!("{identity}{clock}{trust}{rehearsal}{pipeline}"), &[]);
+        Self { edge, _cloud: cloud, _daemons: daemons, testbed }
     }
 
-    /// What is known of the link's clocks, once chrony has spoken, too, and a verdict is given.
+    /// Waits until the link has a claim of chrony and this verdict; returns the offset.
     fn offset(&self, verdict: &str) -> Value {
-        self.plant.api.until("/api/v1/links/edge~cloud", |link| {
+        self.testbed.api.until("/api/v1/links/edge~cloud", |link| {
             let offset = &link["now"]["offset"];
             let sources = offset["sources"].as_array()?.iter().map(|source| &source["source"]);
             let both = sources.eq(["in-band", "chrony"]);
@@ -48,29 +48,30 @@ impl Scene {
         })
     }
 
-    /// Waits until the aggregator shows such a text for the time daemon of a host. It may show the offset of the link earlier.
+    /// Waits until the aggregator shows a text of a host's time daemon that begins like this. The offset of the link
+    /// may be shown earlier.
     fn wait_for_daemon(&self, host: &str, begins: &str) {
-        self.plant.api.until(&format!("/api/v1/hosts/{host}"), |host| {
+        self.testbed.api.until(&format!("/api/v1/hosts/{host}"), |host| {
             host["clock"]["text"].as_str().is_some_and(|text| text.starts_with(begins)).then_some(())
         });
     }
 
-    /// All iterations, once enough delays more are stored of which an SQL expression holds.
+    /// Returns all iterations after enough additional delays are stored that fulfil an SQL expression.
     fn iterations(self, such: &str) -> Vec<Iteration> {
         let sql = format!(
             "SELECT count(*) FROM transit AS t LEFT JOIN verdict ON verdict.id = t.verdict \
              LEFT JOIN source ON source.id = t.source WHERE {such}"
         );
-        let count = || self.plant.ask(&sql).trim().parse::<u64>().expect("a number");
+        let count = || self.testbed.ask(&sql).trim().parse::<u64>().expect("a number");
         let before = count();
         until(such, || (count() >= before + ENOUGH).then_some(()));
         assert_eq!(self.edge.stop().code(), 0);
-        self.plant.api.until("/api/v1/runs", |runs| (runs["runs"][0]["reason"] == "stopped").then_some(()));
-        self.plant.iterations()
+        self.testbed.api.until("/api/v1/runs", |runs| (runs["runs"][0]["reason"] == "stopped").then_some(()));
+        self.testbed.iterations()
     }
 }
 
-/// What a source says of the offset alone.
+/// Returns the bounds of the offset from one source.
 fn said(offset: &Value, source: &str) -> (Span, Span) {
     let all = offset["sources"].as_array().expect("a list");
     let own = all.iter().find(|one| one["source"] == source).expect("it was waited for");
@@ -84,7 +85,7 @@ fn holds((lo, hi): (Span, Span), offset: Span) -> bool {
     lo <= offset && offset <= hi
 }
 
-/// The machine's clock on both hosts: the true offset is zero.
+/// Runs a case with the machine's clock on both hosts: the true offset is zero.
 fn right_clocks(what: &str, network: impl FnOnce(&Path) -> Network, such: &str) {
     let scene = Scene::new(network, OWN, "", true);
     let offset = scene.offset("ok");
@@ -95,30 +96,30 @@ fn right_clocks(what: &str, network: impl FnOnce(&Path) -> Network, such: &str) 
         scene.wait_for_daemon(host, "chrony, stratum 11, to 10.");
     }
     let iterations = scene.iterations(such);
-    let kernels = HostClock::kernels();
-    let (up, down) = hold_to_the_truth(what, &iterations, &kernels, &kernels);
+    let of_kernel = HostClock::of_kernel();
+    let (up, down) = assert_contains_truth(what, &iterations, &of_kernel, &of_kernel);
     for comparison in [&up, &down] {
         assert!(comparison.without_value.is_empty(), "{what}: {:?}", comparison.without_value);
     }
 }
 
 #[test]
-fn daemons_of_right_clocks_and_the_exchanges_agree() {
+fn right_daemons_agree_with_exchanges() {
     right_clocks("chrony, a cable", |_| Network::direct(), "verdict.text IN ('ok', 'limited')");
 }
 
-/// The daemons' server is not behind the wire, whose asymmetry they can therefore tell.
+/// The daemons' server is not behind the wire, so that they can measure its asymmetry.
 #[test]
-fn daemons_of_right_clocks_tell_what_exchanges_cannot() {
-    let way = |delay_ms| Way { delay_ms, jitter_ms: 0, loss_percent: 0 };
+fn right_daemons_narrow_delay_bounds() {
+    let way = |delay_ms| WireProperties { delay_ms, jitter_ms: 0, loss_percent: 0 };
     let wire = |folder: &Path| Network::wire(folder, way(40), way(5));
     right_clocks("chrony, 40 ms up, 5 ms down", wire, "source.text IN ('chrony', 'intersection')");
 }
 
-/// The edge's daemon keeps the machine's clock, and does not know that the agent is shown another: as if the peer lied
-/// in all exchanges alike.
+/// The edge's daemon keeps the machine's clock and does not know that the agent reads another one: this looks like a
+/// peer that lies in all exchanges.
 #[test]
-fn a_wrong_clock_that_its_daemon_does_not_know_of_is_exposed() {
+fn wrong_clock_with_confident_daemon_is_detected() {
     const AHEAD: Span = Span::from_millis(50);
     let wrong = rehearsal(50.0, 0.0, "discipline = \"unaware\"");
     let scene = Scene::new(|_| Network::direct(), "", &wrong, true);
@@ -134,7 +135,8 @@ fn a_wrong_clock_that_its_daemon_does_not_know_of_is_exposed() {
     assert!(exposed >= ENOUGH);
 }
 
-/// Whether a delay is told as contradictory; before the daemons' claims are known it rests on the exchanges alone.
+/// Returns whether a delay is reported as contradictory. Before the daemons' claims are known, it is based on the
+/// exchanges only.
 fn is_exposed(delay: &Delay) -> bool {
     let exposed = delay.verdict == "inconsistent";
     let known = (delay.value.is_some(), delay.bounds.is_some(), delay.source.as_str());
@@ -142,27 +144,28 @@ fn is_exposed(delay: &Delay) -> bool {
     exposed
 }
 
-/// The same daemon, which nobody was told to trust.
+/// The daemon is the same, but it is not trusted.
 #[test]
-fn a_wrong_claim_does_not_reach_the_delays_unless_it_is_trusted() {
+fn wrong_claim_affects_delays_only_if_trusted() {
     let wrong = rehearsal(50.0, 0.0, "discipline = \"unaware\"");
     let scene = Scene::new(|_| Network::direct(), "", &wrong, false);
     for host in ["edge", "cloud"] {
         scene.wait_for_daemon(host, "chrony, stratum 11, to 10.");
     }
-    let edge = scene.plant.clock_of("edge");
-    let sources = scene.plant.api.until("/api/v1/links/edge~cloud", |link| {
+    let edge = scene.testbed.clock_of("edge");
+    let sources = scene.testbed.api.until("/api/v1/links/edge~cloud", |link| {
         let offset = &link["now"]["offset"];
         (offset["verdict"] == "ok").then(|| offset["sources"].as_array().cloned())?
     });
     assert!(sources.iter().all(|source| source["source"] == "in-band"), "{sources:?}");
     let iterations = scene.iterations("verdict.text IN ('ok', 'limited')");
-    hold_to_the_truth("a wrong claim, not trusted", &iterations, &edge, &HostClock::kernels());
+    assert_contains_truth("a wrong claim, not trusted", &iterations, &edge, &HostClock::of_kernel());
 }
 
-/// Both daemons claim less than a millisecond, and the clocks are ten apart: within what the exchanges leave open on 5/40 ms.
+/// Starts hosts whose daemons claim less than a millisecond while the clocks differ by ten: within the bounds of the
+/// exchanges on 5/40 ms.
 fn wrong_claims_that_exchanges_cannot_refute(trusts: bool) -> Scene {
-    let way = |delay_ms| Way { delay_ms, jitter_ms: 0, loss_percent: 0 };
+    let way = |delay_ms| WireProperties { delay_ms, jitter_ms: 0, loss_percent: 0 };
     let wire = |folder: &Path| Network::wire(folder, way(5), way(40));
     let scene = Scene::new(wire, "", &rehearsal(-10.0, 0.0, "discipline = \"unaware\""), trusts);
     for host in ["edge", "cloud"] {
@@ -171,36 +174,36 @@ fn wrong_claims_that_exchanges_cannot_refute(trusts: bool) -> Scene {
     scene
 }
 
-/// Waits until the page of the link says so.
+/// Waits until the page of the link contains these words.
 fn wait_for_page(scene: &Scene, words: &str) {
-    until(words, || scene.plant.api.get("/links/edge~cloud").filter(|(_, page)| page.contains(words)));
+    until(words, || scene.testbed.api.get("/links/edge~cloud").filter(|(_, page)| page.contains(words)));
 }
 
 #[test]
-fn wrong_claims_within_the_round_trip_are_only_shown() {
+fn wrong_claims_within_round_trip_affect_nothing() {
     let scene = wrong_claims_that_exchanges_cannot_refute(false);
-    let edge = scene.plant.clock_of("edge");
+    let edge = scene.testbed.clock_of("edge");
     wait_for_page(&scene, "as claimed by chrony on both hosts, of the wall clocks, not used");
     let iterations = scene.iterations("source.text = 'in-band' AND verdict.text IN ('ok', 'limited')");
     let what = "claims wrong by 10 ms, 5/40 ms, not trusted";
-    let (up, down) = hold_to_the_truth(what, &iterations, &edge, &HostClock::kernels());
+    let (up, down) = assert_contains_truth(what, &iterations, &edge, &HostClock::of_kernel());
     assert!(up.without_value.is_empty() && down.without_value.is_empty(), "{:?}", up.without_value);
     assert!(iterations.iter().all(|both| both.up.source == "in-band" && both.down.source == "in-band"));
 }
 
 #[test]
-fn delays_that_rest_on_trusted_claims_say_so() {
+fn delays_by_trusted_claims_are_marked() {
     let scene = wrong_claims_that_exchanges_cannot_refute(true);
-    let edge = scene.plant.clock_of("edge");
+    let edge = scene.testbed.clock_of("edge");
     wait_for_page(&scene, "bounds as claimed by chrony");
     let iterations = scene.iterations("source.text = 'chrony'");
-    let kernels = HostClock::kernels();
-    let (up, down) = compare(&iterations, &edge, &kernels);
+    let of_kernel = HostClock::of_kernel();
+    let (up, down) = compare(&iterations, &edge, &of_kernel);
     say(&format!("claims wrong by 10 ms, 5/40 ms, trusted, upload: {}", up.in_words()));
     say(&format!("claims wrong by 10 ms, 5/40 ms, trusted, download: {}", down.in_words()));
     assert!(up.outside.len() + down.outside.len() >= ENOUGH as usize / 2, "the claims are wrong");
     for both in &iterations {
-        for (delay, ends) in [(&both.up, [&edge, &kernels]), (&both.down, [&kernels, &edge])] {
+        for (delay, ends) in [(&both.up, [&edge, &of_kernel]), (&both.down, [&of_kernel, &edge])] {
             let truth = truth(delay, ends[0], ends[1]);
             let is_held = delay.bounds.is_none_or(|bounds| holds(bounds, truth));
             assert!(

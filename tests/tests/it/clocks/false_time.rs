@@ -1,56 +1,58 @@
-//! A whole process under libfaketime: a wrong clock that it knows nothing of.
+//! Tests of a process under libfaketime, which does not know that its clock is wrong.
 
 use peernet_clock::Span;
 use peernet_tests::truth::{Delay, HostClock, Iteration};
-use peernet_tests::{FalseTime, Network, Plant, Process};
+use peernet_tests::{FalseTime, Network, Process, TwoHostTestbed};
 
-use super::{WARM_UP, hold_to_the_truth, say};
+use super::{WARM_UP, assert_contains_truth, say};
 
-/// How far ahead the edge is.
+/// Offset of the edge's clock.
 const AHEAD: Span = Span::from_millis(137);
 
-/// An edge that is shown a false time, and a cloud that is not.
-fn start(plant: &Plant, time: &FalseTime, load: &str) -> (Process, Process) {
-    let cloud = plant.cloud("[clock]\ndiscipline = []\n");
-    // The kernel's word on its clock is not about the one that is shown.
+/// Starts an edge with a false time, and a cloud with the kernel's.
+fn start(testbed: &TwoHostTestbed, time: &FalseTime, load: &str) -> (Process, Process) {
+    let cloud = testbed.cloud("[clock]\ndiscipline = []\n");
+    // The kernel's statements about its clock do not apply to the shown one.
     let clock = "clock_identity = \"shown\"\n[clock]\ntimestamps = \"user\"\ndiscipline = []\n";
-    let edge = plant.edge(&format!("{clock}{}", plant.pipeline("misled", 1000, load)), &time.environment());
+    let edge =
+        testbed.edge(&format!("{clock}{}", testbed.pipeline("misled", 1000, load)), &time.environment());
     (cloud, edge)
 }
 
 #[test]
-fn an_edge_that_is_shown_a_false_time_reports_true_delays() {
-    let plant = Plant::new(|_| Network::direct());
-    let time = FalseTime::new(plant.folder(), AHEAD);
-    let _hosts = start(&plant, &time, "load = { mode = \"rate\", hz = 50.0 }\nlimit = { iterations = 300 }");
-    plant.finished(1);
-    let (edge, cloud) = (HostClock::ahead_by(&[AHEAD]), HostClock::kernels());
-    let iterations = plant.iterations();
-    let (up, down) = hold_to_the_truth("libfaketime +0.137 s", &iterations, &edge, &cloud);
+fn edge_with_false_time_reports_true_delays() {
+    let testbed = TwoHostTestbed::new(|_| Network::direct());
+    let time = FalseTime::new(testbed.folder(), AHEAD);
+    let _hosts =
+        start(&testbed, &time, "load = { mode = \"rate\", hz = 50.0 }\nlimit = { iterations = 300 }");
+    testbed.wait_for_runs(1);
+    let (edge, cloud) = (HostClock::ahead_by(&[AHEAD]), HostClock::of_kernel());
+    let iterations = testbed.iterations();
+    let (up, down) = assert_contains_truth("libfaketime +0.137 s", &iterations, &edge, &cloud);
     assert_eq!((up.compared, down.compared), (305, 305));
-    // A false time that does not reach the program would leave the difference of the stamps above zero.
+    // If the false time did not reach the program, the difference of the stamps would be positive.
     let raw: Vec<Span> =
         iterations.iter().map(|iteration| iteration.up.received - iteration.up.sent).collect();
     assert!(raw.iter().all(|raw| *raw > -AHEAD && *raw < Span::ZERO), "{raw:?}");
 }
 
-/// No rehearsal that knows of its own steps.
+/// Here the agent does not know of the step, in contrast to clock fault injection.
 #[test]
-fn step_that_nobody_announced_reaches_no_delay() {
+fn unannounced_step_affects_no_delay() {
     const LATER: Span = Span::from_millis(3_137);
-    let plant = Plant::new(|_| Network::direct());
-    let time = FalseTime::new(plant.folder(), AHEAD);
+    let testbed = TwoHostTestbed::new(|_| Network::direct());
+    let time = FalseTime::new(testbed.folder(), AHEAD);
     let _hosts =
-        start(&plant, &time, "load = { mode = \"rate\", hz = 100.0 }\nlimit = { iterations = 1500 }");
-    plant.api.until("/api/v1/pipelines/edge/misled", |pipeline| {
+        start(&testbed, &time, "load = { mode = \"rate\", hz = 100.0 }\nlimit = { iterations = 1500 }");
+    testbed.api.until("/api/v1/pipelines/edge/misled", |pipeline| {
         (pipeline["windows"][2]["counts"]["ok"].as_f64()? >= 400.0).then_some(())
     });
     time.show(LATER);
-    plant.finished(1);
+    testbed.wait_for_runs(1);
 
-    let iterations = plant.iterations();
-    let (edge, cloud) = (HostClock::ahead_by(&[AHEAD, LATER]), HostClock::kernels());
-    hold_to_the_truth("libfaketime, set by +3 s", &iterations, &edge, &cloud);
+    let iterations = testbed.iterations();
+    let (edge, cloud) = (HostClock::ahead_by(&[AHEAD, LATER]), HostClock::of_kernel());
+    assert_contains_truth("libfaketime, set by +3 s", &iterations, &edge, &cloud);
     let ahead = |iteration: &Iteration| iteration.up.sent - cloud.truth(iteration.up.received);
     let stepped = |iteration: &&Iteration| ahead(iteration) > Span::from_seconds(1);
     let first = iterations.iter().find(stepped).expect("the time that is shown was changed");

@@ -1,4 +1,4 @@
-//! Somebody on the path who sees and alters probes, but not the session.
+//! Tests with an attacker on the path who reads and alters probes, but not the session.
 
 use std::io::ErrorKind;
 use std::net::{Ipv4Addr, SocketAddr, UdpSocket};
@@ -8,22 +8,22 @@ use std::thread::JoinHandle;
 use std::time::Duration;
 
 use peernet_clock::Span;
-use peernet_tests::network::{Host, Network, Way};
+use peernet_tests::network::{Host, Network, WireProperties};
 use peernet_tests::truth::HostClock;
-use peernet_tests::{ClockShim, Plant, until_grown};
+use peernet_tests::{ClockShim, TwoHostTestbed, until_grown};
 
-use super::hold_to_the_truth;
+use super::assert_contains_truth;
 
-/// Where probes are answered.
+/// Port of the reflector.
 const PROBES: u16 = 8620;
-/// Where the forger takes those of the edge, and from where it passes them on.
+/// Port to which the attacker redirects the edge's probes, and the port from which it forwards them.
 const FORGER: u16 = 9620;
 const PASSED_ON: u16 = 9621;
 
-/// What is added to the cloud's stamps: less than the round trip of 40 ms leaves open.
+/// Error that is added to the cloud's stamps: less than the round trip of 40 ms leaves open.
 const ADDED: Span = Span::from_millis(13);
 
-/// A forger between the edge and what leaves it.
+/// Attacker between the edge and the path.
 struct Forger {
     over: Arc<AtomicBool>,
     forged: Arc<AtomicUsize>,
@@ -31,7 +31,7 @@ struct Forger {
 }
 
 impl Forger {
-    /// Takes all probes that leave the edge for a cloud.
+    /// Redirects all probes that leave the edge for a cloud.
     fn start(edge: &Host, cloud: Ipv4Addr) -> Self {
         edge.run("nft", &["add", "table", "ip", "forger"]);
         let chain = ["add", "chain", "ip", "forger", "out"];
@@ -45,7 +45,7 @@ impl Forger {
                 socket.set_read_timeout(Some(Duration::from_millis(1))).expect("a millisecond is a timeout");
                 socket
             };
-            // What is redirected arrives at this address, and answers must leave from it.
+            // Redirected packets arrive at this address, and answers must leave from it.
             (socket(Ipv4Addr::LOCALHOST, FORGER), socket(Ipv4Addr::UNSPECIFIED, PASSED_ON))
         });
         let (over, forged) = (Arc::<AtomicBool>::default(), Arc::<AtomicUsize>::default());
@@ -73,7 +73,7 @@ impl Drop for Forger {
     }
 }
 
-/// Passes probes on and forges each answer.
+/// Forwards probes and alters each answer.
 struct Relay {
     near: UdpSocket,
     far: UdpSocket,
@@ -99,7 +99,7 @@ impl Relay {
     }
 }
 
-/// `None` when nothing arrives in a millisecond, or the other end says that it does not listen.
+/// Receives a packet; returns `None` if nothing arrives in a millisecond, or if the other end has no listener.
 fn receive(socket: &UdpSocket, buffer: &mut [u8]) -> Option<(usize, SocketAddr)> {
     match socket.recv_from(buffer) {
         Ok(received) => Some(received),
@@ -111,7 +111,7 @@ fn receive(socket: &UdpSocket, buffer: &mut [u8]) -> Option<(usize, SocketAddr)>
     }
 }
 
-/// Makes the cloud's clocks seem to be ahead by [`ADDED`], in both layouts of a base packet and in the stamps of its free-running
+/// Shifts the cloud's clocks by [`ADDED`], in both layouts of a base packet and in the stamps of its free-running
 /// clock.
 fn forge(answer: &mut [u8]) {
     let ntp = (ADDED.nanos() << 32) / 1_000_000_000;
@@ -128,42 +128,43 @@ fn forge(answer: &mut [u8]) {
     }
 }
 
-/// So many probes are forged.
+/// Runs a case with this number of forged answers.
 fn forged(probes: u64) {
-    let way = Way { delay_ms: 20, jitter_ms: 0, loss_percent: 0 };
-    let plant = Plant::new(|folder| Network::wire(folder, way, way));
-    let shim = ClockShim::new(&plant.folder().join("edge-clocks"));
+    let way = WireProperties { delay_ms: 20, jitter_ms: 0, loss_percent: 0 };
+    let testbed = TwoHostTestbed::new(|folder| Network::wire(folder, way, way));
+    let shim = ClockShim::new(&testbed.folder().join("edge-clocks"));
     shim.change(Span::from_seconds(2), 60.0, 0.0);
-    let forger = Forger::start(plant.network.edge(), plant.network.cloud().address);
-    let _cloud = plant.cloud("[clock]\ndiscipline = []\n");
+    let forger = Forger::start(testbed.network.edge(), testbed.network.cloud().address);
+    let _cloud = testbed.cloud("[clock]\ndiscipline = []\n");
     let clock = "clock_identity = \"shown\"\n[clock]\ntimestamps = \"user\"\ndiscipline = []\n";
     let load = "load = { mode = \"rate\", hz = 50.0 }\nmax_in_flight = 64";
-    let edge = plant.edge(&format!("{clock}{}", plant.pipeline("watched", 1000, load)), &shim.environment());
+    let edge =
+        testbed.edge(&format!("{clock}{}", testbed.pipeline("watched", 1000, load)), &shim.environment());
     until_grown("forged answers", probes, || Some(forger.forged() as u64));
-    plant.api.until("/api/v1/links/edge~cloud", |link| {
+    testbed.api.until("/api/v1/links/edge~cloud", |link| {
         link.to_string().contains("not authenticated by the key").then_some(())
     });
     assert_eq!(edge.stop().code(), 0);
-    plant.api.until("/api/v1/runs", |runs| (runs["runs"][0]["reason"] == "stopped").then_some(()));
+    testbed.api.until("/api/v1/runs", |runs| (runs["runs"][0]["reason"] == "stopped").then_some(()));
 
-    let clocks = (HostClock::shown(shim.errors()), HostClock::kernels());
+    let clocks = (HostClock::shown(shim.errors()), HostClock::of_kernel());
     let what = "all answers to probes forged by 13 ms, 20/20 ms";
-    let (up, down) = hold_to_the_truth(what, &plant.iterations(), &clocks.0, &clocks.1);
+    let (up, down) = assert_contains_truth(what, &testbed.iterations(), &clocks.0, &clocks.1);
     for comparison in [&up, &down] {
         assert!(comparison.without_value.is_empty(), "{:?}", comparison.without_value);
         assert!(comparison.compared > 500, "{}", comparison.in_words());
     }
-    let probes = plant.ask("SELECT sum(probes_sent) > 20, sum(probes_answered) FROM clock_sample");
+    let probes = testbed.ask("SELECT sum(probes_sent) > 20, sum(probes_answered) FROM clock_sample");
     assert_eq!(probes.trim(), "1|0", "no forged answer counts");
 }
 
 #[test]
-fn forged_answers_to_probes_make_no_interval_wrong() {
+fn intervals_are_right_with_forged_probe_answers() {
     forged(150);
 }
 
 #[test]
 #[ignore = "takes ten minutes; for make soak"]
-fn ten_minutes_of_forged_answers_make_no_interval_wrong() {
+fn intervals_are_right_during_ten_minute_forgery() {
     forged(6_000);
 }

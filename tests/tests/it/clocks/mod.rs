@@ -1,4 +1,4 @@
-//! One-way delays against the truth, over networks that the tests make.
+//! Tests of one-way delays against the truth, over networks of namespaces.
 
 mod address_translation;
 mod assumptions;
@@ -17,23 +17,22 @@ mod veth;
 
 use peernet_tests::truth::{Comparison, HostClock, Iteration, compare};
 
-/// Iterations of the warm-up, if nothing else is configured. The very first delays are `stale`: one exchange has no
-/// other to confirm it.
+/// Iterations of the warm-up by default. The very first delays are `stale`: one exchange has no other to confirm it.
 const WARM_UP: u64 = 5;
 
-/// A table that makes a host's clock wrong.
+/// Returns a table that injects faults into a host's clock.
 fn rehearsal(offset_ms: f64, drift_ppm: f64, more: &str) -> String {
     format!("[rehearsal]\noffset_ms = {offset_ms:?}\ndrift_ppm = {drift_ppm:?}\n{more}\n")
 }
 
-/// Figures for people; `--nocapture` shows them.
+/// Prints measured values; `--nocapture` shows them.
 #[expect(clippy::print_stdout, reason = "the figures of a test are its output")]
 fn say(figures: &str) {
     println!("{figures}");
 }
 
-/// Compares with the truth, prints the figures of `what`, and holds every interval to its promise.
-fn hold_to_the_truth(
+/// Compares delays with the truth, prints the results of `what`, and checks every interval.
+fn assert_contains_truth(
     what: &str,
     iterations: &[Iteration],
     edge: &HostClock,

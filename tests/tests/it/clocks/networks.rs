@@ -1,4 +1,4 @@
-//! The networks that these tests stand on do what they say.
+//! Tests of the harness's networks.
 
 use std::io::{Read, Write};
 use std::net::{Ipv4Addr, TcpListener, TcpStream, UdpSocket};
@@ -7,7 +7,7 @@ use std::process::Command;
 use std::time::Duration;
 
 use peernet_clock::{Clock, ClockIdentity, Span, SystemClock};
-use peernet_tests::network::{Host, Network, Way};
+use peernet_tests::network::{Host, Network, WireProperties};
 
 fn udp(host: &Host, port: u16) -> UdpSocket {
     let address = host.address;
@@ -19,7 +19,7 @@ fn udp(host: &Host, port: u16) -> UdpSocket {
 }
 
 #[test]
-fn a_capture_in_the_middle_sees_what_a_limited_link_lets_through() {
+fn capture_shows_rate_of_limited_link() {
     const BYTES: usize = 250_000;
     let folder = tempfile::tempdir().expect("the temporary folder is writable");
     let network = Network::routed();
@@ -46,12 +46,12 @@ fn a_capture_in_the_middle_sees_what_a_limited_link_lets_through() {
         (up[0].at, up[up.len() - 1].at)
     };
     let ((first, _), (_, last)) = (way(false), way(true));
-    // 250 kB take 100 ms at 20 Mbit/s, less what one burst may hold.
+    // At 20 Mbit/s 250 kB take 100 ms, less what one burst may contain.
     assert!(last - first > Span::from_millis(85), "{}", last - first);
 }
 
 #[test]
-fn blocked_ports_and_lossy_links_let_the_rest_through() {
+fn blocked_port_and_losses_affect_only_matching_packets() {
     let network = Network::direct();
     let cloud = network.cloud();
     cloud.block_udp(7001);
@@ -65,11 +65,11 @@ fn blocked_ports_and_lossy_links_let_the_rest_through() {
     blocked.set_nonblocking(true).expect("a socket");
     assert_eq!(blocked.recv(&mut buffer).expect_err("dropped").kind(), std::io::ErrorKind::WouldBlock);
 
-    cloud.lose(30);
+    cloud.drop_percent(30);
     let arrived = (0..500).filter(|_| {
         from.send_to(b"probe", (address, 7002)).expect("there is a route");
         open.set_nonblocking(true).expect("a socket");
-        // A veth pair hands over before sending returns.
+        // A veth pair delivers a packet before the send call returns.
         open.recv(&mut buffer).is_ok()
     });
     let arrived = arrived.count();
@@ -79,7 +79,7 @@ fn blocked_ports_and_lossy_links_let_the_rest_through() {
 #[test]
 fn a_wire_delays_each_direction_by_itself() {
     let folder = tempfile::tempdir().expect("the temporary folder is writable");
-    let way = |delay_ms| Way { delay_ms, jitter_ms: 0, loss_percent: 0 };
+    let way = |delay_ms| WireProperties { delay_ms, jitter_ms: 0, loss_percent: 0 };
     let network = Network::wire(folder.path(), way(40), way(5));
     let (edge, cloud) = (udp(network.edge(), 7000), udp(network.cloud(), 7000));
     let clock = SystemClock::new(ClockIdentity::new("boot", "system"));
@@ -90,7 +90,7 @@ fn a_wire_delays_each_direction_by_itself() {
         to.recv(&mut buffer).expect("nothing is lost");
         clock.wall() - sent
     };
-    // The first asks for the other's hardware address, which takes a round trip of its own.
+    // The first packet needs an ARP request, which takes a round trip as well.
     let (to_cloud, to_edge) = (network.cloud().address, network.edge().address);
     delay(&edge, &cloud, to_cloud);
     assert!(delay(&edge, &cloud, to_cloud) > Span::from_millis(38));
@@ -99,14 +99,14 @@ fn a_wire_delays_each_direction_by_itself() {
 }
 
 #[test]
-fn nothing_is_left_behind_by_a_test_that_panics() {
+fn panicking_test_removes_its_network() {
     let (tell, told) = std::sync::mpsc::sync_channel(1);
     let test = std::thread::spawn(move || {
         let network = Network::direct();
         let inode = network.edge().run("readlink", &["/proc/self/ns/net"]);
         let process = network.edge().start(Path::new("sleep"), &["1000"], Path::new("/"), &[]);
         tell.send((inode, process.pid(), network.edge().home)).expect("the test waits");
-        // As if the test had no chance to stop it.
+        // The process is leaked, as if the test could not stop it.
         std::mem::forget(process);
         panic!("a test fails here, on purpose");
     });
@@ -114,7 +114,7 @@ fn nothing_is_left_behind_by_a_test_that_panics() {
     test.join().expect_err("it panics");
     let seen =
         |path: String| std::fs::read_link(path).is_ok_and(|link| link.display().to_string() == inode.trim());
-    // A killed process stays as a zombie, whose parent this is, but is in no namespace.
+    // The killed process remains as a zombie of this process, but is in no namespace.
     assert!(!seen(format!("/proc/{pid}/ns/net")));
     let addresses = Command::new("ip").args(["address", "show"]).output().expect("ip is installed").stdout;
     assert!(!String::from_utf8_lossy(&addresses).contains(&format!("{home}/")), "{home} is still there");

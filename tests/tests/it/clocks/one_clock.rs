@@ -1,23 +1,24 @@
-//! Two processes on one machine and in one network namespace: their offset is zero only where they prove it.
+//! Tests of two processes on one machine and in one network namespace: their offset is zero only if they prove that
+//! they read the same clock.
 
 use std::path::Path;
 use std::time::Duration;
 
 use peernet_clock::{ClockFaults, RawTime, Span, WallTime};
 use peernet_tests::truth::{HostClock, Iteration, iterations};
-use peernet_tests::{Api, FalseTime, Process, Since, Site, program, until_grown};
+use peernet_tests::{Api, FalseTime, LoopbackDeployment, Process, Stopwatch, program, until_grown};
 use rustix::process::Signal;
 use serde_json::Value;
 
-use super::{WARM_UP, hold_to_the_truth, say};
+use super::{WARM_UP, assert_contains_truth, say};
 
-/// How far ahead the edge is where it reads another clock.
+/// Offset of the edge's clock where it reads another one.
 const AHEAD: Span = Span::from_millis(20);
 const ITERATIONS: u64 = 300;
-/// A stamp reads the two clocks one after the other.
+/// Largest time between reading the two clocks of a stamp.
 const APART: Span = Span::from_micros(5);
 
-/// The name that both hosts give their clock: a rehearsal with the default name would have another.
+/// Clock identity of both hosts. Without it a host with clock fault injection would have another identity.
 const NAME: &str = "clock_identity = \"machine\"\n";
 
 const CLOUD: &str = "[clock]\ndiscipline = []\n[serve]\nlisten = \"tcp://127.0.0.1:{data}\"\n\
@@ -25,18 +26,19 @@ const CLOUD: &str = "[clock]\ndiscipline = []\n[serve]\nlisten = \"tcp://127.0.0
 
 /// An aggregator, a cloud that reads the kernel's clocks, and the folder of an edge.
 struct Hosts {
-    site: Site,
+    deployment: LoopbackDeployment,
     api: Api,
     _aggregator: Process,
     _cloud: Process,
 }
 
 impl Hosts {
-    /// Starts aggregator and cloud, and writes down the edge, whose pipeline runs `ITERATIONS` or, if it is endless, until it is stopped.
+    /// Starts aggregator and cloud, and writes the configuration of the edge. Its pipeline runs `ITERATIONS` or, if
+    /// it is endless, until it is stopped.
     fn new(tables: &str, is_endless: bool) -> Self {
-        let site = Site::new();
-        let (aggregator, api) = site.aggregator();
-        let cloud = site.agent("cloud", &format!("{NAME}{CLOUD}"));
+        let deployment = LoopbackDeployment::new();
+        let (aggregator, api) = deployment.aggregator();
+        let cloud = deployment.agent("cloud", &format!("{NAME}{CLOUD}"));
         let limit =
             if is_endless { String::new() } else { format!("limit = {{ iterations = {ITERATIONS} }}\n") };
         let edge = format!(
@@ -45,11 +47,11 @@ impl Hosts {
              placement = {{ kind = \"remote\", peer = \"tcp://127.0.0.1:{{data}}\", model = \"echo\" }}\n\
              load = {{ mode = \"rate\", hz = 50.0 }}\n{limit}"
         );
-        site.write("edge.toml", &edge);
-        Self { site, api, _aggregator: aggregator, _cloud: cloud }
+        deployment.write("edge.toml", &edge);
+        Self { deployment, api, _aggregator: aggregator, _cloud: cloud }
     }
 
-    /// The link, as soon as probes were answered on it.
+    /// Returns the link as soon as probes were answered on it.
     fn link(&self) -> Value {
         self.api.until("/api/v1/links", |links| {
             let now = &links["links"][0]["now"];
@@ -57,16 +59,16 @@ impl Hosts {
         })
     }
 
-    /// All iterations of the run, when it is over.
+    /// Returns all iterations after the end of the run.
     fn iterations(&self) -> Vec<Iteration> {
         self.api.finished_run();
-        iterations(&self.site.folder().join("aggregator.sqlite"))
+        iterations(&self.deployment.folder().join("aggregator.sqlite"))
     }
 }
 
-/// Holds the delays of a pair that reads two clocks to the truth; none may claim that there is one clock.
-fn hold_measured(what: &str, iterations: &[Iteration], edge: &HostClock) {
-    let (up, down) = hold_to_the_truth(what, iterations, edge, &HostClock::kernels());
+/// Compares the delays of a pair with two clocks with the truth; none may claim that there is one clock.
+fn assert_measured(what: &str, iterations: &[Iteration], edge: &HostClock) {
+    let (up, down) = assert_contains_truth(what, iterations, edge, &HostClock::of_kernel());
     let all = usize::try_from(ITERATIONS + WARM_UP).expect("a few hundred");
     assert_eq!((up.compared, down.compared), (all, all));
     for iteration in iterations {
@@ -76,19 +78,20 @@ fn hold_measured(what: &str, iterations: &[Iteration], edge: &HostClock) {
     }
 }
 
-/// A free-running clock that is always ahead of the kernel's by so much.
+/// Returns a free-running clock that is always ahead of the kernel's by this offset.
 fn raw_ahead_by(offset: Span) -> HostClock {
     let (steps, since) = (Vec::new(), WallTime::default());
-    // Without drift and steps it does not matter when it began.
+    // Without drift and steps the beginning does not matter.
     HostClock::new(ClockFaults { offset, drift_ppm: 0.0, steps, since }, RawTime::default())
 }
 
 #[test]
-fn processes_on_one_machine_prove_one_clock_from_first_delay_on() {
+fn processes_on_one_machine_prove_one_clock() {
     let hosts = Hosts::new("", false);
-    let _edge = hosts.site.start("edge.toml");
+    let _edge = hosts.deployment.start("edge.toml");
     let iterations = hosts.iterations();
-    let (up, _) = hold_to_the_truth("one clock", &iterations, &HostClock::kernels(), &HostClock::kernels());
+    let (up, _) =
+        assert_contains_truth("one clock", &iterations, &HostClock::of_kernel(), &HostClock::of_kernel());
     assert_eq!(up.compared, usize::try_from(ITERATIONS + WARM_UP).expect("a few hundred"));
     for iteration in &iterations {
         for delay in [&iteration.up, &iteration.down] {
@@ -97,19 +100,20 @@ fn processes_on_one_machine_prove_one_clock_from_first_delay_on() {
     }
 }
 
-/// The boot id is one, and libfaketime shows all clocks of the edge: the wall clock 20 ms ahead, the free-running one on another scale.
+/// The boot id is the same. libfaketime shows all clocks of the edge: the wall clock 20 ms ahead, the free-running
+/// one on another scale.
 #[test]
-fn process_shown_false_time_is_measured_and_holds_the_truth() {
+fn interval_contains_truth_for_process_with_false_time() {
     let hosts = Hosts::new("[clock]\ntimestamps = \"user\"\ndiscipline = []\n", false);
-    let time = FalseTime::new(&hosts.site.folder().join("time"), AHEAD);
+    let time = FalseTime::new(&hosts.deployment.folder().join("time"), AHEAD);
     let environment: Vec<_> =
         time.environment().into_iter().filter(|(name, _)| *name != "DONT_FAKE_MONOTONIC").collect();
-    let _edge = hosts.site.start_with("edge.toml", &environment);
+    let _edge = hosts.deployment.start_with("edge.toml", &environment);
     assert_eq!(hosts.link()["same_clock"], false);
     let iterations = hosts.iterations();
     let mut widest = Span::ZERO;
     for iteration in &iterations {
-        // Only the wall clock's error is known: the truth is that of its stamps.
+        // Only the error of the wall clock is known, so that the truth is derived from its stamps.
         for (delay, error) in [(&iteration.up, AHEAD), (&iteration.down, -AHEAD)] {
             let truth = delay.received - delay.sent + error;
             let (lo, hi) = delay.bounds.unwrap_or_else(|| panic!("no bounds: {delay:?}"));
@@ -123,17 +127,17 @@ fn process_shown_false_time_is_measured_and_holds_the_truth() {
 }
 
 #[test]
-fn process_that_is_shown_false_time_later_is_measured_from_then_on() {
+fn clock_error_introduced_later_is_measured_afterwards() {
     let hosts = Hosts::new("[clock]\ntimestamps = \"user\"\ndiscipline = []\n", true);
-    let time = FalseTime::new(&hosts.site.folder().join("time"), Span::ZERO);
-    let _edge = hosts.site.start_with("edge.toml", &time.environment());
+    let time = FalseTime::new(&hosts.deployment.folder().join("time"), Span::ZERO);
+    let _edge = hosts.deployment.start_with("edge.toml", &time.environment());
     let shows = |wanted: bool| {
         hosts
             .api
             .until("/api/v1/links", |links| (links["links"][0]["now"]["same_clock"] == wanted).then_some(()));
     };
     shows(true);
-    let since = Since::now();
+    let since = Stopwatch::now();
     time.show(AHEAD);
     shows(false);
     say(&format!("libfaketime begins to show +20 ms: noticed within {:?}", since.elapsed()));
@@ -154,17 +158,18 @@ fn process_that_is_shown_false_time_later_is_measured_from_then_on() {
     shows(true);
 }
 
-/// It asks late, which says nothing of the other process.
+/// The process asks late because of its own pause, which does not indicate another clock.
 #[test]
-fn process_that_was_paused_itself_keeps_proof_without_incident() {
+fn paused_process_keeps_one_clock_proof() {
     let hosts = Hosts::new("[clock]\ndiscipline = []\n", true);
-    let edge = hosts.site.start("edge.toml");
+    let edge = hosts.deployment.start("edge.toml");
     let uploaded = || hosts.api.until("/api/v1/runs", |runs| runs["runs"][0]["counts"]["ok"].as_u64());
     for _ in 0..3 {
         let before = uploaded();
         until_grown("iterations", before + 100, || Some(uploaded()));
         edge.signal(Signal::STOP);
-        // Longer than a proof is believed after the last question before the pause, shorter than a session outlives.
+        // Longer than a proof is valid after the last question before the pause, and shorter than a session's
+        // timeout.
         std::thread::sleep(Duration::from_millis(4_500));
         edge.signal(Signal::CONT);
     }
@@ -177,22 +182,22 @@ fn process_that_was_paused_itself_keeps_proof_without_incident() {
     assert!(incidents.contains("connected"), "{incidents}");
 }
 
-/// A time namespace shifts the free-running clock by ten seconds, and not the wall clock.
+/// A time namespace shifts the free-running clock by ten seconds, but not the wall clock.
 #[test]
-fn process_in_another_time_namespace_is_measured_and_holds_the_truth() {
+fn interval_contains_truth_in_other_time_namespace() {
     let hosts = Hosts::new("[clock]\ndiscipline = []\n", false);
     let peernetd = program("peernetd").display().to_string();
     let arguments =
         ["--time", "--monotonic", "10", "--boottime", "10", &peernetd, "run", "edge.toml"].map(str::to_owned);
-    let _edge = Process::start(Path::new("unshare"), &arguments, hosts.site.folder(), &[]);
+    let _edge = Process::start(Path::new("unshare"), &arguments, hosts.deployment.folder(), &[]);
     assert_eq!(hosts.link()["same_clock"], false);
-    hold_measured("another time namespace", &hosts.iterations(), &raw_ahead_by(Span::from_seconds(10)));
+    assert_measured("another time namespace", &hosts.iterations(), &raw_ahead_by(Span::from_seconds(10)));
 }
 
 #[test]
-fn rehearsed_process_is_measured_and_holds_the_truth() {
+fn interval_contains_truth_with_clock_fault_injection() {
     let hosts = Hosts::new(&super::rehearsal(20.0, 0.0, ""), false);
-    let _edge = hosts.site.start("edge.toml");
+    let _edge = hosts.deployment.start("edge.toml");
     assert_eq!(hosts.link()["same_clock"], false);
-    hold_measured("rehearsed by 20 ms", &hosts.iterations(), &raw_ahead_by(AHEAD));
+    assert_measured("rehearsed by 20 ms", &hosts.iterations(), &raw_ahead_by(AHEAD));
 }

@@ -1,16 +1,16 @@
-//! Large payloads over a slow link: what is reported against what passed in the middle.
+//! Test of large payloads over a slow link: reported delays are compared with a capture in the middle.
 
 use peernet_clock::{Span, WallTime};
-use peernet_tests::Plant;
+use peernet_tests::TwoHostTestbed;
 use peernet_tests::network::{Host, Network, Packet};
 use peernet_tests::truth::{Delay, HostClock};
 
-use super::{hold_to_the_truth, rehearsal, say};
+use super::{assert_contains_truth, rehearsal, say};
 
 const ITERATIONS: usize = 15;
 
-/// From the first byte into the middle to the last byte out of it, for a message that was under way from `sent` to
-/// `received`.
+/// Returns the time from the first byte that enters the router to the last byte that leaves it, for a message in
+/// transit from `sent` to `received`.
 fn seen(packets: &[Packet], from: &Host, sent: WallTime, received: WallTime) -> Span {
     let own = |packet: &&Packet| {
         packet.source == from.address && packet.payload > 0 && (sent..=received).contains(&packet.at)
@@ -21,24 +21,24 @@ fn seen(packets: &[Packet], from: &Host, sent: WallTime, received: WallTime) -> 
 }
 
 #[test]
-fn megabytes_take_as_long_as_a_capture_in_the_middle_says() {
-    let plant = Plant::new(|_| Network::routed());
-    let router = plant.network.router();
+fn large_transfer_time_matches_capture() {
+    let testbed = TwoHostTestbed::new(|_| Network::routed());
+    let router = testbed.network.router();
     router.limit("cloud", 20);
     router.limit("edge", 100);
-    let capture = router.capture("tcp port 5551", plant.folder());
-    let _cloud = plant.cloud(&rehearsal(1_000.0, 30.0, ""));
+    let capture = router.capture("tcp port 5551", testbed.folder());
+    let _cloud = testbed.cloud(&rehearsal(1_000.0, 30.0, ""));
     let limit = format!("limit = {{ iterations = {ITERATIONS} }}\nwarm_up = {{ iterations = 2 }}");
-    let pipeline = plant.pipeline("images", 1_200_000, &limit);
-    let _edge = plant.edge(&format!("{}{pipeline}", rehearsal(-1_000.0, -15.0, "")), &[]);
-    let (edge, cloud) = (plant.clock_of("edge"), plant.clock_of("cloud"));
-    plant.finished(1);
+    let pipeline = testbed.pipeline("images", 1_200_000, &limit);
+    let _edge = testbed.edge(&format!("{}{pipeline}", rehearsal(-1_000.0, -15.0, "")), &[]);
+    let (edge, cloud) = (testbed.clock_of("edge"), testbed.clock_of("cloud"));
+    testbed.wait_for_runs(1);
     let packets = capture.finish();
-    let iterations = &plant.iterations()[2..];
+    let iterations = &testbed.iterations()[2..];
     assert_eq!(iterations.len(), ITERATIONS);
-    hold_to_the_truth("1.2 MB, 20 Mbit/s up, 100 Mbit/s down", iterations, &edge, &cloud);
+    assert_contains_truth("1.2 MB, 20 Mbit/s up, 100 Mbit/s down", iterations, &edge, &cloud);
 
-    let network = &plant.network;
+    let network = &testbed.network;
     against(
         "upload",
         iterations.iter().map(|iteration| &iteration.up),
@@ -55,8 +55,8 @@ fn megabytes_take_as_long_as_a_capture_in_the_middle_says() {
     );
 }
 
-/// Compares what is reported with what was seen, message by message. A machine that is busy with something else can hold
-/// up a program after the last byte has passed: the median of the ratios does not mind a few of those.
+/// Compares reported delays with captured ones, message by message. A busy machine can delay a program after the last
+/// byte has passed; the median of the ratios is robust against a few of these.
 fn against<'a>(
     what: &str,
     delays: impl Iterator<Item = &'a Delay>,

@@ -1,14 +1,14 @@
-//! A time daemon that slews the wall clock of a host hard, in mid-run.
+//! Test of a time daemon that slews the wall clock of a host strongly during a run.
 
 use std::fmt::Write;
 
 use peernet_clock::{ClockFaultStep, ClockFaults, Span, WallTime};
 use peernet_tests::truth::{Delay, HostClock, Iteration};
-use peernet_tests::{Network, Plant};
+use peernet_tests::{Network, TwoHostTestbed};
 
-use super::{WARM_UP, hold_to_the_truth, rehearsal};
+use super::{WARM_UP, assert_contains_truth, rehearsal};
 
-/// A wall clock that runs fast for a while: set forward a little, again and again.
+/// Period in which a wall clock runs fast: it is set forward repeatedly by a little.
 struct Slew {
     at_s: f64,
     for_s: f64,
@@ -16,7 +16,7 @@ struct Slew {
 }
 
 impl Slew {
-    /// How often it is set forward in a second.
+    /// Steps per second.
     const HZ: f64 = 10.0;
 
     fn steps(&self) -> impl Iterator<Item = ClockFaultStep> {
@@ -28,13 +28,13 @@ impl Slew {
     }
 }
 
-/// A clock that is ahead and is slewed; its rehearsal begins at the epoch.
+/// Returns a clock that is ahead and is slewed; its fault begins at the epoch.
 fn slewed(offset_ms: i64, slews: &[Slew]) -> ClockFaults {
     let steps = slews.iter().flat_map(Slew::steps).collect();
     ClockFaults { offset: Span::from_millis(offset_ms), drift_ppm: 0.0, steps, since: WallTime::default() }
 }
 
-/// The same as a table of a configuration.
+/// Returns the fault as a table of a configuration.
 fn table(description: &ClockFaults) -> String {
     let millis = |span: Span| span.nanos() as f64 * 1e-6;
     let steps = description.steps.iter().fold(String::new(), |mut steps, step| {
@@ -45,30 +45,30 @@ fn table(description: &ClockFaults) -> String {
     rehearsal(millis(description.offset), 0.0, &format!("steps = [{steps}]"))
 }
 
-/// The clock of a host that runs. The API lists the first steps only.
-fn clock_of(plant: &Plant, host: &str, description: ClockFaults) -> HostClock {
-    let told = plant.clock_of(host);
+/// Returns the clock of a running host. The API lists only the first steps.
+fn clock_of(testbed: &TwoHostTestbed, host: &str, description: ClockFaults) -> HostClock {
+    let told = testbed.clock_of(host);
     let (since, raw_since) = told.since().zip(told.raw_since()).expect("rehearsed");
     HostClock::new(ClockFaults { since, ..description }, raw_since)
 }
 
-/// 500 ppm is what a kernel slews at by itself; 40,000 ppm are below chrony's default maximum.
+/// A kernel slews at up to 500 ppm by itself; 40,000 ppm are below chrony's default maximum.
 #[test]
-fn wall_clock_that_is_slewed_reaches_no_delay() {
+fn slewed_wall_clock_affects_no_delay() {
     let edge_slews =
         [Slew { at_s: 4.0, for_s: 4.0, ppm: 500.0 }, Slew { at_s: 10.0, for_s: 1.0, ppm: 40_000.0 }];
     let cloud_slews = [Slew { at_s: 6.0, for_s: 6.0, ppm: 500.0 }];
     let (edge, cloud) = (slewed(-250, &edge_slews), slewed(250, &cloud_slews));
-    let plant = Plant::new(|_| Network::direct());
-    let _cloud = plant.cloud(&table(&cloud));
+    let testbed = TwoHostTestbed::new(|_| Network::direct());
+    let _cloud = testbed.cloud(&table(&cloud));
     let load = "load = { mode = \"rate\", hz = 100.0 }\nlimit = { duration_s = 16.0 }";
-    let pipeline = plant.pipeline("slewed", 1000, load);
-    let _edge = plant.edge(&format!("{}{pipeline}", table(&edge)), &[]);
-    let (edge, cloud) = (clock_of(&plant, "edge", edge), clock_of(&plant, "cloud", cloud));
-    plant.finished(1);
+    let pipeline = testbed.pipeline("slewed", 1000, load);
+    let _edge = testbed.edge(&format!("{}{pipeline}", table(&edge)), &[]);
+    let (edge, cloud) = (clock_of(&testbed, "edge", edge), clock_of(&testbed, "cloud", cloud));
+    testbed.wait_for_runs(1);
 
-    let iterations = plant.iterations();
-    let (up, down) = hold_to_the_truth("500 and 40,000 ppm", &iterations, &edge, &cloud);
+    let iterations = testbed.iterations();
+    let (up, down) = assert_contains_truth("500 and 40,000 ppm", &iterations, &edge, &cloud);
     for comparison in [&up, &down] {
         assert!(comparison.without_value.is_empty(), "{:?}", comparison.without_value);
         assert!(comparison.mean_error() < Span::from_micros(50), "{}", comparison.in_words());
@@ -79,7 +79,7 @@ fn wall_clock_that_is_slewed_reaches_no_delay() {
     for iteration in settled {
         assert!(good(&iteration.up) && good(&iteration.down), "{iteration:?}");
     }
-    // What is stored of the wall clocks did move: 42 ms on the edge, 3 ms on the cloud.
+    // The stored wall-clock stamps did move: by 42 ms on the edge and 3 ms on the cloud.
     let raw = |iteration: &Iteration| iteration.up.received - iteration.up.sent;
     let (first, last) = (raw(&iterations[0]), raw(&iterations[iterations.len() - 1]));
     assert!((first - last).abs() > Span::from_millis(30), "{first} {last}");

@@ -1,12 +1,12 @@
-//! A wall clock that is set by three seconds in mid-run.
+//! Tests of a wall clock that is set by three seconds during a run.
 
 use peernet_clock::{Span, WallTime};
 use peernet_tests::truth::{Delay, Iteration};
-use peernet_tests::{Network, Plant};
+use peernet_tests::{Network, TwoHostTestbed};
 
-use super::{WARM_UP, hold_to_the_truth, rehearsal};
+use super::{WARM_UP, assert_contains_truth, rehearsal};
 
-/// When the clock is set, after the start of its agent.
+/// Time of the step after the start of the agent.
 const AT: Span = Span::from_seconds(8);
 
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -17,21 +17,21 @@ enum Stepped {
 
 fn step(stepped: Stepped, by_ms: i32) {
     let what = format!("{by_ms:+} ms on the {stepped:?}");
-    let plant = Plant::new(|_| Network::direct());
+    let testbed = TwoHostTestbed::new(|_| Network::direct());
     let steps = format!("steps = [{{ at_s = {}, by_ms = {by_ms} }}]", AT.seconds());
     let table = |host, offset_ms| rehearsal(offset_ms, 10.0, if host == stepped { &steps } else { "" });
-    let _cloud = plant.cloud(&table(Stepped::Cloud, 250.0));
+    let _cloud = testbed.cloud(&table(Stepped::Cloud, 250.0));
     let load = "load = { mode = \"rate\", hz = 100.0 }\nlimit = { duration_s = 18.0 }";
-    let pipeline = plant.pipeline("stepped", 1000, load);
-    let _edge = plant.edge(&format!("{}{pipeline}", table(Stepped::Edge, -250.0)), &[]);
-    let (edge, cloud) = (plant.clock_of("edge"), plant.clock_of("cloud"));
-    plant.finished(1);
+    let pipeline = testbed.pipeline("stepped", 1000, load);
+    let _edge = testbed.edge(&format!("{}{pipeline}", table(Stepped::Edge, -250.0)), &[]);
+    let (edge, cloud) = (testbed.clock_of("edge"), testbed.clock_of("cloud"));
+    testbed.wait_for_runs(1);
 
-    let iterations = plant.iterations();
-    hold_to_the_truth(&what, &iterations, &edge, &cloud);
+    let iterations = testbed.iterations();
+    assert_contains_truth(&what, &iterations, &edge, &cloud);
     let clock = if stepped == Stepped::Edge { &edge } else { &cloud };
     let at = clock.since().expect("rehearsed") + AT;
-    // By the clock that was left alone, which shows no time twice.
+    // Times by the clock that was not stepped, because it shows no time twice.
     let when = |iteration: &Iteration| -> WallTime {
         match stepped {
             Stepped::Edge => cloud.truth(iteration.up.received),
@@ -53,21 +53,21 @@ fn step(stepped: Stepped, by_ms: i32) {
 }
 
 #[test]
-fn wall_clock_of_edge_set_forward_reaches_no_delay() {
+fn edge_clock_set_forward_affects_no_delay() {
     step(Stepped::Edge, 3_000);
 }
 
 #[test]
-fn wall_clock_of_cloud_set_forward_reaches_no_delay() {
+fn cloud_clock_set_forward_affects_no_delay() {
     step(Stepped::Cloud, 3_000);
 }
 
 #[test]
-fn wall_clock_of_edge_set_back_reaches_no_delay() {
+fn edge_clock_set_back_affects_no_delay() {
     step(Stepped::Edge, -3_000);
 }
 
 #[test]
-fn wall_clock_of_cloud_set_back_reaches_no_delay() {
+fn cloud_clock_set_back_affects_no_delay() {
     step(Stepped::Cloud, -3_000);
 }

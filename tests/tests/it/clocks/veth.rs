@@ -1,15 +1,15 @@
-//! Two hosts on one cable, whose clocks are a second apart and drift: the delays must not notice.
+//! Tests of two hosts on one cable, whose clocks are a second apart and drift: the delays must not change.
 
 use peernet_clock::Span;
 use peernet_tests::truth::HostClock;
-use peernet_tests::{Network, Plant};
+use peernet_tests::{Network, TwoHostTestbed};
 
-use super::{WARM_UP, hold_to_the_truth, rehearsal};
+use super::{WARM_UP, assert_contains_truth, rehearsal};
 
-/// The largest mean error, each direction.
+/// Largest mean error of each direction.
 const MEAN_ERROR: Span = Span::from_micros(50);
 
-/// Four cases of these are more than 10,000 iterations.
+/// Four cases with these numbers are more than 10,000 iterations.
 const STEADY: usize = 2_000;
 const QUICK: usize = 1_000;
 
@@ -19,28 +19,29 @@ enum Wrong {
     Cloud,
 }
 
-/// A steady pipeline, slow enough that clocks drift apart meanwhile, and one as fast as it can.
+/// Runs a steady pipeline, slow enough that the clocks drift apart meanwhile, and one that runs as fast as it can.
 fn case(offset_ms: f64, drift_ppm: f64, max_drift_ppm: f64, wrong: Wrong) {
-    let plant = Plant::new(|_| Network::direct());
+    let testbed = TwoHostTestbed::new(|_| Network::direct());
     let clock = format!("[clock]\nmax_drift_ppm = {max_drift_ppm:?}\n");
     let own = rehearsal(offset_ms, drift_ppm, "");
     let (edge_own, cloud_own) = match wrong {
         Wrong::Edge => (own.as_str(), ""),
         Wrong::Cloud => ("", own.as_str()),
     };
-    let _cloud = plant.cloud(&format!("{clock}{cloud_own}"));
+    let _cloud = testbed.cloud(&format!("{clock}{cloud_own}"));
     let steady = format!("load = {{ mode = \"rate\", hz = 100.0 }}\nlimit = {{ iterations = {STEADY} }}");
     let quick = format!("limit = {{ iterations = {QUICK} }}");
-    let pipelines = [plant.pipeline("steady", 1000, &steady), plant.pipeline("quick", 1000, &quick)].concat();
-    let _edge = plant.edge(&format!("{clock}{edge_own}{pipelines}"), &[]);
+    let pipelines =
+        [testbed.pipeline("steady", 1000, &steady), testbed.pipeline("quick", 1000, &quick)].concat();
+    let _edge = testbed.edge(&format!("{clock}{edge_own}{pipelines}"), &[]);
 
     let (edge, cloud) = match wrong {
-        Wrong::Edge => (plant.clock_of("edge"), HostClock::kernels()),
-        Wrong::Cloud => (HostClock::kernels(), plant.clock_of("cloud")),
+        Wrong::Edge => (testbed.clock_of("edge"), HostClock::of_kernel()),
+        Wrong::Cloud => (HostClock::of_kernel(), testbed.clock_of("cloud")),
     };
-    plant.finished(2);
+    testbed.wait_for_runs(2);
     let what = format!("{offset_ms:+} ms, {drift_ppm:+} ppm of {max_drift_ppm}");
-    let (up, down) = hold_to_the_truth(&what, &plant.iterations(), &edge, &cloud);
+    let (up, down) = assert_contains_truth(&what, &testbed.iterations(), &edge, &cloud);
     for comparison in [&up, &down] {
         assert_eq!(comparison.compared, STEADY + QUICK + 2 * WARM_UP as usize);
         assert!(comparison.mean_error() <= MEAN_ERROR, "{what}: {}", comparison.in_words());
@@ -48,21 +49,21 @@ fn case(offset_ms: f64, drift_ppm: f64, max_drift_ppm: f64, wrong: Wrong) {
 }
 
 #[test]
-fn a_cloud_ahead_and_fast() {
+fn delays_contain_truth_for_fast_cloud_ahead() {
     case(1_000.0, 50.0, 50.0, Wrong::Cloud);
 }
 
 #[test]
-fn an_edge_behind_and_slow() {
+fn delays_contain_truth_for_slow_edge_behind() {
     case(-1_000.0, -50.0, 50.0, Wrong::Edge);
 }
 
 #[test]
-fn an_edge_ahead_and_fast() {
+fn delays_contain_truth_for_fast_edge_ahead() {
     case(1_000.0, 100.0, 150.0, Wrong::Edge);
 }
 
 #[test]
-fn a_cloud_behind_and_slow() {
+fn delays_contain_truth_for_slow_cloud_behind() {
     case(-1_000.0, -100.0, 150.0, Wrong::Cloud);
 }

@@ -1,6 +1,6 @@
-//! Commands of one machine: the study of a sensor, checks, models, completion.
+//! Commands on one machine: the study of a sensor, checks, models, completion.
 
-use peernet_tests::{Desk, Document};
+use peernet_tests::{Document, DocumentedCommands};
 
 use crate::experiments::{Results, column, done};
 
@@ -15,16 +15,16 @@ pub(crate) const COMMANDS: [&str; 8] = [
     "peernet completions bash > /etc/bash_completion.d/peernet",
 ];
 
-/// An experiment with the slip that the document shows.
+/// Experiment with the mistake that the document shows.
 const SLIP: &str = "[experiment]\nname = 'slip'\niterations = 5\n[pipeline]\nsensor = { kind = 'text', length = 10 }\n\
                     placement = { kind = 'remote', peer = 'tcp://127.0.0.1:5551' }\n[[axis]]\nname = 'Model'\n\
                     [[axis.value]]\nlabel = 'echo'\nset = { 'pipeline.placement.modle' = 'echo' }\n";
 
 #[test]
-fn a_sensor_a_slip_the_models_and_the_completion() {
-    let desk = Desk::new(&COMMANDS);
+fn readme_commands_without_aggregator_work() {
+    let machines = DocumentedCommands::new(&COMMANDS);
     let typed = |command: &str, changes: &[(&str, &str)]| {
-        let ended = desk.on_edge(command, changes).ended();
+        let ended = machines.on_edge(command, changes).ended();
         (ended.code(), ended.log)
     };
     let named = |command: &str, more: &str| {
@@ -33,10 +33,10 @@ fn a_sensor_a_slip_the_models_and_the_completion() {
         log
     };
 
-    desk.copy("configs/experiments/sensor-study.toml", &[("duration_s = 12", "iterations = 20")]);
-    let study = done(desk.on_edge("peernet run configs/experiments/sensor-study.toml", &[]), 4);
+    machines.copy("configs/experiments/sensor-study.toml", &[("duration_s = 12", "iterations = 20")]);
+    let study = done(machines.on_edge("peernet run configs/experiments/sensor-study.toml", &[]), 4);
     assert_eq!(study.code(), 0, "{}", study.log);
-    let results = Results::of(desk.folder().join("results/sensor-study"));
+    let results = Results::of(machines.folder().join("results/sensor-study"));
     assert_eq!(results.stages(), ["finished"; 4]);
     for folder in results.folders() {
         let study = std::fs::read_to_string(results.file(&folder, "sensor.txt")).expect("it was written");
@@ -45,7 +45,7 @@ fn a_sensor_a_slip_the_models_and_the_completion() {
         assert!(column(&data, "inference").iter().all(String::is_empty), "nobody computes");
     }
 
-    desk.write("experiment.toml", SLIP);
+    machines.write("experiment.toml", SLIP);
     let (code, log) = typed("peernet run --check experiment.toml", &[]);
     assert_eq!(code, 78, "{log}");
     assert!(Document::read("docs/experiments.md").text.contains(log.trim()), "{log}");
@@ -63,6 +63,6 @@ fn a_sensor_a_slip_the_models_and_the_completion() {
     let file = ("/etc/bash_completion.d/peernet", "completion.bash");
     let (code, log) = typed("peernet completions bash > /etc/bash_completion.d/peernet", &[file]);
     assert_eq!(code, 0, "{log}");
-    assert_eq!(desk.run_on(desk.edge(), "bash -n completion.bash").ended().code(), 0);
-    desk.finish();
+    assert_eq!(machines.run_on(machines.edge(), "bash -n completion.bash").ended().code(), 0);
+    machines.finish();
 }

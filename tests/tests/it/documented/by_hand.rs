@@ -1,19 +1,19 @@
-//! The shipped configurations, started by hand: on two machines, and all in one.
+//! The shipped configurations, started manually: on two machines, and all in one process.
 
 use peernet_tests::network::Host;
 use peernet_tests::truth::ask;
-use peernet_tests::{Api, Desk, Document, until};
+use peernet_tests::{Api, Document, DocumentedCommands, until};
 
 pub(crate) const COMMANDS: [&str; 6] = [
-    "target/release/peernetd run configs/aggregator.toml",
-    "target/release/peernetd run configs/cloud.toml",
-    "target/release/peernetd run configs/edge.toml",
+    "target/demo/peernetd run configs/aggregator.toml",
+    "target/demo/peernetd run configs/cloud.toml",
+    "target/demo/peernetd run configs/edge.toml",
     "peernetd doctor --config configs/edge.toml",
-    "target/release/peernetd run configs/all-in-one.toml",
+    "target/demo/peernetd run configs/all-in-one.toml",
     "peernetd run configs/python.toml",
 ];
 
-/// Waits until the dashboard on a host has seen so many iterations of a pipeline answered.
+/// Waits until the dashboard on a host shows this number of answered iterations of a pipeline.
 fn answered(host: &Host, pipeline: &'static str, count: u64) {
     host.inside(move || {
         Api::at(8040).until("/api/v1/runs", |runs| {
@@ -26,51 +26,51 @@ fn answered(host: &Host, pipeline: &'static str, count: u64) {
 }
 
 #[test]
-fn the_aggregator_is_killed_and_the_dashboard_has_no_hole() {
-    let desk = Desk::new(&COMMANDS);
-    desk.copy("configs/aggregator.toml", &[("127.0.0.1:5550", "0.0.0.0:5550")]);
-    desk.copy("configs/cloud.toml", &[("tcp://127.0.0.1:5551", "tcp://0.0.0.0:5551")]);
-    desk.copy("configs/edge.toml", &[]);
-    let start = || desk.on_cloud("target/release/peernetd run configs/aggregator.toml", &[]);
+fn killed_aggregator_leaves_no_gap_on_dashboard() {
+    let machines = DocumentedCommands::new(&COMMANDS);
+    machines.copy("configs/aggregator.toml", &[("127.0.0.1:5550", "0.0.0.0:5550")]);
+    machines.copy("configs/cloud.toml", &[("tcp://127.0.0.1:5551", "tcp://0.0.0.0:5551")]);
+    machines.copy("configs/edge.toml", &[]);
+    let start = || machines.on_cloud("target/demo/peernetd run configs/aggregator.toml", &[]);
     let aggregator = start();
-    let cloud = desk.on_cloud("target/release/peernetd run configs/cloud.toml", &[]);
-    let edge = desk.on_edge("target/release/peernetd run configs/edge.toml", &[]);
+    let cloud = machines.on_cloud("target/demo/peernetd run configs/cloud.toml", &[]);
+    let edge = machines.on_edge("target/demo/peernetd run configs/edge.toml", &[]);
     for pipeline in ["local", "offload-full", "offload-resized"] {
-        answered(desk.cloud(), pipeline, 5);
+        answered(machines.cloud(), pipeline, 5);
     }
 
     aggregator.kill();
     until("batches that wait", || {
-        let waits = desk.on_edge("peernetd doctor --config configs/edge.toml", &[]).ended();
+        let waits = machines.on_edge("peernetd doctor --config configs/edge.toml", &[]).ended();
         assert_eq!(waits.code(), 0, "{}", waits.log);
         waits.log.contains("waiting: batches").then_some(())
     });
     let aggregator = start();
     let said = edge.wait_for_nth("connected to the aggregator", 2);
     assert!(said.contains(" wait"), "how many events it brings: {said}");
-    answered(desk.cloud(), "offload-resized", 20);
+    answered(machines.cloud(), "offload-resized", 20);
     for process in [edge, cloud, aggregator] {
         let ended = process.stop();
         assert_eq!(ended.code(), 0, "{}", ended.log);
     }
-    // Nothing is missing, and nothing is there twice.
-    let database = desk.folder().join("data/aggregator/peernet.sqlite");
+    // No iteration is missing, and none is stored twice.
+    let database = machines.folder().join("data/aggregator/peernet.sqlite");
     let holes =
         "SELECT run, count(*), max(number) FROM iteration GROUP BY run HAVING count(*) <> max(number)";
     assert_eq!(ask(&database, holes), "");
 
-    // Each machine for itself.
+    // The remaining files are checked on one machine.
     for name in ["python.toml", "python/sweep.py", "python/nearest.py", "all-in-one.toml"] {
         let name = format!("configs/{name}");
-        desk.write(&name, &Document::read(&*name).text);
+        machines.write(&name, &Document::read(&*name).text);
     }
-    let own_code = desk.on_cloud("peernetd run configs/python.toml", &[]);
-    let all = desk.on_edge("target/release/peernetd run configs/all-in-one.toml", &[]);
-    answered(desk.edge(), "over-the-network", 5);
-    answered(desk.cloud(), "scan", 5);
+    let own_code = machines.on_cloud("peernetd run configs/python.toml", &[]);
+    let all = machines.on_edge("target/demo/peernetd run configs/all-in-one.toml", &[]);
+    answered(machines.edge(), "over-the-network", 5);
+    answered(machines.cloud(), "scan", 5);
     for process in [own_code, all] {
         let ended = process.stop();
         assert_eq!(ended.code(), 0, "{}", ended.log);
     }
-    desk.finish();
+    machines.finish();
 }

@@ -1,11 +1,12 @@
-//! Commands of the documents that are run elsewhere than in the tests beside this, and those that nothing runs.
+//! Documented commands that are executed outside of these tests, and those that are never executed.
 
 use std::process::Command;
 
 use peernet_tests::root;
 
-/// Commands, and the file and the words of it by which they are run, with these differences: fewer iterations; random
-/// weights, which nobody has to download; a package that is installed in a throw-away copy of the machine.
+/// Commands, with the file that executes them and the words by which it does. Differences from the documents: fewer
+/// iterations; random weights, which need no download; a package that is installed in a disposable copy of the
+/// machine.
 pub(super) const ELSEWHERE: [(&[&str], &str, &str); 9] = [
     (
         &[
@@ -49,7 +50,7 @@ pub(super) const ELSEWHERE: [(&[&str], &str, &str); 9] = [
     ),
 ];
 
-/// Why nothing runs them, and commands.
+/// Reasons that commands are never executed, and these commands.
 pub(super) const NOWHERE: [(&str, &[&str]); 4] = [
     (
         "what it fetches is the checkout that the tests are in",
@@ -85,19 +86,19 @@ pub(super) const NOWHERE: [(&str, &[&str]); 4] = [
 ];
 
 #[test]
-fn what_runs_commands_elsewhere_is_there() {
+fn commands_executed_elsewhere_are_in_their_files() {
     for (commands, file, words) in ELSEWHERE {
         let text = std::fs::read_to_string(root().join(file)).unwrap_or_default();
         assert!(text.contains(words), "{file} has no {words:?}, which is to run {commands:?}");
     }
 }
 
-/// Whether the Makefile has the target of a command, or the tools that `make test` installs have its packages. Other
-/// commands are none of this function's business.
+/// Returns whether the Makefile has the target of a command, or whether the tools that `make test` installs include
+/// its packages; `None` for other commands.
 pub(super) fn is_known(command: &str) -> Option<bool> {
     if let Some(targets) = command.strip_prefix("make ") {
         let mut make = Command::new("make");
-        // Not as a part of the `make` that runs the tests.
+        // This must not count as a part of the `make` that runs the tests.
         make.arg("--dry-run").args(targets.split(' ')).current_dir(root()).env_remove("MAKEFLAGS");
         return Some(make.output().is_ok_and(|ended| ended.status.success()));
     }

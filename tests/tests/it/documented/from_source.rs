@@ -1,7 +1,7 @@
-//! What is installed by hand out of a checkout, and the demo with files of one's own.
+//! Manual installation from a checkout, and the demo with the user's own files.
 
 use peernet_tests::network::Host;
-use peernet_tests::{Api, Desk, Document, Ended};
+use peernet_tests::{Api, Document, DocumentedCommands, ProcessEnd};
 
 pub(crate) const COMMANDS: [&str; 12] = [
     PROGRAMS,
@@ -20,13 +20,13 @@ pub(crate) const COMMANDS: [&str; 12] = [
 
 const PROGRAMS: &str = "install -m 755 target/release/peernetd target/release/peernet /usr/bin/";
 const LIBRARY: &str = "deploy/onnxruntime/fetch.py --dest /usr/lib/peernet";
-const DEMO: &str = "deploy/demo.sh target/release/peernetd FOLDER";
+const DEMO: &str = "deploy/demo.sh target/demo/peernetd FOLDER";
 
-fn well(ended: &Ended) {
+fn assert_success(ended: &ProcessEnd) {
     assert_eq!(ended.code(), 0, "{}", ended.log);
 }
 
-/// Waits until a pipeline on the dashboard of a host has had answers.
+/// Waits until a pipeline on the dashboard of a host has answers.
 fn answered(host: &Host, port: u16, pipeline: &'static str) {
     host.inside(move || {
         Api::at(port).until("/api/v1/runs", |runs| {
@@ -38,16 +38,18 @@ fn answered(host: &Host, port: u16, pipeline: &'static str) {
 }
 
 #[test]
-fn what_is_installed_by_hand_is_where_the_units_look_for_it() {
-    let desk = Desk::new(&COMMANDS);
-    let (edge, machine) = (desk.edge(), desk.root_of(desk.edge()));
+fn manual_installation_matches_paths_of_units() {
+    let machines = DocumentedCommands::new(&COMMANDS);
+    let (edge, machine) = (machines.edge(), machines.root_of(machines.edge()));
     let root = machine.display().to_string();
     for folder in ["etc", "usr/bin", "usr/lib"] {
         std::fs::create_dir_all(machine.join(folder)).expect("writable");
     }
-    // What it would download is there already.
+    // The library that the command would download exists already.
     let library = peernet_tests::onnxruntime();
-    well(&desk.run_on(edge, &format!("cp -a {} {root}/usr/lib/peernet", library.display())).ended());
+    assert_success(
+        &machines.run_on(edge, &format!("cp -a {} {root}/usr/lib/peernet", library.display())).ended(),
+    );
 
     let programs = format!("{root}/usr/bin/");
     let [users, folders] = ["sysusers", "tmpfiles"].map(|tool| format!("systemd-{tool} --root={root}"));
@@ -55,7 +57,7 @@ fn what_is_installed_by_hand_is_where_the_units_look_for_it() {
         [("/usr/bin/", &programs), ("systemd-sysusers", &users), ("systemd-tmpfiles", &folders)];
     for command in &COMMANDS[..9] {
         let changes: Vec<_> = mine.into_iter().filter(|(from, _)| command.contains(from)).collect();
-        well(&desk.on_edge(command, &changes).ended());
+        assert_success(&machines.on_edge(command, &changes).ended());
     }
     for role in ["agent", "aggregator"] {
         let unit = machine.join(format!("etc/systemd/system/peernet-{role}.service"));
@@ -67,28 +69,28 @@ fn what_is_installed_by_hand_is_where_the_units_look_for_it() {
         }
         assert!(machine.join("var/lib/peernet").join(role).is_dir(), "{role}");
 
-        // The file as it was installed, with this machine's folders.
+        // The file as installed, with this machine's folders.
         let file = format!("/etc/peernet/{role}.toml");
         let text = std::fs::read_to_string(machine.join(&file[1..])).expect("it was installed");
-        desk.install(edge, &file, &text, &[]);
+        machines.install(edge, &file, &text, &[]);
         let installed = format!("{programs}peernetd");
         let check = format!("peernetd check {file}");
-        well(&desk.on_edge(&check, &[("peernetd", &installed)]).ended());
+        assert_success(&machines.on_edge(&check, &[("peernetd", &installed)]).ended());
     }
-    the_demo(&desk);
-    desk.finish();
+    the_demo(&machines);
+    machines.finish();
 }
 
-/// With another port.
-fn the_demo(desk: &Desk) {
+/// Runs the demo with another port.
+fn the_demo(machines: &DocumentedCommands) {
     for name in ["aggregator", "cloud", "edge"] {
         let text = Document::read(format!("configs/{name}.toml")).text;
-        desk.write(&format!("mine/{name}.toml"), &text.replace("127.0.0.1:8040", "127.0.0.1:8050"));
+        machines.write(&format!("mine/{name}.toml"), &text.replace("127.0.0.1:8040", "127.0.0.1:8050"));
     }
-    let demo = desk.on_edge(DEMO, &[("FOLDER", "mine")]);
+    let demo = machines.on_edge(DEMO, &[("FOLDER", "mine")]);
     demo.wait_for("http://127.0.0.1:8050/api/v1/pipelines");
-    answered(desk.edge(), 8050, "offload-resized");
+    answered(machines.edge(), 8050, "offload-resized");
     let ended = demo.stop();
-    well(&ended);
+    assert_success(&ended);
     assert!(ended.log.contains("demo: ended"), "{}", ended.log);
 }

@@ -1,4 +1,5 @@
-//! The commands of the documents, each typed with the real programs: what uses a network, between two machines.
+//! Tests that execute the commands of the documents with the real programs; commands that use a network are executed
+//! between two machines.
 
 mod alone;
 mod by_hand;
@@ -16,7 +17,7 @@ use peernet_tests::Document;
 use crate::experiments::{same_seed, users};
 use elsewhere::{ELSEWHERE, NOWHERE, is_known};
 
-/// What the tests here type, and the experiments'.
+/// Commands that these tests and those of experiments execute.
 const TYPED: [&[&str]; 9] = [
     &alone::COMMANDS,
     &by_hand::COMMANDS,
@@ -30,7 +31,7 @@ const TYPED: [&[&str]; 9] = [
 ];
 
 #[test]
-fn every_command_of_the_documents_is_typed_by_a_test() {
+fn every_documented_command_is_executed_by_a_test() {
     let shown: BTreeSet<String> = Document::all().iter().flat_map(Document::commands).collect();
     let unknown: Vec<_> = shown.iter().filter(|command| is_known(command) == Some(false)).collect();
     assert!(

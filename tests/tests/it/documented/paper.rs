@@ -1,6 +1,6 @@
-//! The paper's experiments, with their own files: on one server, with a small model in the place of each large one.
+//! The paper's experiments with their own files, on one server, with a small model in place of each large one.
 
-use peernet_tests::{Desk, Document};
+use peernet_tests::{Document, DocumentedCommands};
 
 use crate::experiments::{Results, column, done};
 
@@ -18,56 +18,56 @@ pub(crate) const COMMANDS: [&str; 9] = [
 
 const PAYLOADS: &str = "peernet run --set experiment.iterations=100 --set pipeline.placement.peer=tcp://10.0.0.2:5551 configs/experiments/payload-study.toml";
 
-/// The document's options for a machine without a GPU, and fewer iterations.
+/// The document's options for a machine without a GPU, with fewer iterations.
 const HERE: &str = "run --set network.config=net_config.yaml --set bank.devices='[\"cpu\"]' \
                     --set pipeline.placement.device=cpu --set experiment.iterations=3";
 
 const MODELS: [&str; 3] = ["efficientnet_v2_s", "efficientnet_v2_m", "efficientnet_v2_l"];
 
-/// A model with a name of its own, in the place of one that a machine without a GPU would compute for seconds.
-pub(crate) fn small_model(desk: &Desk, name: &str) {
+/// Adds a small model under this name, in place of one that takes seconds on a machine without a GPU.
+pub(crate) fn small_model(machines: &DocumentedCommands, name: &str) {
     let card = Document::read("models/quality-control/model.toml").text;
     let own = format!("models/{name}");
-    desk.write(&format!("{own}/model.toml"), &card.replace("quality-control", name));
+    machines.write(&format!("{own}/model.toml"), &card.replace("quality-control", name));
     let network = peernet_tests::root().join("models/quality-control/model.onnx");
-    std::os::unix::fs::symlink(network, desk.folder().join(own).join("model.onnx")).expect("writable");
+    std::os::unix::fs::symlink(network, machines.folder().join(own).join("model.onnx")).expect("writable");
 }
 
-/// The agent that the document has for the server, with the policy of the second experiment; processors for GPUs.
-fn server(desk: &Desk) {
+/// Installs the document's agent for the server, with the policy of the second experiment; processors replace GPUs.
+fn server(machines: &DocumentedCommands) {
     let document = Document::read("docs/experiments.md");
     let agents = document.fenced("toml").into_iter().map(|(_, text)| text);
     let agent = agents.into_iter().find(|text| text.contains("[bank]")).expect("it has an agent with a bank");
     let policy = "[[model]]\nname = \"policy\"\nkind = \"onnx\"\npath = \"models/quality-control\"\n";
     let agent = agent.replace("cuda:0", "cpu");
-    desk.write("cloud.toml", &format!("{agent}\n{policy}"));
+    machines.write("cloud.toml", &format!("{agent}\n{policy}"));
 }
 
 #[test]
-fn efficientnet_and_the_robot_arm_are_measured_compared_and_drawn() {
-    let desk = Desk::new(&COMMANDS);
-    MODELS.iter().for_each(|name| small_model(&desk, name));
-    server(&desk);
-    let cloud = desk.on_cloud("peernetd run cloud.toml", &[]);
+fn paper_experiments_are_measured_compared_and_drawn() {
+    let machines = DocumentedCommands::new(&COMMANDS);
+    MODELS.iter().for_each(|name| small_model(&machines, name));
+    server(&machines);
+    let cloud = machines.on_cloud("peernetd run cloud.toml", &[]);
     cloud.wait_for("ready");
-    efficientnet(&desk);
-    teleoperation(&desk);
-    payload_study(&desk);
+    efficientnet(&machines);
+    teleoperation(&machines);
+    payload_study(&machines);
     let ended = cloud.stop();
     assert_eq!(ended.code(), 0, "{}", ended.log);
-    desk.finish();
+    machines.finish();
 }
 
-/// Three models here and there.
-fn efficientnet(desk: &Desk) {
+/// Measures three models locally and on the server.
+fn efficientnet(machines: &DocumentedCommands) {
     let file = "configs/experiments/efficientnet.toml";
-    desk.write(file, &Document::read(file).text);
+    machines.write(file, &Document::read(file).text);
     let devices = Document::read("configs/experiments/networks/net_config.yaml").text;
-    desk.write("net_config.yaml", &devices.replace("cluster.example.org", Desk::CLOUD));
-    let measured = desk.on_edge("peernet run configs/experiments/efficientnet.toml", &[("run", HERE)]);
+    machines.write("net_config.yaml", &devices.replace("cluster.example.org", DocumentedCommands::CLOUD));
+    let measured = machines.on_edge("peernet run configs/experiments/efficientnet.toml", &[("run", HERE)]);
     let ended = done(measured, 6);
     assert_eq!(ended.code(), 0, "{}", ended.log);
-    let results = Results::of(desk.folder().join("results/efficientnet"));
+    let results = Results::of(machines.folder().join("results/efficientnet"));
     assert_eq!(results.stages(), ["finished"; 6]);
     let table = results.folder.join("compare.csv");
     assert_eq!(column(&table, "Where"), ["local", "local", "local", "cloud", "cloud", "cloud"]);
@@ -79,59 +79,59 @@ fn efficientnet(desk: &Desk) {
     }
     let figure = results.folder.join("paired.png");
     std::fs::remove_file(&figure).expect("it is among the figures of the whole");
-    let ended = desk.on_edge("peernet plot --kind paired results/efficientnet", &[]).ended();
+    let ended = machines.on_edge("peernet plot --kind paired results/efficientnet", &[]).ended();
     assert_eq!(ended.code(), 0, "{}", ended.log);
     assert!(figure.is_file(), "{}", ended.log);
 }
 
-/// Nine combinations; one server is both of the paper's in all three networks.
-fn teleoperation(desk: &Desk) {
+/// Measures nine combinations; one server stands for both of the paper's in all three networks.
+fn teleoperation(machines: &DocumentedCommands) {
     for (network, addresses) in [
         ("lan", ["192.168.1.30", "192.168.1.40"]),
         ("can", ["10.20.0.30", "10.20.0.40"]),
         ("5g", ["10.8.0.30", "10.8.0.40"]),
     ] {
-        let here = addresses.map(|address| (address, Desk::CLOUD));
-        desk.copy(&format!("configs/experiments/networks/{network}.yaml"), &here);
+        let here = addresses.map(|address| (address, DocumentedCommands::CLOUD));
+        machines.copy(&format!("configs/experiments/networks/{network}.yaml"), &here);
     }
-    desk.copy(
+    machines.copy(
         "configs/experiments/teleoperation.toml",
         &[("episodes = 30", "episodes = 2"), ("episode_steps = 30", "episode_steps = 3")],
     );
-    let checked = desk.on_edge("peernet run --check configs/experiments/teleoperation.toml", &[]).ended();
+    let checked = machines.on_edge("peernet run --check configs/experiments/teleoperation.toml", &[]).ended();
     assert_eq!(checked.code(), 0, "{}", checked.log);
-    // As the document shows it.
+    // The document shows this output.
     assert!(Document::read("docs/experiments.md").text.contains(checked.log.trim()), "{}", checked.log);
-    let ended = done(desk.on_edge("peernet run configs/experiments/teleoperation.toml", &[]), 9);
+    let ended = done(machines.on_edge("peernet run configs/experiments/teleoperation.toml", &[]), 9);
     assert_eq!(ended.code(), 0, "{}", ended.log);
-    let results = Results::of(desk.folder().join("results/teleoperation"));
+    let results = Results::of(machines.folder().join("results/teleoperation"));
     assert_eq!(results.stages(), ["finished"; 9]);
-    std::os::unix::fs::symlink(&results.folder, desk.folder().join("teleoperation")).expect("writable");
+    std::os::unix::fs::symlink(&results.folder, machines.folder().join("teleoperation")).expect("writable");
 
     let table = "peernet compare teleoperation --format latex --out table.tex";
-    assert_eq!(desk.on_edge(table, &[]).ended().code(), 0);
-    let table = std::fs::read_to_string(desk.folder().join("table.tex")).expect("it was written");
+    assert_eq!(machines.on_edge(table, &[]).ended().code(), 0);
+    let table = std::fs::read_to_string(machines.folder().join("table.tex")).expect("it was written");
     assert!(table.contains("\\toprule") && table.matches("RTX 3090").count() >= 5, "{table}");
-    // The experiment's own is the same.
+    // The experiment's own table is the same.
     let own = std::fs::read_to_string(results.folder.join("compare.tex")).expect("it was written");
     assert_eq!(table.trim_end(), own.trim_end());
     let first = format!("runs/{}", results.folders()[0]);
     let against = "peernet compare teleoperation --baseline teleoperation/run-1";
-    let ended = desk.on_edge(against, &[("run-1", &first)]).ended();
+    let ended = machines.on_edge(against, &[("run-1", &first)]).ended();
     assert_eq!(ended.code(), 0, "{}", ended.log);
     let figures = "peernet plot teleoperation --kind stacked --out figures";
-    let ended = desk.on_edge(figures, &[]).ended();
+    let ended = machines.on_edge(figures, &[]).ended();
     assert_eq!(ended.code(), 0, "{}", ended.log);
-    assert!(desk.folder().join("figures/stacked.svg").is_file(), "{}", ended.log);
+    assert!(machines.folder().join("figures/stacked.svg").is_file(), "{}", ended.log);
 }
 
-/// The study of a link, with the file as it is.
-fn payload_study(desk: &Desk) {
+/// Measures the study of a link, with the file unchanged.
+fn payload_study(machines: &DocumentedCommands) {
     let file = "configs/experiments/payload-study.toml";
-    desk.write(file, &Document::read(file).text);
-    let ended = done(desk.on_edge(PAYLOADS, &[("=100", "=10")]), 8);
+    machines.write(file, &Document::read(file).text);
+    let ended = done(machines.on_edge(PAYLOADS, &[("=100", "=10")]), 8);
     assert_eq!(ended.code(), 0, "{}", ended.log);
-    let results = Results::of(desk.folder().join("results/payload-study"));
+    let results = Results::of(machines.folder().join("results/payload-study"));
     assert_eq!(results.stages(), ["finished"; 8]);
     assert_eq!(column(&results.folder.join("compare.csv"), "count"), ["10"; 8]);
     assert!(results.folder.join("payload-latency.svg").is_file(), "{}", ended.log);

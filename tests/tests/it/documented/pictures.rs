@@ -1,6 +1,6 @@
-//! The demo model's pictures drawn again, and a network trained on them: fewer of each.
+//! Generation of the demo model's pictures and training with them, with fewer pictures.
 
-use peernet_tests::{Desk, Ended};
+use peernet_tests::{DocumentedCommands, ProcessEnd};
 
 pub(crate) const COMMANDS: [&str; 4] = [PICTURES, HELD_OUT, THIRD, TRAIN];
 
@@ -9,28 +9,28 @@ const HELD_OUT: &str = "/usr/bin/python3 models/quality_control/draw.py models/q
 const THIRD: &str = "/usr/bin/python3 models/quality_control/draw.py /tmp/third --width 1280 --quality 85 --first-seed 6000001 --count good=100 scratched=100 dented=100 \"hole missing=100\"";
 const TRAIN: &str = "/usr/bin/python3 models/quality_control/train.py models/quality-control";
 
-fn well(ended: Ended) -> String {
+fn assert_success(ended: ProcessEnd) -> String {
     assert_eq!(ended.code(), 0, "{}", ended.log);
     ended.log
 }
 
 #[test]
-fn pictures_drawn_again_are_judged_rightly_and_a_network_is_trained() {
-    let desk = Desk::new(&COMMANDS);
+fn redrawn_pictures_are_classified_and_network_is_trained() {
+    let machines = DocumentedCommands::new(&COMMANDS);
     for (command, place, [good, others]) in [
         (PICTURES, "models/quality-control/pictures", ["=18", "=4"]),
         (HELD_OUT, "models/quality-control/held-out", ["=25", "=25"]),
         (THIRD, "/tmp/third", ["=100", "=100"]),
     ] {
-        well(desk.on_edge(command, &[(place, "drawn"), (good, "=1"), (others, "=1")]).ended());
-        // What was trained on thousands of them knows these.
+        assert_success(machines.on_edge(command, &[(place, "drawn"), (good, "=1"), (others, "=1")]).ended());
+        // The model was trained with thousands of such pictures.
         let check = "peernet models check quality-control --pictures drawn";
-        let judged = well(desk.run_on(desk.edge(), check).ended());
+        let judged = assert_success(machines.run_on(machines.edge(), check).ended());
         assert!(judged.contains("4 of 4 labels right"), "{command}: {judged}");
     }
     let few = "trained --scenes 16 --validation-scenes 4 --epochs 6";
-    well(desk.on_edge(TRAIN, &[("models/quality-control", few)]).ended());
-    let checked = well(desk.run_on(desk.edge(), "peernet models check ./trained").ended());
+    assert_success(machines.on_edge(TRAIN, &[("models/quality-control", few)]).ended());
+    let checked = assert_success(machines.run_on(machines.edge(), "peernet models check ./trained").ended());
     assert!(checked.contains("run on zeros"), "{checked}");
-    desk.finish();
+    machines.finish();
 }

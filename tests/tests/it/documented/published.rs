@@ -1,6 +1,6 @@
-//! The published commands as the documents have them beside others, and what is done with their results.
+//! The published commands in the documents, and the use of their results.
 
-use peernet_tests::{Desk, Document, until};
+use peernet_tests::{Document, DocumentedCommands, until};
 
 use super::paper::small_model;
 use crate::experiments::column;
@@ -21,62 +21,62 @@ const CLIENT: &str = "peernet --client --name jetson-orin --network zmq-tcp --ne
 const OWN: &str = "peernet --client … --sensor-object sweep::Lidar";
 const COMPILER: &str = "cc -O2 -o brightness docs/examples/external/brightness.c";
 
-/// Enough for intervals; some thousand are for those who want to know.
+/// Number of iterations, reduced: enough for intervals.
 const ITERATIONS: (&str, &str) = ("1005", "40");
 
-/// The published file of devices, with this test's.
+/// The published file of devices, with this test's addresses.
 const DEVICES: &str = "devices:\n  jetson-orin: 10.0.0.1\n  cluster: CLUSTER\nserver: cluster\n";
 
 #[test]
-fn the_published_commands_ones_own_objects_and_programs_and_their_results() {
-    let desk = Desk::new(&COMMANDS);
-    desk.write("net_config.yaml", &DEVICES.replace("CLUSTER", Desk::CLOUD));
-    desk.write("local.yaml", &DEVICES.replace("CLUSTER", "127.0.0.1"));
-    of_the_readme(&desk);
-    programs_of_an_agent(&desk);
-    of_ones_own(&desk);
-    results(&desk);
-    desk.finish();
+fn published_commands_run_objects_programs_and_results() {
+    let machines = DocumentedCommands::new(&COMMANDS);
+    machines.write("net_config.yaml", &DEVICES.replace("CLUSTER", DocumentedCommands::CLOUD));
+    machines.write("local.yaml", &DEVICES.replace("CLUSTER", "127.0.0.1"));
+    of_the_readme(&machines);
+    programs_of_an_agent(&machines);
+    of_ones_own(&machines);
+    results(&machines);
+    machines.finish();
 }
 
-/// A model whose answers differ in length, as those of a language model.
+/// Model whose answers differ in length, like those of a language model.
 const TALKER: &str = "class Talker:\n    def infer(self, distances):\n        \
                       return 'word ' * (1 + int(1e4 * distances[0]) % 40)\n";
 
-/// A model of the bank, and a picture.
-fn of_the_readme(desk: &Desk) {
-    small_model(desk, "efficientnet_v2_s");
-    let picture = desk.folder().join("models/quality-control/pictures/part-0001.jpg");
-    std::fs::copy(picture, desk.folder().join("sample-image.JPEG")).expect("writable");
-    let server = desk.on_cloud(SERVER, &[ITERATIONS]);
-    let client = desk.on_edge(CLIENT, &[ITERATIONS]).ended();
+/// Executes the README's command with a model of the bank and a picture.
+fn of_the_readme(machines: &DocumentedCommands) {
+    small_model(machines, "efficientnet_v2_s");
+    let picture = machines.folder().join("models/quality-control/pictures/part-0001.jpg");
+    std::fs::copy(picture, machines.folder().join("sample-image.JPEG")).expect("writable");
+    let server = machines.on_cloud(SERVER, &[ITERATIONS]);
+    let client = machines.on_edge(CLIENT, &[ITERATIONS]).ended();
     let server = server.ended();
     assert_eq!((client.code(), server.code()), (0, 0), "{}\n{}", client.log, server.log);
-    assert_eq!(column(&desk.folder().join("results/data.csv"), "outcome"), ["ok"; 40]);
+    assert_eq!(column(&machines.folder().join("results/data.csv"), "outcome"), ["ok"; 40]);
     for name in ["summary.md", "upload-time.png", "series.svg", "run.json"] {
-        assert!(desk.folder().join("results").join(name).is_file(), "{name}");
+        assert!(machines.folder().join("results").join(name).is_file(), "{name}");
     }
 }
 
-/// The document's agent with a sensor, a model and an actuator, each a program.
-fn programs_of_an_agent(desk: &Desk) {
-    assert_eq!(desk.on_edge(COMPILER, &[]).ended().code(), 0);
+/// Runs the document's agent with a sensor, a model and an actuator, each of which is a program.
+fn programs_of_an_agent(machines: &DocumentedCommands) {
+    assert_eq!(machines.on_edge(COMPILER, &[]).ended().code(), 0);
     let document = Document::read("docs/external-programs.md");
     let (_, agent) = document.fenced("toml").remove(0);
-    desk.write("own-programs.toml", &agent);
-    let agent = desk.run_on(desk.edge(), "peernetd run own-programs.toml");
+    machines.write("own-programs.toml", &agent);
+    let agent = machines.run_on(machines.edge(), "peernetd run own-programs.toml");
     until("answers", || {
-        let answers = std::fs::read_to_string(desk.folder().join("answers.txt")).ok()?;
+        let answers = std::fs::read_to_string(machines.folder().join("answers.txt")).ok()?;
         (answers.lines().count() >= 5 && answers.contains("bright")).then_some(())
     });
     let ended = agent.stop();
     assert_eq!(ended.code(), 0, "{}", ended.log);
 }
 
-/// Python objects at both ends on one machine, programs at both ends on two.
-fn of_ones_own(desk: &Desk) {
-    desk.write("sweep.py", &Document::read("configs/python/sweep.py").text);
-    desk.write("talker.py", TALKER);
+/// Runs Python objects at both ends on one machine, and programs at both ends on two.
+fn of_ones_own(machines: &DocumentedCommands) {
+    machines.write("sweep.py", &Document::read("configs/python/sweep.py").text);
+    machines.write("talker.py", TALKER);
     let server = |model: &str, devices: &str| {
         format!(
             "PEERNet --server --name cluster --network-config {devices} --iterations 40 --model-name {model}"
@@ -85,22 +85,22 @@ fn of_ones_own(desk: &Desk) {
     let client = |devices: &str, results: &str| {
         format!("--name jetson-orin --network-config {devices} --iterations 40 --result-loc {results}")
     };
-    let local = desk.run_on(desk.edge(), &server("talker::Talker", "local.yaml"));
-    let sweep = desk.on_edge(OWN, &[("…", &client("local.yaml", "results-local"))]).ended();
+    let local = machines.run_on(machines.edge(), &server("talker::Talker", "local.yaml"));
+    let sweep = machines.on_edge(OWN, &[("…", &client("local.yaml", "results-local"))]).ended();
     let local = local.ended();
     assert_eq!((sweep.code(), local.code()), (0, 0), "{}\n{}", sweep.log, local.log);
 
-    let there = desk.run_on(desk.cloud(), &server("exec:./brightness", "net_config.yaml"));
+    let there = machines.run_on(machines.cloud(), &server("exec:./brightness", "net_config.yaml"));
     let light = ("sweep::Lidar", "exec:docs/examples/external/light.sh");
-    let here = desk.on_edge(OWN, &[("…", &client("net_config.yaml", "results-lan")), light]).ended();
+    let here = machines.on_edge(OWN, &[("…", &client("net_config.yaml", "results-lan")), light]).ended();
     let there = there.ended();
     assert_eq!((here.code(), there.code()), (0, 0), "{}\n{}", here.log, there.log);
-    // The program on the cloud judged every picture of the one on the edge rightly.
-    assert_eq!(column(&desk.folder().join("results-lan/data.csv"), "top-1"), ["1"; 40]);
+    // The program on the cloud answered every picture of the edge's program correctly.
+    assert_eq!(column(&machines.folder().join("results-lan/data.csv"), "top-1"), ["1"; 40]);
 }
 
-fn results(desk: &Desk) {
-    let compared = desk.on_edge("peernet compare results-local results-lan", &[]).ended();
+fn results(machines: &DocumentedCommands) {
+    let compared = machines.on_edge("peernet compare results-local results-lan", &[]).ended();
     assert_eq!(compared.code(), 0, "{}", compared.log);
     assert!(compared.log.contains("talker") && compared.log.contains("brightness"), "{}", compared.log);
     let length = [("length", "length results-local")];
@@ -109,8 +109,8 @@ fn results(desk: &Desk) {
         ("peernet plot results --kind histograms --x total", &[], "results/total-histogram.png"),
         ("peernet plot --kind length", &length, "results-local/length.png"),
     ] {
-        let drawn = desk.on_edge(command, changes).ended();
+        let drawn = machines.on_edge(command, changes).ended();
         assert_eq!(drawn.code(), 0, "{}", drawn.log);
-        assert!(desk.folder().join(figure).is_file(), "{figure}: {}", drawn.log);
+        assert!(machines.folder().join(figure).is_file(), "{figure}: {}", drawn.log);
     }
 }

@@ -1,8 +1,8 @@
-//! The README's plant of two machines, with its own files: looked at, calibrated, looked after.
+//! The two machines of docs/two-machines.md with its own files: queries, calibration, maintenance.
 
 use peernet_tests::network::Host;
 use peernet_tests::truth::ask;
-use peernet_tests::{Desk, Document, Ended, until};
+use peernet_tests::{Document, DocumentedCommands, ProcessEnd, until};
 use serde_json::Value;
 
 pub(crate) const COMMANDS: [&str; 19] = [
@@ -33,127 +33,139 @@ const REPAIR: &str = "peernetd doctor --repair --config /etc/peernet/aggregator.
 const REBUILD: &str = "peernetd rebuild-rollups --config /etc/peernet/aggregator.toml [--run NUMBER]";
 const CLEAR: &str = "peernetd clear-host-secret --config /etc/peernet/aggregator.toml robot";
 
-/// A calibration of some seconds.
+/// Arguments of a calibration of some seconds.
 const SHORT: &str = "calibrate --sizes 100,1kB,10kB --repeats 20 --quiet";
 
-/// The README's three files, on the machines that it names, which share one system's name and clock here.
-pub(crate) fn install(desk: &Desk) {
-    let readme = Document::read("README.md");
-    let files = readme.indented("put-it-on-two-machines", 7);
+/// Installs the three files of docs/two-machines.md on the machines that it names, which share one host name and clock here.
+pub(crate) fn install(machines: &DocumentedCommands) {
+    let document = Document::read("docs/two-machines.md");
+    let files = document.indented("put-it-on-two-machines", 7);
     let [aggregator, cloud, robot, ..] = &*files else { panic!("it has three files: {files:#?}") };
     let agent = |name: &str| {
         let state = format!("state_dir = \"/var/lib/peernet/agent\"\nclock_identity = \"{name}\"");
         format!("[agent]\nname = \"{name}\"\n{state}")
     };
-    desk.install(desk.cloud(), "/etc/peernet/aggregator.toml", aggregator, &[]);
+    machines.install(machines.cloud(), "/etc/peernet/aggregator.toml", aggregator, &[]);
     let here = ("/usr/share/peernet/models", "models");
-    desk.install(desk.cloud(), "/etc/peernet/agent.toml", cloud, &[("[agent]", &agent("cloud")), here]);
+    machines.install(
+        machines.cloud(),
+        "/etc/peernet/agent.toml",
+        cloud,
+        &[("[agent]", &agent("cloud")), here],
+    );
     let pictures = ("/var/lib/peernet/pictures", "models/quality-control/pictures");
-    desk.install(desk.edge(), "/etc/peernet/agent.toml", robot, &[("[agent]", &agent("robot")), pictures]);
+    machines.install(
+        machines.edge(),
+        "/etc/peernet/agent.toml",
+        robot,
+        &[("[agent]", &agent("robot")), pictures],
+    );
 }
 
-fn well(ended: Ended) -> String {
+fn assert_success(ended: ProcessEnd) -> String {
     assert_eq!(ended.code(), 0, "{}", ended.log);
     ended.log
 }
 
-/// The document that curl got.
-fn json(ended: Ended) -> Value {
-    let log = well(ended);
+/// Returns the JSON document that curl received.
+fn json(ended: ProcessEnd) -> Value {
+    let log = assert_success(ended);
     let line = log.lines().find_map(|line| serde_json::from_str(line).ok());
     line.unwrap_or_else(|| panic!("no document: {log}"))
 }
 
 #[test]
-fn the_plant_of_the_readme_is_measured_asked_calibrated_and_looked_after() {
-    let desk = Desk::new(&COMMANDS);
-    install(&desk);
-    let (edge, cloud) = (desk.edge(), desk.cloud());
+fn readme_commands_work_on_two_machines() {
+    let machines = DocumentedCommands::new(&COMMANDS);
+    install(&machines);
+    let (edge, cloud) = (machines.edge(), machines.cloud());
     let config = |name: &str| format!("/etc/peernet/{name}.toml");
     for host in [edge, cloud] {
-        well(desk.type_on(host, "peernetd check /etc/peernet/agent.toml", &[]).ended());
+        assert_success(machines.execute_on(host, "peernetd check /etc/peernet/agent.toml", &[]).ended());
     }
-    well(desk.on_cloud("peernetd check FILE", &[("FILE", &config("aggregator"))]).ended());
+    assert_success(machines.on_cloud("peernetd check FILE", &[("FILE", &config("aggregator"))]).ended());
     let both = format!("{} {}", config("aggregator"), config("agent"));
-    well(desk.on_cloud("peernetd check FILE…", &[("FILE…", &both)]).ended());
+    assert_success(machines.on_cloud("peernetd check FILE…", &[("FILE…", &both)]).ended());
 
-    let run = |host: &Host, name: &str| desk.type_on(host, "peernetd run FILE", &[("FILE", &config(name))]);
+    let run =
+        |host: &Host, name: &str| machines.execute_on(host, "peernetd run FILE", &[("FILE", &config(name))]);
     let (robot, agent, aggregator) = (run(edge, "agent"), run(cloud, "agent"), run(cloud, "aggregator"));
     aggregator.wait_for("ready");
     until("the robot's pipeline on the dashboard", || {
-        let status = desk.on_cloud("peernet status", &[]).ended();
+        let status = machines.on_cloud("peernet status", &[]).ended();
         let there = ["robot", "inspection", "quality-control", "cloud"];
         (status.code() == 0 && there.iter().all(|word| status.log.contains(word))).then_some(())
     });
-    ask_for_everything(&desk);
-    calibrate(&desk);
+    request_everything(&machines);
+    calibrate(&machines);
 
-    well(desk.on_cloud("peernetd doctor --config /etc/peernet/aggregator.toml", &[]).ended());
+    assert_success(machines.on_cloud("peernetd doctor --config /etc/peernet/aggregator.toml", &[]).ended());
     assert_eq!(robot.stop().code(), 0);
-    let spool = well(desk.on_edge("peernetd doctor --config /etc/peernet/agent.toml", &[]).ended());
+    let spool =
+        assert_success(machines.on_edge("peernetd doctor --config /etc/peernet/agent.toml", &[]).ended());
     assert!(spool.contains("stream"), "{spool}");
-    let again = well(desk.on_cloud("peernet recompute 12", &[("12", "1")]).ended());
+    let again = assert_success(machines.on_cloud("peernet recompute 12", &[("12", "1")]).ended());
     assert!(again.contains("upload") && again.contains("download"), "{again}");
-    keep(&desk, || assert_eq!(aggregator.stop().code(), 0));
+    keep(&machines, || assert_eq!(aggregator.stop().code(), 0));
     assert_eq!(agent.stop().code(), 0);
-    desk.finish();
+    machines.finish();
 }
 
-/// The README's section "Ask it".
-fn ask_for_everything(desk: &Desk) {
+/// Executes the README's section "Ask it".
+fn request_everything(machines: &DocumentedCommands) {
     let get =
-        |path: &str| json(desk.on_cloud(&format!("curl http://127.0.0.1:8040/api/{path}"), &[]).ended());
+        |path: &str| json(machines.on_cloud(&format!("curl http://127.0.0.1:8040/api/{path}"), &[]).ended());
     let pipelines = get("v1/pipelines");
     assert_eq!(
         (&pipelines["pipelines"][0]["host"], &pipelines["pipelines"][0]["name"]),
         (&"robot".into(), &"inspection".into())
     );
-    // Figures are live before the run is stored.
+    // Live values are available before the run is stored.
     let run = until("the run in the store", || get("v1/runs")["runs"].get(0).cloned());
     assert_eq!(run["host"], "robot");
     assert!(get("openapi.json")["paths"].is_object());
-    let live = desk.on_cloud("curl -N http://127.0.0.1:8040/api/v1/live", &[]);
+    let live = machines.on_cloud("curl -N http://127.0.0.1:8040/api/v1/live", &[]);
     live.wait_for("data:");
     live.kill();
 }
 
-/// The link, whoever is asked for however: what is measured meanwhile goes over it as well.
-fn calibrate(desk: &Desk) {
+/// Calibrates the link with all documented options, while the pipeline uses it as well.
+fn calibrate(machines: &DocumentedCommands) {
     for (command, changes) in [
         ("peernet calibrate tcp://10.0.0.2:5551", ("tcp", "--result-loc first tcp")),
         ("peernet calibrate PEER", ("PEER", "--result-loc second 10.0.0.2:5551")),
         ("peernet calibrate 10.0.0.2", ("10.0.0.2", "--result-loc third 10.0.0.2")),
     ] {
-        well(desk.on_edge(command, &[changes, ("calibrate", SHORT)]).ended());
+        assert_success(machines.on_edge(command, &[changes, ("calibrate", SHORT)]).ended());
     }
     for folder in ["first", "second", "third"] {
-        let study = std::fs::read(desk.folder().join(folder).join("calibration.json")).expect("written");
+        let study = std::fs::read(machines.folder().join(folder).join("calibration.json")).expect("written");
         let study: Value = serde_json::from_slice(&study).expect("it is JSON");
         assert_eq!((&study["setting"]["cloud"], &study["counts"]["failed"]), (&"cloud".into(), &0.into()));
     }
 }
 
-/// A copy while it is written to, statistics anew when it is not.
-fn keep(desk: &Desk, stop: impl FnOnce()) {
-    std::fs::create_dir_all(desk.folder().join("cloud/backup")).expect("writable");
-    well(desk.on_cloud(BACKUP, &[]).ended());
-    let backups = std::fs::read_dir(desk.folder().join("cloud/backup")).expect("it was made");
+/// Makes a backup while the database is written to, and rebuilds roll-ups while it is not.
+fn keep(machines: &DocumentedCommands, stop: impl FnOnce()) {
+    std::fs::create_dir_all(machines.folder().join("cloud/backup")).expect("writable");
+    assert_success(machines.on_cloud(BACKUP, &[]).ended());
+    let backups = std::fs::read_dir(machines.folder().join("cloud/backup")).expect("it was made");
     let backups: Vec<_> = backups.map(|entry| entry.expect("it can be listed").path()).collect();
     let [backup] = &*backups else { panic!("one copy under the day's name: {backups:?}") };
     assert_eq!(ask(backup, "SELECT count(*) FROM run").trim(), "1");
 
-    let cleared = well(desk.on_cloud(CLEAR, &[]).ended());
+    let cleared = assert_success(machines.on_cloud(CLEAR, &[]).ended());
     assert!(cleared.contains("cleared the secret of robot"), "{cleared}");
 
-    let all = |of: &str| desk.on_cloud(REBUILD, &[("[--run NUMBER]", of)]).ended();
+    let all = |of: &str| machines.on_cloud(REBUILD, &[("[--run NUMBER]", of)]).ended();
     assert_eq!(all("").code(), 69, "the aggregator has it");
     stop();
-    let database = desk.folder().join("cloud/var/lib/peernet/aggregator/peernet.sqlite");
+    let database = machines.folder().join("cloud/var/lib/peernet/aggregator/peernet.sqlite");
     let answered = || ask(&database, "SELECT sum(count) FROM rollup WHERE resolution_s = 0");
     let before = answered();
-    well(all(""));
-    well(all("--run 1"));
+    assert_success(all(""));
+    assert_success(all("--run 1"));
     assert_eq!(answered(), before);
-    well(desk.on_cloud(REPAIR, &[]).ended());
+    assert_success(machines.on_cloud(REPAIR, &[]).ended());
     assert_eq!(answered(), before, "nothing of it was damaged");
 }

@@ -1,21 +1,21 @@
-//! An aggregator whose wall clock jumps by a month: nothing is deleted, and the jumps are incidents.
+//! Test of an aggregator whose wall clock jumps by a month: nothing is deleted, and each jump is an incident.
 
 use peernet_clock::Span;
 use peernet_tests::fleet::echo;
 use peernet_tests::truth::ask;
-use peernet_tests::{AGGREGATOR, Api, FalseTime, Process, Site, measured, program, until};
+use peernet_tests::{AGGREGATOR, Api, FalseTime, LoopbackDeployment, Process, measured, program, until};
 
-/// Iterations of each run.
+/// Number of iterations of each run.
 const ITERATIONS: u64 = 300;
-/// Those and the warm-up.
+/// Number of stored iterations, including the warm-up.
 const STORED: u64 = ITERATIONS + 5;
 const MONTH: Span = Span::from_seconds(30 * 86_400);
 
-/// Runs a pipeline to its end, on a host of its own.
-fn run_to_the_end(site: &Site, api: &Api, host: &str) {
+/// Runs a pipeline to its end, on a separate host.
+fn run_to_the_end(deployment: &LoopbackDeployment, api: &Api, host: &str) {
     let limit = format!("load = {{ mode = \"rate\", hz = 200.0 }}\nlimit = {{ iterations = {ITERATIONS} }}");
     let tables = format!("[[model]]\nname = \"echo\"\nkind = \"echo\"\n{}", echo("loop", &limit));
-    let agent = site.agent(host, &tables);
+    let agent = deployment.agent(host, &tables);
     api.until("/api/v1/runs", |runs| {
         let ended = |run: &&serde_json::Value| run["host"] == host && run["reason"] == "finished";
         runs["runs"].as_array()?.iter().find(ended).map(|_| ())
@@ -23,8 +23,8 @@ fn run_to_the_end(site: &Site, api: &Api, host: &str) {
     assert_eq!(agent.stop().code(), 0);
 }
 
-/// Waits until so many incidents of the aggregator say that its clock was set, and returns the newest's words.
-fn told(api: &Api, direction: &str, times: usize) -> String {
+/// Waits until this number of the aggregator's incidents report a clock step; returns the newest text.
+fn wait_for_jump_message(api: &Api, direction: &str, times: usize) -> String {
     api.until("/api/v1/incidents", |list| {
         let incidents = list["incidents"].as_array()?.iter();
         let steps = incidents.filter(|it| it["kind"] == "clock-step" && it["host"].is_null());
@@ -35,23 +35,23 @@ fn told(api: &Api, direction: &str, times: usize) -> String {
 }
 
 #[test]
-fn month_long_clock_jumps_of_the_aggregator_delete_nothing() {
-    let site = Site::new();
-    let time = FalseTime::new(site.folder(), Span::ZERO);
-    site.write("aggregator.toml", AGGREGATOR);
+fn aggregator_clock_jumps_delete_nothing() {
+    let deployment = LoopbackDeployment::new();
+    let time = FalseTime::new(deployment.folder(), Span::ZERO);
+    deployment.write("aggregator.toml", AGGREGATOR);
     let start = || {
         let process = Process::start(
             &program("peernetd"),
             &["run", "aggregator.toml"],
-            site.folder(),
+            deployment.folder(),
             &time.environment(),
         );
-        let api = Api::at(site.http);
+        let api = Api::at(deployment.http);
         until("the dashboard", || api.get("/healthz").filter(|(status, _)| *status == 200));
         (process, api)
     };
     let (aggregator, api) = start();
-    let database = site.folder().join("aggregator.sqlite");
+    let database = deployment.folder().join("aggregator.sqlite");
     let stored = |runs: u64| {
         assert_eq!(ask(&database, "SELECT count(*) FROM iteration").trim(), (runs * STORED).to_string());
         let kinds = "SELECT count(DISTINCT run || ' ' || resolution_s) FROM rollup";
@@ -61,7 +61,7 @@ fn month_long_clock_jumps_of_the_aggregator_delete_nothing() {
             "all widths of statistics of {runs} runs"
         );
     };
-    run_to_the_end(&site, &api, "before");
+    run_to_the_end(&deployment, &api, "before");
     stored(1);
 
     let mut words = Vec::new();
@@ -71,9 +71,9 @@ fn month_long_clock_jumps_of_the_aggregator_delete_nothing() {
         (-MONTH, "set back by 30.0 days", 2, "past"),
     ] {
         time.show(jump);
-        words.push(told(&api, direction, times));
-        // Meanwhile retention looks, once a second and after commits.
-        run_to_the_end(&site, &api, host);
+        words.push(wait_for_jump_message(&api, direction, times));
+        // Meanwhile retention runs once a second and after commits.
+        run_to_the_end(&deployment, &api, host);
     }
     stored(4);
     let said = aggregator.log();
@@ -81,14 +81,14 @@ fn month_long_clock_jumps_of_the_aggregator_delete_nothing() {
     assert!(!said.contains("retention deleted"), "{said}");
     assert_eq!(aggregator.stop().code(), 0);
 
-    // It starts with a clock that is behind what it showed, and then with one that is far ahead.
+    // It starts with a clock that is behind its last reading, and then with one that is far ahead.
     time.show(-MONTH - MONTH);
     let (aggregator, api) = start();
-    words.push(told(&api, "less than when it last stored something", 1));
+    words.push(wait_for_jump_message(&api, "less than when it last stored something", 1));
     assert_eq!(aggregator.stop().code(), 0);
     time.show(MONTH);
     let (aggregator, api) = start();
-    run_to_the_end(&site, &api, "after");
+    run_to_the_end(&deployment, &api, "after");
     stored(5);
     assert_eq!(ask(&database, "SELECT count(*) FROM incident WHERE kind = 'retention'").trim(), "0");
     assert_eq!(aggregator.stop().code(), 0);

@@ -1,13 +1,13 @@
-//! A page of the database that is overwritten while the aggregator runs.
+//! Tests of a database page that is overwritten while the aggregator runs.
 
 use std::os::unix::fs::FileExt;
 use std::path::Path;
 
 use peernet_tests::fleet::{echo, edge, rate};
 use peernet_tests::truth::ask;
-use peernet_tests::{Ended, Fleet, Ledger, measured, thousands, until};
+use peernet_tests::{Fleet, ProcessEnd, StoredEvents, measured, thousands, until};
 
-/// What a disk, a wild pointer or `dd` may leave: the same bytes each time, so that a failure can be seen again.
+/// Returns reproducible noise, such as a disk, a wild pointer or `dd` may leave.
 fn noise(seed: u64) -> Vec<u8> {
     let mut state = seed;
     let mut next = || {
@@ -17,7 +17,7 @@ fn noise(seed: u64) -> Vec<u8> {
     (0..4096).map(|_| next()).collect()
 }
 
-/// Overwrites 4 KiB in the middle of a table's pages, `beyond` bytes after the begin of one.
+/// Overwrites 4 KiB in the middle of a table's pages, `beyond` bytes after the beginning of one.
 fn overwrite(database: &Path, table: &str, beyond: u64) {
     let pages = ask(
         database,
@@ -30,12 +30,12 @@ fn overwrite(database: &Path, table: &str, beyond: u64) {
     file.write_all_at(&noise(page), (page - 1) * 4096 + beyond).expect("it can be written");
 }
 
-fn doctor(fleet: &Fleet, arguments: &[&str]) -> Ended {
+fn doctor(fleet: &Fleet, arguments: &[&str]) -> ProcessEnd {
     let database = fleet.database().display().to_string();
     let mut all = vec!["doctor"];
     all.extend(arguments);
     all.extend(["--database", &database]);
-    fleet.site.peernetd(&all).ended()
+    fleet.deployment.peernetd(&all).ended()
 }
 
 fn is_ready(fleet: &Fleet) -> bool {
@@ -48,13 +48,14 @@ fn why_not_ready(fleet: &Fleet) -> String {
     })
 }
 
-/// Stores so many events into the file itself: what is in the log alone would cover a damaged page.
+/// Stores this number of events in the database file itself: pages that are only in the log would hide a damaged
+/// page.
 fn with_events_in_the_file(events: u64) -> Fleet {
     let mut fleet = Fleet::new(&["edge"], &edge("", &echo("loop", &rate(400.0))));
     fleet.start(0);
-    fleet.account(0, "something is stored", |account| account.events > events);
+    fleet.counts(0, "something is stored", |counts| counts.events > events);
     fleet.aggregator.stop();
-    fleet.aggregator_returns();
+    fleet.restart_aggregator();
     fleet
 }
 
@@ -66,10 +67,10 @@ fn damaged_page_stops_storing_until_repaired() {
     overwrite(fleet.database(), "node", 0);
     let why = why_not_ready(&fleet);
     assert!(why.contains("damaged") && why.contains("peernetd doctor --repair"), "{why}");
-    // The agent tells a moment later what was acknowledged last.
+    // The agent reports the last acknowledgement a moment later.
     let then =
-        fleet.account(0, "events wait", |account| account.waiting > 100 && account.stored == account.events);
-    let later = fleet.account(0, "more events wait", |account| account.waiting > then.waiting + 400);
+        fleet.counts(0, "events wait", |counts| counts.waiting > 100 && counts.stored == counts.events);
+    let later = fleet.counts(0, "more events wait", |counts| counts.waiting > then.waiting + 400);
     assert_eq!((later.events, later.stored), (then.events, then.stored), "nothing more is acknowledged");
     let (status, page) = fleet.api.get("/").expect("the dashboard answers");
     assert!(status == 200 && page.contains("damaged"), "the page says so: {page}");
@@ -78,19 +79,20 @@ fn damaged_page_stops_storing_until_repaired() {
 
     let log = fleet.aggregator.stop().log;
     assert_eq!(log.matches("ERROR aggregator: the database").count(), 1, "said once: {log}");
-    fleet.aggregator_returns();
+    fleet.restart_aggregator();
     let why = why_not_ready(&fleet);
     assert!(why.contains("damaged") && why.contains("peernetd doctor --repair"), "{why}");
-    // What was committed while the damage was found was not acknowledged, and is counted since the restart.
-    let then = fleet.account(0, "more wait than before", |account| account.waiting > later.waiting);
-    let again = fleet.account(0, "even more wait", |account| account.waiting > then.waiting + 400);
+    // Events that were committed while the damage was found were not acknowledged; they are counted since the
+    // restart.
+    let then = fleet.counts(0, "more wait than before", |counts| counts.waiting > later.waiting);
+    let again = fleet.counts(0, "even more wait", |counts| counts.waiting > then.waiting + 400);
     assert_eq!(again.events, then.events, "nothing more is stored");
     fleet.aggregator.stop();
 
     let found = doctor(&fleet, &[]);
     assert_eq!(found.code(), 65, "{}", found.log);
     assert!(found.log.contains("--repair"), "{}", found.log);
-    goes_on_after_repair(fleet, "a page of nodes");
+    assert_continues_after_repair(fleet, "a page of nodes");
 }
 
 #[test]
@@ -101,13 +103,13 @@ fn damage_across_pages_of_several_tables_is_repaired() {
     }
     let why = why_not_ready(&fleet);
     assert!(why.contains("damaged"), "{why}");
-    // Killed, it leaves its log beside the file.
+    // The killed aggregator leaves its log beside the file.
     fleet.aggregator.kill();
-    goes_on_after_repair(fleet, "pages of three tables");
+    assert_continues_after_repair(fleet, "pages of three tables");
 }
 
-/// Repairs what is left behind, and checks that everything that was ever measured is stored or a gap.
-fn goes_on_after_repair(mut fleet: Fleet, what: &str) {
+/// Repairs the database, and checks that every measured event is stored or in a gap.
+fn assert_continues_after_repair(mut fleet: Fleet, what: &str) {
     let repaired = doctor(&fleet, &["--repair"]);
     assert_eq!(repaired.code(), 0, "{}", repaired.log);
     assert!(repaired.log.contains(".damaged-") && repaired.log.contains("iteration"), "{}", repaired.log);
@@ -116,26 +118,28 @@ fn goes_on_after_repair(mut fleet: Fleet, what: &str) {
     let nothing = doctor(&fleet, &["--repair"]);
     assert!(nothing.code() == 0 && nothing.log.contains("not damaged"), "{}", nothing.log);
 
-    fleet.aggregator_returns();
+    fleet.restart_aggregator();
     until("ready", || is_ready(&fleet).then_some(()));
     fleet.agents[0].stop();
-    fleet.idle(0);
-    let account = fleet.account(0, "everything is delivered", |account| {
-        account.waiting == 0 && account.events + account.missing == account.produced
+    fleet.start_without_pipelines(0);
+    let counts = fleet.counts(0, "everything is delivered", |counts| {
+        counts.waiting == 0 && counts.events + counts.missing == counts.produced
     });
-    assert_eq!((account.dropped, account.stored), (0, account.produced), "{account:?}");
-    assert!(account.missing > 0, "{account:?}");
+    assert_eq!((counts.dropped, counts.stored), (0, counts.produced), "{counts:?}");
+    assert!(counts.missing > 0, "{counts:?}");
     fleet.agents[0].stop();
     fleet.aggregator.stop();
 
-    let ledger = Ledger::of(fleet.database());
-    let [run] = ledger.runs.values().collect::<Vec<_>>()[..] else { panic!("one run: {ledger:?}") };
+    let stored_events = StoredEvents::of(fleet.database());
+    let [run] = stored_events.runs.values().collect::<Vec<_>>()[..] else {
+        panic!("one run: {stored_events:?}")
+    };
     assert_eq!(run.counted, run.iterations(), "{run:?}");
     assert_eq!((run.with_nodes, run.torn), (run.iterations(), 0), "{run:?}");
-    assert_eq!(run.holes(), run.missing, "produced = stored + gaps: {run:?}");
-    let host = &ledger.hosts["edge"];
+    assert_eq!(run.missing_iterations(), run.missing, "produced = stored + gaps: {run:?}");
+    let host = &stored_events.hosts["edge"];
     assert_eq!(host.gap_rows, (host.gaps, host.missing), "{host:?}");
-    assert_eq!(host.nodes, ledger.nodes(), "{host:?}");
+    assert_eq!(host.nodes, stored_events.nodes(), "{host:?}");
     measured(
         what,
         &[

@@ -1,17 +1,17 @@
-//! The database's file becomes read-only, goes away, comes back or is another one while the aggregator runs.
+//! Tests of a database file that becomes read-only, disappears, comes back or is replaced while the aggregator runs.
 
 use std::path::{Path, PathBuf};
 
 use peernet_tests::fleet::{echo, edge, rate};
 use peernet_tests::truth::ask;
-use peernet_tests::{Fleet, ImageDisk, Ledger, until};
+use peernet_tests::{Fleet, ImageDisk, StoredEvents, until};
 
-/// The files of a database.
+/// Returns the files of a database.
 fn files(database: &Path) -> [PathBuf; 3] {
     ["", "-wal", "-shm"].map(|end| PathBuf::from(format!("{}{end}", database.display())))
 }
 
-/// An aggregator whose database is on a disk of its own, and an agent that has stored something.
+/// Starts an aggregator whose database is on a separate disk, and an agent that has stored something.
 fn fleet_on(disk: &ImageDisk) -> Fleet {
     fleet_in(&disk.folder().join("aggregator.sqlite"))
 }
@@ -20,39 +20,39 @@ fn fleet_in(database: &Path) -> Fleet {
     let configuration = edge("", &echo("loop", &rate(200.0)));
     let mut fleet = Fleet::storing_in(&database.display().to_string(), &["edge"], &configuration);
     fleet.start(0);
-    fleet.account(0, "something is stored", |account| account.events > 100);
+    fleet.counts(0, "something is stored", |counts| counts.events > 100);
     fleet
 }
 
-/// Waits until the aggregator is not ready for a reason that contains these words.
+/// Waits until the aggregator is not ready, with these words in the reason.
 fn not_ready(fleet: &Fleet, words: &str) {
     until(&format!("not ready: {words}"), || {
         fleet.api.get("/readyz").filter(|(status, text)| *status == 503 && text.contains(words))
     });
 }
 
-/// Waits until the aggregator is ready and has stored what waits on its agent.
-fn stores_again(fleet: &Fleet) {
+/// Waits until the aggregator is ready and has stored the events that waited on its agent.
+fn wait_until_storing(fleet: &Fleet) {
     until("ready", || fleet.api.get("/readyz").filter(|(status, _)| *status == 200));
-    fleet.account(0, "what waited is stored", |account| account.waiting < 100 && account.events > 0);
+    fleet.counts(0, "what waited is stored", |counts| counts.waiting < 100 && counts.events > 0);
 }
 
-/// Ends everything; checks that each event that was produced is stored or dropped and counted.
-fn account_for_all(fleet: &mut Fleet) -> Ledger {
+/// Stops everything; checks that each produced event is stored or counted as dropped.
+fn assert_all_accounted_for(fleet: &mut Fleet) -> StoredEvents {
     fleet.agents[0].stop();
-    fleet.deliver(0).balances();
+    fleet.deliver(0).assert_balanced();
     fleet.stop()
 }
 
-/// The same where nothing may be missing.
-fn nothing_is_missing(fleet: &mut Fleet) {
-    let ledger = account_for_all(fleet);
-    assert_eq!(ledger.lacks(fleet.agents[0].spooled()), 0, "{ledger:?}");
-    assert_eq!(ledger.hosts["edge"].gaps, 0, "{ledger:?}");
-    assert!(ledger.runs.values().all(|run| run.is_whole()), "{ledger:?}");
+/// Stops everything; checks that no event is missing.
+fn assert_nothing_is_missing(fleet: &mut Fleet) {
+    let stored_events = assert_all_accounted_for(fleet);
+    assert_eq!(stored_events.count_missing(fleet.agents[0].spooled()), 0, "{stored_events:?}");
+    assert_eq!(stored_events.hosts["edge"].gaps, 0, "{stored_events:?}");
+    assert!(stored_events.runs.values().all(|run| run.is_contiguous()), "{stored_events:?}");
 }
 
-/// Whether the aggregator has one of the database's files open.
+/// Returns whether the aggregator has one of the database's files open.
 fn holds(fleet: &Fleet, folder: &Path) -> bool {
     let open = format!("/proc/{}/fd", fleet.aggregator.process().pid());
     let entries = std::fs::read_dir(open).expect("it runs");
@@ -67,13 +67,13 @@ fn storing_recovers_after_database_was_read_only() {
     let disk = ImageDisk::new(64 << 20);
     let mut fleet = fleet_on(&disk);
     let database = fleet.database().to_owned();
-    // Descriptors that are open cannot write any more, and new ones can only read. Not the third: it is mapped into
-    // memory, and the kernel ends a process that writes to a mapping of an immutable file.
+    // Open descriptors cannot write any more, and new ones can only read. The third file is left out: it is mapped
+    // into memory, and the kernel ends a process that writes to a mapping of an immutable file.
     let written = &files(&database)[..2];
     disk.set_immutable(written, true);
     not_ready(&fleet, "cannot store events");
     disk.set_immutable(written, false);
-    stores_again(&fleet);
+    wait_until_storing(&fleet);
 
     disk.set_immutable(written, true);
     not_ready(&fleet, "cannot store events");
@@ -82,8 +82,8 @@ fn storing_recovers_after_database_was_read_only() {
     disk.remount("ro");
     not_ready(&fleet, "ead-only");
     disk.remount("rw");
-    stores_again(&fleet);
-    nothing_is_missing(&mut fleet);
+    wait_until_storing(&fleet);
+    assert_nothing_is_missing(&mut fleet);
 }
 
 #[test]
@@ -92,17 +92,17 @@ fn storing_recovers_after_unmount_and_mount() {
     let mut fleet = fleet_on(&disk);
     disk.unmount();
     not_ready(&fleet, "not mounted");
-    // The file system is let go, so that it can be checked or mounted elsewhere.
+    // The file system must be released, so that it can be checked or mounted elsewhere.
     until("the device is free", || (!disk.is_in_use()).then_some(()));
     let folder = std::fs::read_dir(disk.folder()).expect("the mount point is there");
     assert_eq!(folder.count(), 0, "nothing is made where the disk was");
     disk.mount();
-    stores_again(&fleet);
-    nothing_is_missing(&mut fleet);
+    wait_until_storing(&fleet);
+    assert_nothing_is_missing(&mut fleet);
 }
 
 #[test]
-fn moved_database_is_let_go_and_taken_up_again() {
+fn moved_database_is_closed_and_reopened() {
     let folder = tempfile::tempdir().expect("a folder");
     let (here, away) = (folder.path().join("here"), folder.path().join("away"));
     std::fs::create_dir(&here).expect("a folder");
@@ -111,25 +111,25 @@ fn moved_database_is_let_go_and_taken_up_again() {
     not_ready(&fleet, "deleted, moved or replaced");
     until("the files are closed", || (!holds(&fleet, folder.path())).then_some(()));
     std::fs::rename(&away, &here).expect("moves back");
-    stores_again(&fleet);
-    nothing_is_missing(&mut fleet);
+    wait_until_storing(&fleet);
+    assert_nothing_is_missing(&mut fleet);
 }
 
 #[test]
 fn database_replaced_by_backup_is_compared_with_spools() {
     let mut fleet = Fleet::new(&["edge"], &edge("", &echo("loop", &rate(200.0))));
     fleet.start(0);
-    fleet.account(0, "something is stored", |account| account.events > 200);
+    fleet.counts(0, "something is stored", |counts| counts.events > 200);
     let database = fleet.database().to_owned();
-    let backup = fleet.site.folder().join("backup.sqlite");
+    let backup = fleet.deployment.folder().join("backup.sqlite");
     let copied = fleet
-        .site
+        .deployment
         .peernetd(&["backup", "--database", &database.display().to_string(), &backup.display().to_string()])
         .ended();
     assert_eq!(copied.code(), 0, "{}", copied.log);
-    let older = Ledger::of(&backup);
-    let before = fleet.account(0, "it reports", |_| true);
-    fleet.account(0, "more is stored", |account| account.stored > before.stored + 200);
+    let older = StoredEvents::of(&backup);
+    let before = fleet.counts(0, "it reports", |_| true);
+    fleet.counts(0, "more is stored", |counts| counts.stored > before.stored + 200);
 
     let [main, log, shared] = files(&database);
     for file in [&main, &log, &shared] {
@@ -139,18 +139,18 @@ fn database_replaced_by_backup_is_compared_with_spools() {
     }
     not_ready(&fleet, "cannot store events");
     std::fs::rename(&backup, &main).expect("restores");
-    stores_again(&fleet);
-    fleet.account(0, "newer events are stored", |account| account.events > older.iterations() + 200);
-    let ledger = account_for_all(&mut fleet);
-    let (host, run) = (&ledger.hosts["edge"], ledger.runs.values().next().expect("one run"));
-    assert_eq!((host.gaps, host.quarantined, ledger.runs.len()), (1, 0, 1), "{ledger:?}");
+    wait_until_storing(&fleet);
+    fleet.counts(0, "newer events are stored", |counts| counts.events > older.iterations() + 200);
+    let stored_events = assert_all_accounted_for(&mut fleet);
+    let (host, run) = (&stored_events.hosts["edge"], stored_events.runs.values().next().expect("one run"));
+    assert_eq!((host.gaps, host.quarantined, stored_events.runs.len()), (1, 0, 1), "{stored_events:?}");
     assert_eq!((run.ranges.len(), run.reason.as_str()), (2, "stopped"), "one hole, told as a gap: {run:?}");
     assert_eq!(run.ranges[0], 1..=older.iterations());
     let why = ask(fleet.database(), "SELECT reason FROM gap");
     assert!(why.contains("batches"), "{why}");
 }
 
-/// A second aggregator on a file that leads to the database of the first must not start.
+/// Checks that a second aggregator does not start on a file that leads to the first one's database.
 fn refused(fleet: &Fleet, database: &Path) {
     let tables = format!(
         "[aggregator]\nname = \"second\"\nlisten = \"tcp://127.0.0.1:{}\"\ndatabase = \"{}\"\n\
@@ -159,8 +159,8 @@ fn refused(fleet: &Fleet, database: &Path) {
         database.display(),
         peernet_tests::free_port()
     );
-    fleet.site.write("second.toml", &tables);
-    let ended = fleet.site.start("second.toml").ended();
+    fleet.deployment.write("second.toml", &tables);
+    let ended = fleet.deployment.start("second.toml").ended();
     assert_eq!(ended.code(), 69, "{}", ended.log);
     let holder = format!("pid {}", fleet.aggregator.process().pid());
     let named = ended.log.contains(&holder) && ended.log.contains(&database.display().to_string());
@@ -176,5 +176,5 @@ fn second_aggregator_through_another_name_is_refused() {
     refused(&fleet, &hard_link);
     let elsewhere = disk.mounted_elsewhere();
     refused(&fleet, &elsewhere.folder().join("aggregator.sqlite"));
-    nothing_is_missing(&mut fleet);
+    assert_nothing_is_missing(&mut fleet);
 }

@@ -1,34 +1,34 @@
-//! What is lost is counted: at the kill of an agent, and with a database that is deleted or replaced.
+//! Tests that lost events are counted: when an agent is killed, and when a database is deleted or replaced.
 
 use std::path::Path;
 use std::time::Duration;
 
 use peernet_tests::fleet::{echo, edge, rate};
 use peernet_tests::truth::ask;
-use peernet_tests::{Account, Chance, Fleet, Spooled, StoredHost, measured, thousands};
+use peernet_tests::{EventCounts, Fleet, SpooledIterations, StoredHost, TestRng, measured, thousands};
 
 use super::turn;
 
-/// How often the agent is killed while it measures.
+/// Number of kills of the agent while it measures.
 const KILLS: usize = 5;
 
-/// How long it measures after its first batch, at most.
+/// Longest time that it measures after its first batch.
 const LIFE: Duration = Duration::from_millis(600);
 
-/// A life of an agent that logs each answer before the iteration is over.
+/// Run of an agent that logs each answer before the iteration ends.
 struct Life {
     run: String,
     answers: u64,
 }
 
-/// Checks that everything that the agent produced is stored or stands in a gap.
-fn adds_up(account: &Account, host: &StoredHost) {
-    account.balances();
-    assert_eq!((account.waiting, account.dropped), (0, host.missing), "{account:?}, {host:?}");
-    assert_eq!(account.produced, host.events + host.missing, "{account:?}, {host:?}");
+/// Checks that every produced event is stored or in a gap.
+fn assert_adds_up(counts: &EventCounts, host: &StoredHost) {
+    counts.assert_balanced();
+    assert_eq!((counts.waiting, counts.dropped), (0, host.missing), "{counts:?}, {host:?}");
+    assert_eq!(counts.produced, host.events + host.missing, "{counts:?}, {host:?}");
 }
 
-/// Deletes what is in a folder.
+/// Deletes the contents of a folder.
 fn empty(folder: &Path) {
     std::fs::remove_dir_all(folder).expect("deleted");
     std::fs::create_dir(folder).expect("made again");
@@ -37,55 +37,55 @@ fn empty(folder: &Path) {
 #[test]
 fn killed_agent_reports_every_event_it_lost() {
     let _turn = turn();
-    let mut chance = Chance::new("lost events");
+    let mut rng = TestRng::new("lost events");
     let pipeline = echo("loop", &format!("{}\nactuator = {{ kind = \"log\" }}", rate(500.0)));
     let mut fleet = Fleet::new(&["edge"], &edge("", &pipeline));
     let mut lives = Vec::new();
     while lives.len() < KILLS {
         fleet.start(0);
         fleet.agents[0].process().wait_for("spooled batch=");
-        chance.linger(LIFE);
+        rng.sleep_up_to(LIFE);
         let log = fleet.agents[0].kill().log;
-        // Written before the process was killed: nothing of its spool is asked.
+        // The log was written before the process was killed, and does not depend on its spool.
         let answers = log.matches(" answer ").count() as u64;
-        let spooled = Spooled::all(&log);
+        let spooled = SpooledIterations::all(&log);
         let run = spooled.first().expect("it was waited for").run.clone();
         lives.push(Life { run, answers });
         if lives.len() == 2 {
-            // Killed again before it could report the loss.
+            // It is killed again before it can report the loss.
             fleet.start(0);
             fleet.agents[0].process().wait_for("the agent was killed before these events");
             fleet.agents[0].kill();
         }
     }
-    let account = fleet.deliver(0);
+    let counts = fleet.deliver(0);
     fleet.agents[0].stop();
     // A clean stop leaves nothing to report.
     let after = fleet.deliver(0);
     fleet.agents[0].stop();
-    let ledger = fleet.stop();
-    let host = &ledger.hosts["edge"];
-    adds_up(&after, host);
-    assert_eq!((after.dropped, host.streams, host.quarantined), (account.dropped, 1, 0));
+    let stored_events = fleet.stop();
+    let host = &stored_events.hosts["edge"];
+    assert_adds_up(&after, host);
+    assert_eq!((after.dropped, host.streams, host.quarantined), (counts.dropped, 1, 0));
     let mut lost = 0;
     for Life { run, answers } in &lives {
-        let stored = &ledger.runs[run];
-        assert!(stored.is_whole(), "only the end of a run is lost: {stored:?}");
+        let stored = &stored_events.runs[run];
+        assert!(stored.is_contiguous(), "only the end of a run is lost: {stored:?}");
         let known = stored.iterations() + stored.missing;
-        // The kill may have hit the iteration that was just acted upon: it is no event.
+        // The kill may have hit an iteration between its action and its end, which is not an event.
         assert!(
             (answers - 1..=*answers).contains(&known),
             "{answers} answers, {known} accounted for: {stored:?}"
         );
         lost += stored.missing;
     }
-    assert!(lost > 0, "every kill hit an agent that had nothing in memory: {ledger:?}");
+    assert!(lost > 0, "every kill hit an agent that had nothing in memory: {stored_events:?}");
     measured(
         "killed agent",
         &[
             ("kills", thousands(lives.len() as f64 + 1.0)),
             ("answers in the log", thousands(lives.iter().map(|life| life.answers).sum::<u64>() as f64)),
-            ("iterations stored", thousands(ledger.iterations() as f64)),
+            ("iterations stored", thousands(stored_events.iterations() as f64)),
             ("lost and reported", thousands(lost as f64)),
         ],
     );
@@ -96,20 +96,20 @@ fn deleted_database_reports_number_of_missing_events() {
     let _turn = turn();
     let mut fleet = Fleet::new(&["edge"], &edge("", &echo("loop", &rate(500.0))));
     fleet.start(0);
-    fleet.account(0, "something is stored", |account| account.events > 500);
+    fleet.counts(0, "something is stored", |counts| counts.events > 500);
     fleet.aggregator.stop();
-    let deleted = fleet.ledger().hosts["edge"].events;
+    let deleted = fleet.stored_events().hosts["edge"].events;
     empty(fleet.database().parent().expect("a folder of its own"));
-    fleet.aggregator_returns();
-    fleet.account(0, "more is stored", |account| account.events > 500);
+    fleet.restart_aggregator();
+    fleet.counts(0, "more is stored", |counts| counts.events > 500);
     fleet.agents[0].stop();
-    let account = fleet.deliver(0);
-    let ledger = fleet.stop();
-    let host = &ledger.hosts["edge"];
-    // What had no acknowledgement when the aggregator stopped comes again.
+    let counts = fleet.deliver(0);
+    let stored_events = fleet.stop();
+    let host = &stored_events.hosts["edge"];
+    // Events without an acknowledgement at the aggregator's stop are sent again.
     assert!(host.missing <= deleted && host.missing > deleted / 2, "{deleted} were there: {host:?}");
     assert_eq!(host.gap_rows, (1, host.missing));
-    assert_eq!(account.produced, host.events + host.missing, "{account:?}, {host:?}");
+    assert_eq!(counts.produced, host.events + host.missing, "{counts:?}, {host:?}");
     let reason = ask(fleet.database(), "SELECT reason FROM gap");
     assert!(reason.contains("batches 1 to"), "{reason}");
 }
@@ -119,23 +119,23 @@ fn restored_database_reports_number_of_missing_events() {
     let _turn = turn();
     let mut fleet = Fleet::new(&["edge"], &edge("", &echo("loop", &rate(500.0))));
     fleet.start(0);
-    fleet.account(0, "something is stored", |account| account.events > 500);
+    fleet.counts(0, "something is stored", |counts| counts.events > 500);
     fleet.aggregator.stop();
-    let (database, backup) = (fleet.database().to_owned(), fleet.site.folder().join("backup.sqlite"));
+    let (database, backup) = (fleet.database().to_owned(), fleet.deployment.folder().join("backup.sqlite"));
     std::fs::copy(&database, &backup).expect("copied");
-    fleet.aggregator_returns();
-    let before = fleet.account(0, "it is back", |_| true);
-    fleet.account(0, "more is stored", |account| account.stored > before.stored + 500);
+    fleet.restart_aggregator();
+    let before = fleet.counts(0, "it is back", |_| true);
+    fleet.counts(0, "more is stored", |counts| counts.stored > before.stored + 500);
     fleet.aggregator.stop();
     empty(database.parent().expect("a folder of its own"));
     std::fs::copy(&backup, &database).expect("restored");
-    fleet.aggregator_returns();
-    fleet.account(0, "newer batches are stored", |account| account.missing > 0);
+    fleet.restart_aggregator();
+    fleet.counts(0, "newer batches are stored", |counts| counts.missing > 0);
     fleet.agents[0].stop();
-    let account = fleet.deliver(0);
-    let ledger = fleet.stop();
-    let (host, run) = (&ledger.hosts["edge"], ledger.runs.values().next().expect("one run"));
+    let counts = fleet.deliver(0);
+    let stored_events = fleet.stop();
+    let (host, run) = (&stored_events.hosts["edge"], stored_events.runs.values().next().expect("one run"));
     assert_eq!((host.gap_rows, run.ranges.len()), ((1, host.missing), 2), "{host:?}, {run:?}");
-    assert_eq!(account.produced, host.events + host.missing, "{account:?}, {host:?}");
-    assert!(host.missing >= run.holes(), "{host:?}, {run:?}");
+    assert_eq!(counts.produced, host.events + host.missing, "{counts:?}, {host:?}");
+    assert!(host.missing >= run.missing_iterations(), "{host:?}, {run:?}");
 }

@@ -1,17 +1,17 @@
-//! Memory of an aggregator that stores for a long time.
+//! Test of the memory of an aggregator that stores for a long time.
 
 use std::time::Duration;
 
 use peernet_tests::fleet::{echo, edge, rate};
-use peernet_tests::{Fleet, Since, measured};
+use peernet_tests::{Fleet, Stopwatch, measured};
 
 use super::setting;
 
-/// What [operating.md](../../../../docs/operating.md) promises for a few pipelines and an open page: the pages that SQLite
-/// keeps, what an idle aggregator has, readers and what is under way.
+/// Bound in [operating.md](../../../../docs/operating.md) for a few pipelines and an open page: SQLite's page cache,
+/// an idle aggregator, readers, and batches in flight.
 const MOST_MIB: f64 = 192.0;
 
-/// Memory of a process that no file backs, in MiB.
+/// Returns the anonymous memory of a process, MiB.
 fn memory_mib(pid: u32) -> f64 {
     let status = std::fs::read_to_string(format!("/proc/{pid}/status")).expect("it runs");
     let line = status.lines().find_map(|line| line.strip_prefix("RssAnon:")).expect("Linux tells it");
@@ -26,7 +26,7 @@ fn memory_stays_below_its_bound() {
     let pipelines: String = (0..8).map(|n| echo(&format!("loop-{n}"), &rate(200.0))).collect();
     let mut fleet = Fleet::new(&["edge"], &edge("", &pipelines));
     fleet.start(0);
-    let (pid, begin) = (fleet.aggregator.process().pid(), Since::now());
+    let (pid, begin) = (fleet.aggregator.process().pid(), Stopwatch::now());
     let mut samples = Vec::new();
     while begin.elapsed() < Duration::from_secs(seconds) {
         // Pages are part of the load.

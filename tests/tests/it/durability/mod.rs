@@ -1,4 +1,4 @@
-//! Stored data survives what operators do to machines.
+//! Tests that stored data survives operations on machines.
 
 mod clock_jump;
 mod damaged_page;

@@ -1,26 +1,27 @@
-//! Everything at once: kills of agents and aggregator while disks fill up, become read-only and are remounted and clocks jump.
+//! Test of simultaneous faults: agents and aggregator are killed while disks fill up, become read-only and are
+//! remounted, and clocks jump.
 
 use std::path::PathBuf;
 use std::time::Duration;
 
 use peernet_clock::Span;
 use peernet_tests::fleet::{echo, edge_in, rate};
-use peernet_tests::{Chance, Fleet, ImageDisk, Since, measured, thousands, until};
+use peernet_tests::{Fleet, ImageDisk, Stopwatch, TestRng, measured, thousands, until};
 
 use super::{setting, turn};
 
 const AGENTS: [&str; 2] = ["left", "right"];
 const HZ: f64 = 200.0;
 
-/// How long things go on between two events, at most.
+/// Longest time between two events.
 const PAUSE: Duration = Duration::from_millis(700);
 
-/// How far a clock jumps, at most.
+/// Largest jump of a clock.
 const JUMP: Span = Span::from_seconds(40 * 86_400);
 
-/// What befalls a machine, until it is mended.
+/// Fault of a machine, which lasts until it is repaired.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Trouble {
+enum Fault {
     /// The aggregator's disk is full.
     StoreFull,
     /// The agents' disk is full.
@@ -41,11 +42,11 @@ struct Storm {
     fleet: Fleet,
     store: ImageDisk,
     spools: ImageDisk,
-    troubles: Vec<Trouble>,
-    /// Answers in the logs of the lives that are over.
+    troubles: Vec<Fault>,
+    /// Number of answers in the logs of ended processes.
     answers: u64,
     kills: [u64; 2],
-    /// How often a process could not start before something was mended.
+    /// Number of failed starts because of a fault.
     ended: u32,
 }
 
@@ -57,24 +58,24 @@ impl Storm {
         let database = store.folder().join("aggregator.sqlite").display().to_string();
         let mut fleet = Fleet::storing_in(&database, &AGENTS, &edge_in(&state, "", &pipeline));
         fleet.aggregator.stop();
-        let Fleet { site, aggregator, agents, .. } = &mut fleet;
+        let Fleet { deployment, aggregator, agents, .. } = &mut fleet;
         for daemon in agents.iter_mut().chain([aggregator]) {
-            daemon.show_time(site, Span::ZERO);
+            daemon.show_time(deployment, Span::ZERO);
         }
-        fleet.aggregator_returns();
+        fleet.restart_aggregator();
         fleet.start_all();
-        // An agent makes its host id at its first start, and cannot start where there is no room for that.
+        // An agent creates its host id at its first start, and cannot start if there is no space for that.
         for agent in 0..AGENTS.len() {
-            fleet.account(agent, "the agent is known", |account| account.produced > 0);
+            fleet.counts(agent, "the agent is known", |counts| counts.produced > 0);
         }
         Self { fleet, store, spools, troubles: Vec::new(), answers: 0, kills: [0; 2], ended: 0 }
     }
 
-    /// Files of the database or of a spool that processes write to with system calls: the third one is mapped into memory, and
-    /// the kernel ends a process that writes to a mapping of an immutable file.
-    fn files(&self, trouble: Trouble) -> Vec<PathBuf> {
+    /// Returns the files of the database or of a spool that processes write with system calls. The third file is
+    /// mapped into memory, and the kernel ends a process that writes to a mapping of an immutable file.
+    fn files(&self, trouble: Fault) -> Vec<PathBuf> {
         let main = match trouble {
-            Trouble::SpoolReadOnly(agent) => {
+            Fault::SpoolReadOnly(agent) => {
                 self.spools.folder().join(&self.fleet.agents[agent].name).join("spool.sqlite")
             }
             _ => self.fleet.database().to_owned(),
@@ -82,46 +83,45 @@ impl Storm {
         vec![main.clone(), format!("{}-wal", main.display()).into()]
     }
 
-    fn strike(&mut self, trouble: Trouble, chance: &mut Chance) {
-        let jump = Span::from_seconds(chance.below(2 * JUMP.seconds() as usize) as i64) - JUMP;
+    fn inject(&mut self, trouble: Fault, rng: &mut TestRng) {
+        let jump = Span::from_seconds(rng.below(2 * JUMP.seconds() as usize) as i64) - JUMP;
         match trouble {
-            Trouble::StoreFull => self.store.fill(),
-            Trouble::SpoolsFull => self.spools.fill(),
-            Trouble::StoreReadOnly => self.store.set_immutable(&self.files(trouble), true),
-            Trouble::SpoolReadOnly(_) => self.spools.set_immutable(&self.files(trouble), true),
-            Trouble::StoreAway => self.store.unmount(),
-            Trouble::AggregatorClock => self.fleet.aggregator.show_time(&self.fleet.site, jump),
-            Trouble::AgentClock(agent) => self.fleet.agents[agent].show_time(&self.fleet.site, jump),
+            Fault::StoreFull => self.store.fill(),
+            Fault::SpoolsFull => self.spools.fill(),
+            Fault::StoreReadOnly => self.store.set_immutable(&self.files(trouble), true),
+            Fault::SpoolReadOnly(_) => self.spools.set_immutable(&self.files(trouble), true),
+            Fault::StoreAway => self.store.unmount(),
+            Fault::AggregatorClock => self.fleet.aggregator.show_time(&self.fleet.deployment, jump),
+            Fault::AgentClock(agent) => self.fleet.agents[agent].show_time(&self.fleet.deployment, jump),
         }
         self.troubles.push(trouble);
     }
 
-    /// Sets right what can be set right: clocks stay as they are.
-    fn mend(&mut self) {
+    /// Repairs everything but clocks.
+    fn repair(&mut self) {
         for trouble in std::mem::take(&mut self.troubles) {
             match trouble {
-                Trouble::StoreFull => self.store.free(),
-                Trouble::SpoolsFull => self.spools.free(),
-                Trouble::StoreReadOnly => self.store.set_immutable(&self.files(trouble), false),
-                Trouble::SpoolReadOnly(_) => self.spools.set_immutable(&self.files(trouble), false),
-                Trouble::StoreAway => {
-                    // Two mounts of one image would write over one another.
+                Fault::StoreFull => self.store.free(),
+                Fault::SpoolsFull => self.spools.free(),
+                Fault::StoreReadOnly => self.store.set_immutable(&self.files(trouble), false),
+                Fault::SpoolReadOnly(_) => self.spools.set_immutable(&self.files(trouble), false),
+                Fault::StoreAway => {
+                    // Two mounts of one image would overwrite each other.
                     until("the device is free", || (!self.store.is_in_use()).then_some(()));
                     self.store.mount();
                 }
-                Trouble::AggregatorClock | Trouble::AgentClock(_) => {}
+                Fault::AggregatorClock | Fault::AgentClock(_) => {}
             }
         }
     }
 
-    /// Troubles that can stand beside one another.
-    fn pick(chance: &mut Chance) -> Vec<Trouble> {
-        let agent = chance.below(AGENTS.len());
-        let store =
-            [Trouble::StoreFull, Trouble::StoreReadOnly, Trouble::StoreAway, Trouble::AggregatorClock];
-        let spool = [Trouble::SpoolsFull, Trouble::SpoolReadOnly(agent), Trouble::AgentClock(agent)];
-        let (store, spool) = (store[chance.below(store.len())], spool[chance.below(spool.len())]);
-        match chance.below(4) {
+    /// Chooses faults that can exist at the same time.
+    fn pick(rng: &mut TestRng) -> Vec<Fault> {
+        let agent = rng.below(AGENTS.len());
+        let store = [Fault::StoreFull, Fault::StoreReadOnly, Fault::StoreAway, Fault::AggregatorClock];
+        let spool = [Fault::SpoolsFull, Fault::SpoolReadOnly(agent), Fault::AgentClock(agent)];
+        let (store, spool) = (store[rng.below(store.len())], spool[rng.below(spool.len())]);
+        match rng.below(4) {
             0 => vec![store],
             1 => vec![spool],
             2 => vec![store, spool],
@@ -129,13 +129,13 @@ impl Storm {
         }
     }
 
-    /// Troubles, a kill in the middle of them, and a start in the middle of them or after.
-    fn round(&mut self, chance: &mut Chance) {
-        for trouble in Self::pick(chance) {
-            self.strike(trouble, chance);
-            chance.linger(PAUSE);
+    /// Causes faults, a kill during them, and a restart during or after them.
+    fn round(&mut self, rng: &mut TestRng) {
+        for trouble in Self::pick(rng) {
+            self.inject(trouble, rng);
+            rng.sleep_up_to(PAUSE);
         }
-        let (agent, who) = (chance.below(AGENTS.len()), chance.below(5));
+        let (agent, who) = (rng.below(AGENTS.len()), rng.below(5));
         let (kills_aggregator, kills_agent) = (who < 2, who > 0);
         if kills_aggregator {
             self.fleet.aggregator.kill();
@@ -145,66 +145,70 @@ impl Storm {
             self.answers += answers(&self.fleet.agents[agent].kill().log);
             self.kills[0] += 1;
         }
-        chance.linger(PAUSE);
-        // An aggregator that is started where its disk should be mounted begins a database there.
-        let needs_disk = kills_aggregator && self.troubles.contains(&Trouble::StoreAway);
-        if needs_disk || chance.once_in(2) {
-            self.mend();
+        rng.sleep_up_to(PAUSE);
+        // An aggregator that is started without its disk creates a database in the mount point's folder.
+        let needs_disk = kills_aggregator && self.troubles.contains(&Fault::StoreAway);
+        if needs_disk || rng.once_in(2) {
+            self.repair();
         }
         if kills_agent {
             self.fleet.start(agent);
         }
         if kills_aggregator {
-            self.fleet.aggregator.start(&self.fleet.site);
+            self.fleet.aggregator.start(&self.fleet.deployment);
         }
-        chance.linger(PAUSE);
-        self.mend();
-        let Fleet { site, aggregator, agents, .. } = &mut self.fleet;
+        rng.sleep_up_to(PAUSE);
+        self.repair();
+        let Fleet { deployment, aggregator, agents, .. } = &mut self.fleet;
         for daemon in agents.iter_mut().chain([aggregator]) {
-            self.ended += daemon.is_ready(site, || {});
+            self.ended += daemon.wait_until_ready(deployment, || {});
         }
-        chance.linger(PAUSE);
+        rng.sleep_up_to(PAUSE);
     }
 }
 
-/// Iterations that were acted upon.
+/// Returns the number of iterations whose answer was acted on.
 fn answers(log: &str) -> u64 {
     log.matches(" answer ").count() as u64
 }
 
 #[test]
 #[ignore = "takes minutes with PEERNET_KILLS=200; for make soak"]
-fn kills_amid_failing_disks_and_jumping_clocks_lose_nothing_uncounted() {
+fn kills_disk_and_clock_faults_lose_nothing_uncounted() {
     let _turn = turn();
-    let (mut chance, began) = (Chance::new("storm"), Since::now());
+    let (mut rng, began) = (TestRng::new("storm"), Stopwatch::now());
     let mut storm = Storm::new();
     let kills = setting("PEERNET_KILLS", 6);
     while storm.kills.iter().sum::<u64>() < kills {
-        storm.round(&mut chance);
+        storm.round(&mut rng);
     }
     let Storm { mut fleet, mut answers, kills, ended, store: _store, spools: _spools, .. } = storm;
-    let Fleet { site, aggregator, agents, .. } = &mut fleet;
+    let Fleet { deployment, aggregator, agents, .. } = &mut fleet;
     for daemon in agents.iter_mut().chain([aggregator]) {
-        daemon.show_time(site, Span::ZERO);
+        daemon.show_time(deployment, Span::ZERO);
     }
     let mut accounts = Vec::new();
     for agent in 0..AGENTS.len() {
         answers += self::answers(&fleet.agents[agent].stop().log);
         accounts.push(fleet.deliver(agent));
     }
-    let ledger = fleet.stop();
-    for (agent, account) in fleet.agents.iter().zip(&accounts) {
-        account.balances();
-        let host = &ledger.hosts[&agent.name];
-        assert_eq!(ledger.lacks(agent.spooled()), 0, "what was spooled is stored: {account:?}, {host:?}");
-        assert_eq!(host.quarantined, 0, "{account:?}, {host:?}");
-        // To the last event, by the agents' own counts.
-        assert_eq!((account.waiting, account.dropped), (0, host.missing), "{account:?}, {host:?}");
-        assert_eq!(account.produced, host.events + host.missing, "{account:?}, {host:?}");
+    let stored_events = fleet.stop();
+    for (agent, counts) in fleet.agents.iter().zip(&accounts) {
+        counts.assert_balanced();
+        let host = &stored_events.hosts[&agent.name];
+        assert_eq!(
+            stored_events.count_missing(agent.spooled()),
+            0,
+            "what was spooled is stored: {counts:?}, {host:?}"
+        );
+        assert_eq!(host.quarantined, 0, "{counts:?}, {host:?}");
+        // Every event is accounted for by the agents' counts.
+        assert_eq!((counts.waiting, counts.dropped), (0, host.missing), "{counts:?}, {host:?}");
+        assert_eq!(counts.produced, host.events + host.missing, "{counts:?}, {host:?}");
     }
-    // And by what they were seen to do: a kill may hit an iteration that was acted upon and is not handed in yet.
-    let missing: u64 = ledger.hosts.values().map(|host| host.missing).sum();
-    let known = ledger.iterations() + missing;
+    // The logged answers are accounted for as well. A kill may hit an iteration after its action and before its end.
+    let missing: u64 = stored_events.hosts.values().map(|host| host.missing).sum();
+    let known = stored_events.iterations() + missing;
     assert!(known + kills[0] >= answers, "{answers} answers, {known} accounted for");
     let number = |count: u64| thousands(count as f64);
     measured(
@@ -214,7 +218,7 @@ fn kills_amid_failing_disks_and_jumping_clocks_lose_nothing_uncounted() {
             ("kills of the aggregator", number(kills[1])),
             ("starts that failed until something was mended", number(ended.into())),
             ("answers in the logs", number(answers)),
-            ("iterations stored", number(ledger.iterations())),
+            ("iterations stored", number(stored_events.iterations())),
             ("lost and reported", number(missing)),
             ("lost and not reported", number(0)),
             ("seconds", number(began.elapsed().as_secs())),

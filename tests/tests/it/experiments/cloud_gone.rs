@@ -1,16 +1,16 @@
-//! The cloud's agent dies in mid-experiment.
+//! Tests of a cloud's agent that dies during an experiment.
 
 use peernet_tests::Process;
 
 use super::{Lab, THREE, column, json};
 
-/// The same three runs, which wait two seconds for a cloud that is away.
-fn impatient() -> String {
+/// Returns the experiment of three runs with a wait of two seconds for an absent cloud.
+fn impatient_experiment() -> String {
     THREE.replace("order =", "patience_s = 2\norder =")
 }
 
-/// Waits until the second run has some rows, and says where they are.
-fn in_the_second(lab: &Lab, process: &Process) -> String {
+/// Waits until the second run has some rows; returns its folder.
+fn wait_for_second_run(lab: &Lab, process: &Process) -> String {
     process.wait_for("run 2 of 3 (Size = 200): begins");
     let second = lab.results.folders()[1].clone();
     lab.results.rows(&second, 3);
@@ -18,22 +18,22 @@ fn in_the_second(lab: &Lab, process: &Process) -> String {
 }
 
 #[test]
-fn one_that_stays_away_fails_what_is_left_and_the_same_command_does_it_later() {
+fn missing_cloud_fails_runs_that_can_be_resumed() {
     let mut lab = Lab::new();
-    let process = lab.run(&impatient(), &[]);
-    let second = in_the_second(&lab, &process);
+    let process = lab.run(&impatient_experiment(), &[]);
+    let second = wait_for_second_run(&lab, &process);
     lab.kill_cloud();
     let ended = process.ended();
     assert_eq!(ended.code(), 75, "{}", ended.log);
     assert!(ended.log.contains("2 runs failed") && ended.log.contains("is away"), "{}", ended.log);
     assert_eq!(lab.results.stages(), ["finished", "failed", "failed"]);
-    // What it had measured is not lost with the cloud.
+    // Rows that were measured before the cloud died are kept.
     let answered = column(&lab.results.file(&second, "data.csv"), "outcome");
     assert!(answered.iter().filter(|outcome| *outcome == "ok").count() >= 3, "{answered:?}");
     let first = json(&lab.results.file(&lab.results.folders()[0], "run.json"));
 
     lab.start_cloud();
-    let ended = lab.run(&impatient(), &[]).ended();
+    let ended = lab.run(&impatient_experiment(), &[]).ended();
     assert_eq!(ended.code(), 0, "{}", ended.log);
     assert_eq!(lab.results.stages(), ["finished"; 3]);
     let answered = column(&lab.results.file(&second, "data.csv"), "outcome");
@@ -46,11 +46,11 @@ fn one_that_stays_away_fails_what_is_left_and_the_same_command_does_it_later() {
 }
 
 #[test]
-fn one_that_comes_back_costs_the_iterations_that_it_had_in_hand() {
+fn returning_cloud_loses_only_iterations_in_flight() {
     let mut lab = Lab::new();
     let process = lab.run(THREE, &[]);
-    let second = in_the_second(&lab, &process);
-    // Stopped at first, so that it has an iteration in hand for certain.
+    let second = wait_for_second_run(&lab, &process);
+    // The cloud is stopped first, so that it certainly has an iteration in progress.
     lab.stop_cloud();
     process.wait_for("is away");
     lab.kill_cloud();

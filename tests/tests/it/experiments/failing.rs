@@ -1,4 +1,4 @@
-//! What goes wrong before the first run, and in one of them.
+//! Tests of failures before the first run, and in one of the runs.
 
 use std::path::Path;
 
@@ -7,7 +7,7 @@ use peernet_tests::{Process, program, root};
 use super::{Lab, THREE, children, kill};
 
 #[test]
-fn a_run_that_crashes_is_marked_and_the_others_go_on() {
+fn crashed_run_is_marked_and_others_continue() {
     let lab = Lab::new();
     let process = lab.run(THREE, &[]);
     process.wait_for("run 2 of 3 (Size = 200): begins");
@@ -23,8 +23,8 @@ fn a_run_that_crashes_is_marked_and_the_others_go_on() {
     );
     assert!(ended.log.contains("1 run failed"), "{}", ended.log);
     assert_eq!(lab.results.stages(), ["finished", "failed", "finished"]);
-    // One experiment has one table, whoever writes it.
-    let (own, other) = (lab.results.folder.join("compare.txt"), lab.site.folder().join("compare.txt"));
+    // The table of an experiment is the same, whichever command writes it.
+    let (own, other) = (lab.results.folder.join("compare.txt"), lab.deployment.folder().join("compare.txt"));
     let arguments = [Path::new("compare"), &lab.results.folder, Path::new("--out"), &other];
     let compared = Process::start(&program("peernet"), &arguments, root(), &[]).ended();
     assert_eq!(compared.code(), 0, "{}", compared.log);
@@ -39,7 +39,7 @@ fn a_run_that_crashes_is_marked_and_the_others_go_on() {
 }
 
 #[test]
-fn everything_that_is_missing_is_told_before_the_first_run() {
+fn missing_parts_are_reported_before_first_run() {
     let lab = Lab::new();
     let file = "[experiment]\nname = 'e'\niterations = 5\npatience_s = 1\n[pipeline]\n\
                 sensor = { kind = 'synthetic', size_bytes = 10 }\nplacement = { kind = 'remote', peer = '{cloud}' }\n\
@@ -58,7 +58,7 @@ fn everything_that_is_missing_is_told_before_the_first_run() {
         assert!(ended.log.contains(told), "{told} is not in {}", ended.log);
     }
 
-    // Alike in a trial, which is of one iteration after the other: all of them are told.
+    // Mistakes that look alike in a trial, which runs one iteration after the other, are all reported.
     let alike = file.split("[[axis]]").next().expect("what is before the axes").to_owned()
         + "[[axis]]\nname = 'Model'\nfield = 'pipeline.placement.model'\nvalues = ['echo', 'nowhere']\n\
            [[axis]]\nname = 'Load'\n[[axis.value]]\nlabel = 'closed'\n[[axis.value]]\nlabel = '5 Hz'\n\

@@ -1,11 +1,11 @@
-//! The files that are shipped.
+//! Tests of the shipped experiment files.
 
 use std::path::Path;
 
 use peernet_tests::{Process, program, root};
 
 #[test]
-fn all_of_them_pass_the_check_and_say_how_many_runs_they_make() {
+fn shipped_experiments_pass_check_with_their_run_counts() {
     for (name, runs) in [
         ("demo", "10 runs of 5 configurations"),
         ("efficientnet", "6 runs of 6 configurations"),
@@ -25,7 +25,7 @@ fn all_of_them_pass_the_check_and_say_how_many_runs_they_make() {
 }
 
 #[test]
-fn an_unknown_key_of_the_devices_is_remarked_once() {
+fn unknown_device_key_is_reported_once() {
     let folder = tempfile::tempdir().expect("a folder");
     let write = |name: &str, text: &str| {
         let path = folder.path().join(name);
@@ -49,7 +49,7 @@ fn an_unknown_key_of_the_devices_is_remarked_once() {
 }
 
 #[test]
-fn a_file_that_is_not_there_or_wrong_is_told_with_its_name() {
+fn missing_or_invalid_file_is_named() {
     let folder = tempfile::tempdir().expect("a folder");
     let check = |file: &Path| {
         let ended =
@@ -72,7 +72,7 @@ fn a_file_that_is_not_there_or_wrong_is_told_with_its_name() {
          sensor = {{ kind = 'images', path = '{}' }}\n",
         pictures.display()
     );
-    // What an agent would refuse wherever it runs, and what the trial finds on this machine.
+    // Errors that an agent would report on any machine, and those that the trial finds on this machine.
     let long = text.replace("[pipeline]", "[pipeline]\ntimeout_ms = 1000000000000");
     std::fs::write(&file, long).expect("writable");
     let (code, log) = check(&file);

@@ -1,4 +1,4 @@
-//! Experiments: a matrix of runs from one file on one machine, with a cloud on another.
+//! Tests of experiments: a matrix of runs from one file on one machine, with a cloud on another.
 
 mod cloud_gone;
 mod failing;
@@ -13,7 +13,7 @@ pub(crate) mod users;
 use std::ffi::OsStr;
 use std::path::Path;
 
-use peernet_tests::{Ended, Network, Process, Site, program, root};
+use peernet_tests::{LoopbackDeployment, Network, Process, ProcessEnd, program, root};
 use rustix::process::{Pid, Signal, kill_process};
 
 pub(crate) use results::{Results, column, json};
@@ -38,7 +38,7 @@ inference_ms = 40
 postprocessing_ms = 0
 "#;
 
-/// Three runs; the second takes ten seconds, so that there is time to end it.
+/// Experiment of three runs; the second one takes ten seconds, so that the test can end it.
 const THREE: &str = r#"
 [experiment]
 name = "three"
@@ -70,28 +70,33 @@ set = { "pipeline.sensor.size_bytes" = 300 }
 struct Lab {
     results: Results,
     cloud: Option<Process>,
-    site: Site,
+    deployment: LoopbackDeployment,
     network: Network,
 }
 
 impl Lab {
     fn new() -> Self {
-        let (site, network) = (Site::new(), Network::direct());
-        let mut lab =
-            Self { results: Results::of(site.folder().join("results")), cloud: None, site, network };
-        lab.site.write("cloud.toml", CLOUD);
+        let (deployment, network) = (LoopbackDeployment::new(), Network::direct());
+        let mut lab = Self {
+            results: Results::of(deployment.folder().join("results")),
+            cloud: None,
+            deployment,
+            network,
+        };
+        lab.deployment.write("cloud.toml", CLOUD);
         lab.start_cloud();
         lab
     }
 
     fn start_cloud(&mut self) {
         let arguments = ["run", "cloud.toml"];
-        let cloud = self.network.cloud().start(&program("peernetd"), &arguments, self.site.folder(), &[]);
+        let cloud =
+            self.network.cloud().start(&program("peernetd"), &arguments, self.deployment.folder(), &[]);
         cloud.wait_for("ready");
         self.cloud = Some(cloud);
     }
 
-    /// It hangs from now on.
+    /// Stops the cloud's process, so that it hangs.
     fn stop_cloud(&self) {
         self.cloud.as_ref().expect("it runs").signal(Signal::STOP);
     }
@@ -100,31 +105,31 @@ impl Lab {
         self.cloud.take().expect("it runs").kill();
     }
 
-    /// Starts `peernet run` on a text, in which `{cloud}` is where the cloud serves.
+    /// Starts `peernet run` with a text, in which `{cloud}` stands for the address of the cloud.
     fn run(&self, text: &str, options: &[&str]) -> Process {
         let peer = format!("tcp://{}:5551", self.network.cloud().address);
-        let file = self.site.write("experiment.toml", &text.replace("{cloud}", &peer));
+        let file = self.deployment.write("experiment.toml", &text.replace("{cloud}", &peer));
         let mut arguments = vec![Path::new("run"), &file, Path::new("--result-loc"), &self.results.folder];
         arguments.extend(options.iter().map(Path::new));
         self.network.edge().start(&program("peernet"), &arguments, root(), &[])
     }
 }
 
-/// What a command says of results.
-fn told(command: &str, results: &Path) -> Ended {
+/// Runs a command on results and returns its output.
+fn run_command(command: &str, results: &Path) -> ProcessEnd {
     let arguments = [OsStr::new(command), results.as_os_str()];
     Process::start(&program("peernet"), &arguments, root(), &[]).ended()
 }
 
-/// Waits for the end of an experiment, which may take long, as long as its runs do not.
-pub(crate) fn done(experiment: Process, runs: usize) -> Ended {
+/// Waits for the end of an experiment, which may take long if its single runs do not.
+pub(crate) fn done(experiment: Process, runs: usize) -> ProcessEnd {
     for run in 1..=runs {
         experiment.wait_for(&format!("run {run} of {runs} ("));
     }
     experiment.ended()
 }
 
-/// The processes that a program has started and not waited for.
+/// Returns the children of a program that it has not waited for.
 fn children(process: &Process) -> Vec<Pid> {
     let pid = process.pid();
     let text = std::fs::read_to_string(format!("/proc/{pid}/task/{pid}/children")).expect("it runs");

@@ -1,6 +1,6 @@
-//! What users' own code prints while an experiment runs.
+//! Test of the output of users' code during an experiment.
 
-use peernet_tests::{Process, Site, program};
+use peernet_tests::{LoopbackDeployment, Process, program};
 
 const SENSOR: &str = r#"
 class Camera:
@@ -28,12 +28,12 @@ placement = { kind = 'none' }
 ";
 
 #[test]
-fn it_is_shown_with_who_said_it_between_the_lines_of_the_progress() {
-    let site = Site::new();
-    site.write("mine.py", SENSOR);
-    site.write("experiment.toml", EXPERIMENT);
+fn program_output_is_printed_with_its_source() {
+    let deployment = LoopbackDeployment::new();
+    deployment.write("mine.py", SENSOR);
+    deployment.write("experiment.toml", EXPERIMENT);
     let arguments = ["run", "experiment.toml", "--result-loc", "results"];
-    let ended = Process::start(&program("peernet"), &arguments, site.folder(), &[]).ended();
+    let ended = Process::start(&program("peernet"), &arguments, deployment.folder(), &[]).ended();
     assert_eq!(ended.code(), 0, "{}", ended.log);
     let begins = ended.log.find(": begins").expect("the run is told");
     let finished = ended.log.find(": finished after").expect("its end as well");

@@ -1,14 +1,14 @@
-//! `run.json` holds what it takes to do a run again.
+//! Tests that `run.json` contains everything that is needed to repeat a run.
 
 use std::fs;
 use std::path::Path;
 
-use peernet_tests::{Ended, program, root};
+use peernet_tests::{ProcessEnd, program, root};
 use serde_json::{Map, Value};
 
 use super::{Lab, Results, column, json};
 
-/// Pictures of different sizes in a shuffled order, sent as they are: their sizes tell which came when.
+/// Experiment with pictures of different sizes in shuffled order, sent unchanged: the sizes show the order.
 const SHUFFLED: &str = r#"
 [experiment]
 name = "shuffled"
@@ -25,19 +25,22 @@ transforms = [{ kind = "resize", width = 96, height = 64 }, { kind = "encode", f
 placement = { kind = "remote", peer = "cluster", model = "echo" }
 "#;
 
-/// What belongs to `[experiment]` of all that a run's pipeline has, and what is filled in.
+/// Keys of a run's pipeline that belong to `[experiment]`, and keys that are filled in.
 const OF_EXPERIMENT: [&str; 6] = ["name", "limit", "warm_up", "episode_steps", "start", "experiment"];
 
 impl Lab {
-    /// Starts `peernet run` in the folder of the lab, with results in a folder there.
-    fn run_here(&self, file: &str, results: &str) -> Ended {
+    /// Runs `peernet run` in the lab's folder, with a folder there for the results.
+    fn run_here(&self, file: &str, results: &str) -> ProcessEnd {
         let arguments = ["run", file, "--result-loc", results];
         let environment = [("OMP_NUM_THREADS", "3"), ("PEERNET_SECRET", "not to be told")];
-        self.network.edge().start(&program("peernet"), &arguments, self.site.folder(), &environment).ended()
+        self.network
+            .edge()
+            .start(&program("peernet"), &arguments, self.deployment.folder(), &environment)
+            .ended()
     }
 }
 
-/// The experiment that a run was, by its record alone, as docs/results.md says.
+/// Returns the experiment of a run, from its record alone, as docs/results.md describes.
 fn again(record: &Value) -> String {
     let pipeline = record["pipeline"].as_object().expect("a table");
     let mut experiment = Map::from_iter([("name".to_owned(), "again".into())]);
@@ -52,7 +55,7 @@ fn again(record: &Value) -> String {
     toml::to_string(&file).expect("what is not known is left out")
 }
 
-/// The record without what is another one's in each run.
+/// Returns the record without the values that differ in each run.
 fn configuration(record: &Value) -> Value {
     let mut pipeline = record["pipeline"].clone();
     for key in ["name", "experiment"] {
@@ -64,14 +67,14 @@ fn configuration(record: &Value) -> Value {
 }
 
 #[test]
-fn a_run_is_done_again_from_its_record_alone() {
+fn run_is_repeated_from_its_record() {
     let lab = Lab::new();
-    let folder = lab.site.folder();
+    let folder = lab.deployment.folder();
     let write = |name: &str, text: &str| fs::write(folder.join(name), text).expect("writable");
     let devices = format!("devices:\n  cluster: {}\nserver: cluster\n", lab.network.cloud().address);
     write("net_config.yaml", &devices);
     write("first.toml", &SHUFFLED.replace("{root}", &root().display().to_string()));
-    let done = |ended: Ended| {
+    let done = |ended: ProcessEnd| {
         assert_eq!(ended.code(), 0, "{}", ended.log);
         ended.log
     };
@@ -90,7 +93,7 @@ fn a_run_is_done_again_from_its_record_alone() {
     assert!(!record.to_string().contains("not to be told"));
     assert_eq!(record["folder"].as_str().map(Path::new), folder.canonicalize().ok().as_deref());
 
-    // Another device is nothing to the run that was measured, but the file is not what it was.
+    // Another device does not matter for the measured run, but the file has changed.
     write("net_config.yaml", &devices.replace("server:", "  spare: 10.0.0.99\nserver:"));
     let log = done(lab.run_here("first.toml", "first"));
     assert!(log.contains("net_config.yaml has changed since some runs were measured"), "{log}");

@@ -1,11 +1,11 @@
-//! What an experiment leaves behind.
+//! Access to the results of an experiment.
 
 use std::path::{Path, PathBuf};
 
 use peernet_tests::until;
 use serde_json::Value;
 
-/// The folder of an experiment.
+/// Folder of an experiment.
 pub(crate) struct Results {
     pub(crate) folder: PathBuf,
 }
@@ -15,31 +15,31 @@ impl Results {
         Self { folder }
     }
 
-    /// What is written down of the experiment.
+    /// Returns the record of the experiment.
     pub(crate) fn record(&self) -> Value {
         json(&self.folder.join("experiment.json"))
     }
 
-    /// The folders of the runs, in their order.
+    /// Returns the folders of the runs, in their order.
     pub(crate) fn folders(&self) -> Vec<String> {
         let record = self.record();
         let runs = record["plan"]["runs"].as_array().expect("a list").iter();
         runs.map(|run| run["folder"].as_str().expect("a name").to_owned()).collect()
     }
 
-    /// What became of the runs, in their order.
+    /// Returns the states of the runs, in their order.
     pub(crate) fn stages(&self) -> Vec<String> {
         let record = self.record();
         let states = record["states"].as_array().expect("a list").iter();
         states.map(|state| state["stage"].as_str().expect("a word").to_owned()).collect()
     }
 
-    /// A run's file.
+    /// Returns the path of a run's file.
     pub(crate) fn file(&self, folder: &str, name: &str) -> PathBuf {
         self.folder.join("runs").join(folder).join(name)
     }
 
-    /// Waits until so many rows of a run are in its file.
+    /// Waits until the file of a run has this number of rows.
     pub(crate) fn rows(&self, folder: &str, count: usize) {
         let path = self.file(folder, "data.csv");
         until("rows", || {
@@ -49,7 +49,7 @@ impl Results {
     }
 }
 
-/// A column of a table of results.
+/// Returns a column of a table of results.
 pub(crate) fn column(path: &Path, name: &str) -> Vec<String> {
     let mut reader = csv::Reader::from_path(path).expect("there are rows");
     let at =

@@ -1,20 +1,20 @@
-//! An experiment that was cut off goes on where it ended.
+//! Tests of an interrupted experiment that is resumed.
 
 use peernet_tests::{Process, until};
 use rustix::process::{Signal, kill_process};
 
-use super::{Lab, THREE, children, column, json, told};
+use super::{Lab, THREE, children, column, json, run_command};
 
-/// Waits until the second run is under way.
-fn in_the_second(lab: &Lab, process: &Process) -> Vec<String> {
+/// Waits until the second run is in progress.
+fn wait_for_second_run(lab: &Lab, process: &Process) -> Vec<String> {
     process.wait_for("run 2 of 3 (Size = 200): begins");
     let folders = lab.results.folders();
     lab.results.rows(&folders[1], 3);
     folders
 }
 
-/// Everything is there, once.
-fn whole(lab: &Lab, folders: &[String]) {
+/// Checks that every run is complete and exists once.
+fn assert_complete(lab: &Lab, folders: &[String]) {
     assert_eq!(lab.results.folders(), folders);
     assert_eq!(lab.results.stages(), ["finished"; 3]);
     for (folder, (size, rows)) in folders.iter().zip([("100", 27), ("200", 252), ("300", 27)]) {
@@ -25,14 +25,14 @@ fn whole(lab: &Lab, folders: &[String]) {
     }
 }
 
-/// What the commands show of the experiment is what it made of its runs itself: the first alone.
-fn the_rest_is_left_out(lab: &Lab, folders: &[String], stage: &str) {
+/// Checks that the commands show what the experiment made of its runs itself: only the first one.
+fn assert_rest_is_left_out(lab: &Lab, folders: &[String], stage: &str) {
     let home = &lab.results.folder;
     let without = format!(
         "without the runs of experiment three that are not done: {} ({stage}), {} (to do)",
         folders[1], folders[2]
     );
-    let compared = told("compare", home);
+    let compared = run_command("compare", home);
     assert_eq!(compared.code(), 0, "{}", compared.log);
     for line in
         [&format!("{} is shown {without}; `peernet run ", home.display()), &format!("Shown {without}.")]
@@ -40,30 +40,30 @@ fn the_rest_is_left_out(lab: &Lab, folders: &[String], stage: &str) {
         assert!(compared.log.contains(line), "{line} is not in {}", compared.log);
     }
     assert!(!compared.log.contains("\n200 "), "{}", compared.log);
-    let drawn = told("plot", home);
+    let drawn = run_command("plot", home);
     assert_eq!(drawn.code(), 0, "{}", drawn.log);
     assert!(drawn.log.contains(&without) && !drawn.log.contains("stacked.png"), "{}", drawn.log);
 
     let itself = lab.results.file(&folders[1], "");
     for command in ["compare", "plot"] {
-        let named = told(command, &itself);
+        let named = run_command(command, &itself);
         let line = format!("is of a run that is not done, {stage}");
         assert!(named.code() == 0 && named.log.contains(&line), "{}", named.log);
     }
 }
 
 #[test]
-fn what_the_user_ended_is_marked_and_done_again_and_what_was_finished_is_not() {
+fn interrupted_runs_are_repeated_and_finished_ones_kept() {
     let lab = Lab::new();
     let process = lab.run(THREE, &[]);
-    let folders = in_the_second(&lab, &process);
+    let folders = wait_for_second_run(&lab, &process);
     process.signal(Signal::INT);
     let ended = process.ended();
     assert_eq!(ended.code(), 130, "{}", ended.log);
     assert!(ended.log.contains("1 of 3 runs finished, 1 interrupted, 1 to do"), "{}", ended.log);
     assert_eq!(lab.results.stages(), ["finished", "interrupted", "pending"]);
     assert_eq!(json(&lab.results.file(&folders[1], "run.json"))["reason"], "stopped");
-    the_rest_is_left_out(&lab, &folders, "interrupted");
+    assert_rest_is_left_out(&lab, &folders, "interrupted");
     let first = json(&lab.results.file(&folders[0], "run.json"));
     let id = lab.results.record()["id"].clone();
 
@@ -74,7 +74,7 @@ fn what_the_user_ended_is_marked_and_done_again_and_what_was_finished_is_not() {
     let ended = lab.run(THREE, &[]).ended();
     assert_eq!(ended.code(), 0, "{}", ended.log);
     assert!(!ended.log.contains("run 1 of 3 (Size = 100): begins"), "{}", ended.log);
-    whole(&lab, &folders);
+    assert_complete(&lab, &folders);
     assert_eq!(json(&lab.results.file(&folders[0], "run.json")), first, "it was not touched");
     assert_eq!(lab.results.record()["id"], id);
     assert_eq!(json(&lab.results.file(&folders[2], "run.json"))["experiment"]["id"], id);
@@ -84,12 +84,12 @@ fn what_the_user_ended_is_marked_and_done_again_and_what_was_finished_is_not() {
     assert!(again.log.contains("nothing to do") && !again.log.contains("begins"), "{}", again.log);
 }
 
-/// It hears no wish to end, and would be waited for without an end.
+/// The suspended run handles no signals, so that waiting for it would never end.
 #[test]
-fn a_run_that_is_suspended_is_killed_and_marked_as_interrupted() {
+fn suspended_run_is_killed_and_marked_interrupted() {
     let lab = Lab::new();
     let process = lab.run(THREE, &[]);
-    in_the_second(&lab, &process);
+    wait_for_second_run(&lab, &process);
     let [child] = children(&process).try_into().expect("one run is under way");
     kill_process(child, Signal::STOP).expect("it runs");
     process.signal(Signal::INT);
@@ -103,21 +103,21 @@ fn a_run_that_is_suspended_is_killed_and_marked_as_interrupted() {
 }
 
 #[test]
-fn a_kill_leaves_no_process_behind_and_nothing_half_done() {
+fn kill_leaves_no_process_and_no_partial_run() {
     let lab = Lab::new();
     let process = lab.run(THREE, &[]);
-    let folders = in_the_second(&lab, &process);
+    let folders = wait_for_second_run(&lab, &process);
     let [child] = children(&process).try_into().expect("one run is under way");
     process.kill();
     until("the end of the run", || {
         let stat = std::fs::read_to_string(format!("/proc/{}/stat", child.as_raw_nonzero()));
-        // Nobody waits for it but init, which may take its time.
+        // Only init collects it, which may take a while.
         stat.map_or(true, |stat| stat.contains(") Z ")).then_some(())
     });
     assert_eq!(lab.results.stages(), ["finished", "running", "pending"]);
-    the_rest_is_left_out(&lab, &folders, "under way or killed");
+    assert_rest_is_left_out(&lab, &folders, "under way or killed");
     let ended = lab.run(THREE, &["--yes"]).ended();
     assert_eq!(ended.code(), 0, "{}", ended.log);
-    whole(&lab, &folders);
+    assert_complete(&lab, &folders);
     assert_eq!(lab.results.record()["states"][1]["attempts"], 2);
 }

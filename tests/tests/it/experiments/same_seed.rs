@@ -1,14 +1,14 @@
-//! The seed decides the order and the payloads, whoever else is on the network.
+//! Test that the seed determines the order and the payloads, regardless of other traffic.
 
-use peernet_tests::{Api, Desk};
+use peernet_tests::{Api, DocumentedCommands};
 
 use super::{Results, column, done};
 
-/// What this test types of the documents.
+/// Documented commands that this test executes.
 pub(crate) const COMMANDS: [&str; 2] =
     ["peernetd run configs/cloud.toml", "peernet run configs/experiments/demo.toml"];
 
-/// The order, and of each run that sends pictures as they are how large they were.
+/// Returns the order of the runs, and the sizes of the pictures of each run that sends them unchanged.
 fn seen(results: &Results) -> (Vec<String>, Vec<Vec<String>>) {
     let mut folders = results.folders();
     let order = folders.clone();
@@ -18,10 +18,10 @@ fn seen(results: &Results) -> (Vec<String>, Vec<Vec<String>>) {
     (order, sizes.collect())
 }
 
-/// How many runs of an experiment the aggregator beside the cloud knows as finished.
-fn stored(desk: &Desk, experiment: &str) -> usize {
+/// Returns the number of an experiment's runs that the aggregator on the cloud stores as finished.
+fn stored(machines: &DocumentedCommands, experiment: &str) -> usize {
     let experiment = experiment.to_owned();
-    desk.cloud().inside(move || {
+    machines.cloud().inside(move || {
         Api::at(8040).until("/api/v1/runs?limit=100", |found| {
             let runs = found["runs"].as_array()?;
             let of_it = runs.iter().filter(|run| run["experiment"]["id"] == *experiment);
@@ -31,12 +31,12 @@ fn stored(desk: &Desk, experiment: &str) -> usize {
 }
 
 #[test]
-fn the_demo_twice_with_one_seed_has_one_order_and_the_same_payloads() {
-    let desk = Desk::new(&COMMANDS);
-    desk.copy("configs/aggregator.toml", &[("127.0.0.1:5550", "0.0.0.0:5550")]);
-    desk.copy("configs/cloud.toml", &[("tcp://127.0.0.1:5551", "tcp://0.0.0.0:5551")]);
-    // Fewer and shorter episodes, and on the dashboard.
-    desk.copy(
+fn demo_with_same_seed_repeats_order_and_payloads() {
+    let machines = DocumentedCommands::new(&COMMANDS);
+    machines.copy("configs/aggregator.toml", &[("127.0.0.1:5550", "0.0.0.0:5550")]);
+    machines.copy("configs/cloud.toml", &[("tcp://127.0.0.1:5551", "tcp://0.0.0.0:5551")]);
+    // Fewer and shorter episodes, streamed to the dashboard.
+    machines.copy(
         "configs/experiments/demo.toml",
         &[
             ("episodes = 4", "episodes = 2"),
@@ -44,14 +44,14 @@ fn the_demo_twice_with_one_seed_has_one_order_and_the_same_payloads() {
             ("[experiment]", "[experiment]\naggregator = \"tcp://10.0.0.2:5550\""),
         ],
     );
-    let aggregator = desk.run_on(desk.cloud(), "peernetd run configs/aggregator.toml");
-    let cloud = desk.on_cloud("peernetd run configs/cloud.toml", &[]);
+    let aggregator = machines.run_on(machines.cloud(), "peernetd run configs/aggregator.toml");
+    let cloud = machines.on_cloud("peernetd run configs/cloud.toml", &[]);
     cloud.wait_for("ready");
-    let results = Results::of(desk.folder().join("results/demo"));
+    let results = Results::of(machines.folder().join("results/demo"));
     let measure = |options: &str| {
         let options = format!("demo.toml {options}");
         let command = "peernet run configs/experiments/demo.toml";
-        let ended = done(desk.on_edge(command, &[("demo.toml", &options)]), 10);
+        let ended = done(machines.on_edge(command, &[("demo.toml", &options)]), 10);
         assert_eq!(ended.code(), 0, "{}", ended.log);
         (seen(&results), ended.log)
     };
@@ -68,10 +68,10 @@ fn the_demo_twice_with_one_seed_has_one_order_and_the_same_payloads() {
     let compared = column(&results.folder.join("compare.csv"), "Where");
     assert_eq!(compared, ["local", "cloud", "cloud", "echo", "echo"], "in the order of the file");
     let counted = column(&results.folder.join("compare.csv"), "count");
-    // Two repeats of one episode without its first step.
+    // Two repeats of one episode, each without its first step.
     assert!(counted.iter().all(|count| count == "10"), "{counted:?}");
     let id = results.record()["id"].as_str().expect("it has one").to_owned();
-    assert_eq!(stored(&desk, &id), 10);
+    assert_eq!(stored(&machines, &id), 10);
 
     let again = measure("--restart").0;
     assert_eq!(again, (order.clone(), sizes.clone()));
@@ -82,5 +82,5 @@ fn the_demo_twice_with_one_seed_has_one_order_and_the_same_payloads() {
         let ended = process.stop();
         assert_eq!(ended.code(), 0, "{}", ended.log);
     }
-    desk.finish();
+    machines.finish();
 }

@@ -1,4 +1,4 @@
-//! Many users of one cloud.
+//! Test of several users of one cloud.
 
 use std::path::Path;
 
@@ -6,7 +6,7 @@ use peernet_tests::program;
 
 use super::{Lab, column, json};
 
-/// What this test types of the documents.
+/// Documented commands that this test executes.
 pub(crate) const COMMANDS: [&str; 1] = ["peernet plot --kind users"];
 
 const USERS: &str = r#"
@@ -29,7 +29,7 @@ values = [1, 3]
 "#;
 
 #[test]
-fn three_users_share_one_cloud_and_it_is_told_how_evenly() {
+fn fairness_between_three_users_is_reported() {
     let lab = Lab::new();
     let ended = lab.run(USERS, &[]).ended();
     assert_eq!(ended.code(), 0, "{}", ended.log);
@@ -52,10 +52,10 @@ fn three_users_share_one_cloud_and_it_is_told_how_evenly() {
         (fairness[0] - 1.0).abs() < 1e-9 && (1.0 / 3.0..1.0 + 1e-9).contains(&fairness[1]),
         "{fairness:?}"
     );
-    // One worker, 40 ms each: alone nobody waits, of three one is served and two wait.
+    // There is one worker, and a sample takes 40 ms: one user never waits; of three, one is served and two wait.
     assert!(latency[0] >= 0.04 && latency[1] > latency[0], "{latency:?}");
     assert!(rate[1] <= 25.5, "one worker cannot do more: {rate:?}");
-    // Users of one run are one line of the table, and one run.
+    // The users of one run are one line of the table, and one run.
     assert_eq!(column(&lab.results.folder.join("compare.csv"), "runs"), ["1", "1"]);
     let trust =
         ended.log.lines().find(|line| line.starts_with("Can they be published?")).expect("it is told");
@@ -64,7 +64,7 @@ fn three_users_share_one_cloud_and_it_is_told_how_evenly() {
     draw_again(&lab);
 }
 
-/// The curve over the number of users, beside the experiment's own figures.
+/// Draws the curve over the number of users again, and compares it with the experiment's own figure.
 fn draw_again(lab: &Lab) {
     let figure = lab.results.folder.join("users.svg");
     std::fs::remove_file(&figure).expect("it is among the figures of the whole");
@@ -72,7 +72,7 @@ fn draw_again(lab: &Lab) {
     let words = command.split(' ').skip(1).map(Path::new);
     let arguments: Vec<&Path> = words.chain([lab.results.folder.as_path()]).collect();
     let edge = lab.network.edge();
-    let drawn = edge.start(&program("peernet"), &arguments, lab.site.folder(), &[]).ended();
+    let drawn = edge.start(&program("peernet"), &arguments, lab.deployment.folder(), &[]).ended();
     assert_eq!(drawn.code(), 0, "{}", drawn.log);
     assert!(figure.is_file(), "{}", drawn.log);
 }

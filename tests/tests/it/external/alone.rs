@@ -1,6 +1,6 @@
-//! A sensor alone.
+//! Test of a sensor without a model.
 
-use peernet_tests::Site;
+use peernet_tests::LoopbackDeployment;
 
 const EDGE: &str = r#"
 [[pipeline]]
@@ -11,10 +11,10 @@ limit = { total = 50 }
 "#;
 
 #[test]
-fn its_run_shows_well_everywhere_without_a_model() {
-    let site = Site::new();
-    let (_aggregator, api) = site.aggregator();
-    let edge = site.agent("edge", EDGE);
+fn run_without_model_is_shown_on_all_pages() {
+    let deployment = LoopbackDeployment::new();
+    let (_aggregator, api) = deployment.aggregator();
+    let edge = deployment.agent("edge", EDGE);
     let run = api.finished_run();
 
     let detail = api.json(&format!("/api/v1/runs/{run}"));
@@ -24,7 +24,7 @@ fn its_run_shows_well_everywhere_without_a_model() {
         (&"none".into(), &"none".into())
     );
     assert!(detail["placement"]["peer"].is_null(), "{detail}");
-    // The live picture comes on a lane of its own.
+    // The live state arrives on a separate lane.
     let kind = api.until("/api/v1/pipelines/edge/study", |pipeline| {
         pipeline["placement"]["kind"].as_str().map(str::to_owned)
     });

@@ -1,8 +1,8 @@
-//! Programs that fail: their iterations do, and nothing else.
+//! Test of programs that fail: only their iterations fail.
 
-use peernet_tests::Site;
+use peernet_tests::LoopbackDeployment;
 
-/// A model that prints where it must not, dies and hangs, each once, and then does what it should.
+/// Model that prints outside of its reply, dies and hangs, each once, and then works.
 const MODEL: &str = r#"#!/bin/sh
 step=$(cat step 2> /dev/null || echo 0)
 while read -r word bytes media shape source; do
@@ -39,10 +39,10 @@ limit = { total = 20 }
 
 #[test]
 fn each_failure_is_one_iteration_with_its_reason() {
-    let site = Site::new();
-    let (_aggregator, api) = site.aggregator();
-    site.write("moody.sh", MODEL);
-    let edge = site.agent("edge", EDGE);
+    let deployment = LoopbackDeployment::new();
+    let (_aggregator, api) = deployment.aggregator();
+    deployment.write("moody.sh", MODEL);
+    let edge = deployment.agent("edge", EDGE);
     let run = api.finished_run();
 
     let detail = api.json(&format!("/api/v1/runs/{run}"));

@@ -1,4 +1,4 @@
-//! The example programs of the docs in real agents: a sensor in shell, a model in C, an actuator in shell.
+//! Tests of the documents' example programs in real agents: a sensor in shell, a model in C, an actuator in shell.
 
 mod alone;
 mod failing;
@@ -10,7 +10,7 @@ use std::process::Command;
 
 use peernet_tests::root;
 
-/// Builds the model in C as its first lines say, into a folder.
+/// Builds the model in C into a folder, with the command in its first lines.
 pub(crate) fn build(folder: &Path) {
     let source = root().join("docs/examples/external/brightness.c");
     let program = folder.join("brightness");

@@ -1,8 +1,8 @@
-//! What users put into `env`.
+//! Test of the values that users set in `env`.
 
 use std::path::Path;
 
-use peernet_tests::{Process, Site, program, root};
+use peernet_tests::{LoopbackDeployment, Process, program, root};
 
 use crate::experiments::{Results, json};
 
@@ -23,12 +23,12 @@ command = "while read word bytes rest; do head -c $bytes >/dev/null; [ \"$TOKEN\
 "#;
 
 #[test]
-fn a_run_tells_the_names_of_variables_and_not_their_values() {
-    let site = Site::new();
+fn run_record_contains_variable_names_without_values() {
+    let deployment = LoopbackDeployment::new();
     let secret = "hunter2";
-    let file = site.folder().join("secrets.toml");
+    let file = deployment.folder().join("secrets.toml");
     std::fs::write(&file, EXPERIMENT.replace("{secret}", secret)).expect("writable");
-    let results = Results::of(site.folder().join("results"));
+    let results = Results::of(deployment.folder().join("results"));
     let arguments = [Path::new("run"), &file, Path::new("--result-loc"), &results.folder];
     let ended = Process::start(&program("peernet"), &arguments, root(), &[]).ended();
     assert_eq!(ended.code(), 0, "{}", ended.log);

@@ -1,6 +1,6 @@
-//! Sensor and actuator on the edge, model on the cloud.
+//! Test with sensor and actuator on the edge and model on the cloud.
 
-use peernet_tests::{Network, Plant};
+use peernet_tests::{Network, TwoHostTestbed};
 
 use super::build;
 
@@ -23,12 +23,12 @@ limit = { total = 42 }
 "#;
 
 #[test]
-fn a_picture_from_shell_is_judged_by_c_and_recorded_by_shell() {
-    let plant = Plant::new(|_| Network::direct());
-    build(plant.folder());
-    let cloud = plant.cloud(MODEL);
-    let edge = plant.edge(&LIGHT.replace("PEER", &plant.peer()), &[]);
-    let api = &plant.api;
+fn shell_sensor_c_model_shell_actuator_work_together() {
+    let testbed = TwoHostTestbed::new(|_| Network::direct());
+    build(testbed.folder());
+    let cloud = testbed.cloud(MODEL);
+    let edge = testbed.edge(&LIGHT.replace("PEER", &testbed.peer()), &[]);
+    let api = &testbed.api;
     let run = api.finished_run();
 
     let detail = api.json(&format!("/api/v1/runs/{run}"));
@@ -42,18 +42,19 @@ fn a_picture_from_shell_is_judged_by_c_and_recorded_by_shell() {
         assert!(facts.contains(file), "{file}: {facts}");
     }
 
-    // Every answer was right, and that crossed the wire: the edge knows the label, the cloud gave the answer.
+    // Every answer was right. The label is known on the edge and the answer was given on the cloud, so that both
+    // crossed the network.
     for name in ["top-1", "top-5"] {
         let right = api.figures(run, name).unwrap_or_else(|| panic!("{name} is missing"));
         assert_eq!((right["count"].as_u64(), right["mean"].as_f64()), (Some(40), Some(1.0)), "{right}");
     }
-    // What the program told of itself, and what the way to it cost.
+    // Stages that the program reported, and the time for sending the request and the reply.
     let here = ["sensing", "encode", "upload", "download", "actuation"];
     let there = ["queue", "inference", "postprocessing", "ipc"];
-    api.stages_are_the_total(run, &[&here[..], &there].concat());
+    api.assert_stages_sum_to_total(run, &[&here[..], &there].concat());
     assert_eq!(api.mean(run, "dropped-samples"), 0.0);
 
-    let answers = std::fs::read_to_string(plant.folder().join("answers.txt")).expect("was written");
+    let answers = std::fs::read_to_string(testbed.folder().join("answers.txt")).expect("was written");
     let lines: Vec<&str> = answers.lines().collect();
     assert_eq!(lines.len(), 42, "{answers}");
     for (index, line) in lines.iter().enumerate() {
@@ -63,5 +64,5 @@ fn a_picture_from_shell_is_judged_by_c_and_recorded_by_shell() {
     }
     assert_eq!(edge.stop().code(), 0);
     assert_eq!(cloud.stop().code(), 0);
-    plant.stop();
+    testbed.stop();
 }

@@ -4,7 +4,7 @@ use std::collections::BTreeSet;
 
 use super::modules::Uses;
 
-/// The strongly connected components with more than one module.
+/// Returns the strongly connected components with more than one module.
 pub(super) fn cycles(uses: &Uses) -> Vec<BTreeSet<String>> {
     let reached: Vec<(&String, BTreeSet<&String>)> =
         uses.keys().map(|from| (from, reachable(uses, from))).collect();
@@ -19,7 +19,7 @@ pub(super) fn cycles(uses: &Uses) -> Vec<BTreeSet<String>> {
     cycles
 }
 
-/// The modules that are reachable from one; itself only through a cycle.
+/// Returns the modules that are reachable from a module; itself only through a cycle.
 fn reachable<'a>(uses: &'a Uses, from: &String) -> BTreeSet<&'a String> {
     let mut found = BTreeSet::new();
     let mut next: Vec<&String> = uses[from].keys().collect();

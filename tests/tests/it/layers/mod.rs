@@ -1,5 +1,5 @@
-//! The structure of the source: a crate depends on crates of lower layers only, and the top-level modules of a crate have no
-//! cycles.
+//! Tests of the source's structure: crates depend on crates of lower layers only, and the top-level modules of a
+//! crate have no cycles.
 
 mod cycles;
 pub(crate) mod modules;
@@ -8,7 +8,7 @@ use std::collections::BTreeMap;
 
 use cargo_metadata::{DependencyKind, Metadata, MetadataCommand, TargetKind};
 
-/// From the lowest. The same stands in ARCHITECTURE.md.
+/// Crates of each layer, from the lowest one on. ARCHITECTURE.md has the same list.
 const LAYERS: [&[&str]; 8] = [
     &["peernet-clock", "peernet-permissions", "peernet-sample", "peernet-statistics"],
     &["peernet-logger", "peernet-imaging", "peernet-external", "peernet-ros"],
@@ -46,7 +46,7 @@ fn every_crate_depends_on_lower_layers_only() {
     let mut wrong = Vec::new();
     for package in metadata().workspace_packages() {
         let name = package.name.as_str();
-        // What only tests use has no layer.
+        // Crates that only tests use have no layer.
         if ["peernet-tests", "peernet-test-ports"].contains(&name) {
             continue;
         }

@@ -1,4 +1,4 @@
-//! The modules of a crate, read from its syntax trees, and which of them name which others.
+//! Modules of a crate and their references to each other, read from syntax trees.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
@@ -7,13 +7,13 @@ use proc_macro2::{TokenStream, TokenTree};
 use syn::visit::Visit;
 use syn::{Attribute, Item, ItemImpl, ItemUse, Type, UseTree, Visibility};
 
-/// For each top-level module those that it names, each with the first file where it does.
+/// Modules that each top-level module names, each with the first file where it does.
 pub(super) type Uses = BTreeMap<String, BTreeMap<String, PathBuf>>;
 
-/// A path as it is written in a module: `["super", "time", "Span"]`.
+/// Segments of a path, as written in a module: `["super", "time", "Span"]`.
 pub(crate) type Segments = Vec<String>;
 
-/// Paths that one module names.
+/// Source file with the paths that it names.
 struct SourceFile {
     path: PathBuf,
     /// Modules from the crate's root to this one.
@@ -22,7 +22,7 @@ struct SourceFile {
     names: Vec<Segments>,
 }
 
-/// Reads a crate from its root file on, without what is compiled for tests only.
+/// Reads a crate from its root file on, without code that is compiled for tests only.
 pub(super) fn uses(root: &Path) -> Uses {
     let mut reader = Reader::default();
     reader.read(root, &[], root.parent().expect("in a folder"));
@@ -44,7 +44,7 @@ pub(super) fn uses(root: &Path) -> Uses {
 }
 
 impl SourceFile {
-    /// The name right below the crate's root that a path leads to.
+    /// Returns the name directly below the crate's root that a path leads to.
     fn resolve(&self, name: &[String]) -> Option<String> {
         let mut at = self.module.clone();
         let mut rest = name.iter();
@@ -123,11 +123,11 @@ impl Reader {
     }
 }
 
-/// All paths of some items that have more than one name, without those of items for tests.
+/// All paths of some items that have more than one name, without those in items for tests.
 #[derive(Default)]
 pub(crate) struct Names {
     pub(crate) paths: Vec<Segments>,
-    /// What `Self` is in the current `impl`.
+    /// Type that `Self` stands for in the current `impl`.
     this: Option<String>,
 }
 
@@ -141,7 +141,7 @@ impl Names {
         }
     }
 
-    /// Paths in what a macro is given, whose syntax only the macro knows.
+    /// Reads paths in the arguments of a macro, whose syntax only the macro knows.
     fn tokens(&mut self, tokens: TokenStream) {
         let mut path = Segments::new();
         let mut colons = 0;
@@ -202,11 +202,11 @@ impl<'ast> Visit<'ast> for Names {
     }
 
     fn visit_visibility(&mut self, _visibility: &'ast Visibility) {
-        // `pub(in crate::store)` uses nothing.
+        // `pub(in crate::store)` is no use of the module.
     }
 }
 
-/// The paths that a `use` names.
+/// Returns the paths that a `use` names.
 fn leaves(tree: &UseTree) -> Vec<Segments> {
     match tree {
         UseTree::Path(path) => {
@@ -236,7 +236,8 @@ fn attributes(item: &Item) -> &[Attribute] {
     }
 }
 
-/// `#[cfg(test)]`, alone or with another condition, and `#[cfg(fuzzing)]`.
+/// Returns whether an item is compiled for tests or fuzzing only: `#[cfg(test)]`, alone or with another condition, or
+/// `#[cfg(fuzzing)]`.
 fn is_for_tests(attributes: &[Attribute]) -> bool {
     attributes.iter().filter(|attribute| attribute.path().is_ident("cfg")).any(|attribute| {
         let syn::Meta::List(list) = &attribute.meta else { return false };

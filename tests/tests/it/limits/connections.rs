@@ -1,30 +1,31 @@
-//! Connections that never say who they are.
+//! Tests of connections without a hello.
 
 use std::path::Path;
 
 use peernet_tests::fleet::{echo, edge, rate};
-use peernet_tests::{AGGREGATOR, Api, Process, Site, program, until};
+use peernet_tests::{AGGREGATOR, Api, LoopbackDeployment, Process, program, until};
 use rustix::process::{Resource, Rlimit, getrlimit, setrlimit};
 
 use super::Peer;
 
-/// More than the daemon may have descriptors.
+/// Number of connections: more than the daemon's limit of descriptors.
 const SILENT: usize = 1_030;
 
 #[test]
 fn silent_connections_stop_neither_storing_nor_dashboard() {
     let maximum = getrlimit(Resource::Nofile).maximum;
     setrlimit(Resource::Nofile, Rlimit { current: maximum, maximum }).expect("the soft limit may be raised");
-    let site = Site::new();
-    site.write("aggregator.toml", &AGGREGATOR.replace("[web]", "hello_timeout_ms = 60000\n[web]"));
+    let deployment = LoopbackDeployment::new();
+    deployment.write("aggregator.toml", &AGGREGATOR.replace("[web]", "hello_timeout_ms = 60000\n[web]"));
     let peernetd = program("peernetd").display().to_string();
     let arguments = ["--nofile=1024:1024", &peernetd, "run", "aggregator.toml"];
-    let aggregator = Process::start(Path::new("prlimit"), &arguments, site.folder(), &[]);
-    let api = Api::at(site.http);
+    let aggregator = Process::start(Path::new("prlimit"), &arguments, deployment.folder(), &[]);
+    let api = Api::at(deployment.http);
     until("the dashboard", || api.get("/healthz").filter(|(status, _)| *status == 200));
     let agent = |name: &str| {
-        site.write(&format!("{name}.toml"), &edge("", &echo("loop", &rate(50.0))).replace("NAME", name));
-        site.start(&format!("{name}.toml"))
+        deployment
+            .write(&format!("{name}.toml"), &edge("", &echo("loop", &rate(50.0))).replace("NAME", name));
+        deployment.start(&format!("{name}.toml"))
     };
     let early = agent("early");
     let stored = |name: &str| {
@@ -36,13 +37,14 @@ fn silent_connections_stop_neither_storing_nor_dashboard() {
     let some = |name: &str, than: f64| until("more is stored", || stored(name).filter(|count| *count > than));
     some("early", 0.0);
 
-    // Half of them say that they speak the protocol, and nothing more.
-    let silent =
-        |n: usize| if n.is_multiple_of(2) { Peer::connect(site.events) } else { Peer::greeted(site.events) };
+    // Half of them complete the greeting of the protocol and send nothing more.
+    let silent = |n: usize| {
+        if n.is_multiple_of(2) { Peer::connect(deployment.events) } else { Peer::greeted(deployment.events) }
+    };
     let held: Vec<Peer> = (0..SILENT).map(silent).collect();
     let then = some("early", 0.0);
     some("early", then + 50.0);
-    // A new agent finds a place, and the store opens its files.
+    // A new agent finds a free place, and the store opens its files.
     let late = agent("late");
     some("late", 50.0);
     assert_eq!(api.json("/api/v1/runs")["runs"].as_array().map(Vec::len), Some(2));
@@ -56,21 +58,23 @@ fn silent_connections_stop_neither_storing_nor_dashboard() {
 
 #[test]
 fn connections_without_hello_are_closed_in_time() {
-    let site = Site::new();
-    site.write("aggregator.toml", &AGGREGATOR.replace("[web]", "hello_timeout_ms = 200\n[web]"));
+    let deployment = LoopbackDeployment::new();
+    deployment.write("aggregator.toml", &AGGREGATOR.replace("[web]", "hello_timeout_ms = 200\n[web]"));
     let tables = "[serve]\nlisten = \"tcp://127.0.0.1:{data}\"\nsession = { hello_timeout_ms = 200 }\n\
                   [[model]]\nname = \"echo\"\nkind = \"echo\"\n";
-    let aggregator = site.start("aggregator.toml");
-    let cloud = site.agent("cloud", tables);
+    let aggregator = deployment.start("aggregator.toml");
+    let cloud = deployment.agent("cloud", tables);
     aggregator.wait_for("ready");
     cloud.wait_for("ready");
-    let mut silent: Vec<Peer> =
-        [site.events, site.data].iter().flat_map(|port| (0..50).map(|_| Peer::greeted(*port))).collect();
+    let mut silent: Vec<Peer> = [deployment.events, deployment.data]
+        .iter()
+        .flat_map(|port| (0..50).map(|_| Peer::greeted(*port)))
+        .collect();
     until("all are closed", || silent.iter_mut().all(Peer::is_closed).then_some(()));
     for process in [cloud, aggregator] {
         let ended = process.stop();
         assert_eq!(ended.code(), 0);
-        // Once, then as counts.
+        // The reason is logged once, then as a count.
         assert_eq!(ended.log.matches("no_hello").count(), 1, "{}", ended.log);
     }
 }

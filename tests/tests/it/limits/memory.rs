@@ -1,21 +1,22 @@
-//! Unfinished frames of peers without a session.
+//! Tests of unfinished frames from peers without a session.
 
-use peernet_tests::{Site, measured, until};
+use peernet_tests::{LoopbackDeployment, measured, until};
 
 use super::{Peer, peak_memory};
 
-/// A daemon in a debug build takes 70 MB; 16 MiB are for all strangers together.
+/// Largest memory, bytes: a daemon in a debug build takes 70 MB, and all unauthenticated peers together may take 16
+/// MiB.
 const MOST_BYTES: u64 = 200_000_000;
 
 #[test]
 fn unfinished_samples_without_session_take_no_memory() {
-    let site = Site::new();
+    let deployment = LoopbackDeployment::new();
     let tables =
         "[serve]\nlisten = \"tcp://127.0.0.1:{data}\"\n[[model]]\nname = \"echo\"\nkind = \"echo\"\n";
-    let cloud = site.agent("cloud", tables);
+    let cloud = deployment.agent("cloud", tables);
     cloud.wait_for("ready");
     let before = peak_memory(&cloud);
-    let mut peers: Vec<Peer> = (0..30).map(|_| Peer::greeted(site.data)).collect();
+    let mut peers: Vec<Peer> = (0..30).map(|_| Peer::greeted(deployment.data)).collect();
     let sent: usize = peers.iter_mut().map(|peer| peer.send_unfinished(60_000_000)).sum();
     until("all are closed", || peers.iter_mut().all(Peer::is_closed).then_some(()));
     let peak = peak_memory(&cloud);
@@ -30,10 +31,10 @@ fn unfinished_samples_without_session_take_no_memory() {
 
 #[test]
 fn unfinished_batches_without_hello_take_no_memory() {
-    let site = Site::new();
-    let (aggregator, api) = site.aggregator();
+    let deployment = LoopbackDeployment::new();
+    let (aggregator, api) = deployment.aggregator();
     let before = peak_memory(&aggregator);
-    let mut peers: Vec<Peer> = (0..450).map(|_| Peer::greeted(site.events)).collect();
+    let mut peers: Vec<Peer> = (0..450).map(|_| Peer::greeted(deployment.events)).collect();
     let sent: usize = peers.iter_mut().map(|peer| peer.send_unfinished(3_900_000)).sum();
     until("all are closed", || peers.iter_mut().all(Peer::is_closed).then_some(()));
     let peak = peak_memory(&aggregator);

@@ -1,4 +1,4 @@
-//! Limits that hold before anybody has said who they are, against real daemons.
+//! Tests of the limits before authentication, with real daemons.
 
 mod connections;
 mod memory;
@@ -14,11 +14,11 @@ use std::time::Duration;
 
 use peernet_tests::{PATIENCE, Process};
 
-/// A peer that completes the handshake of ZMTP 3.1 and then does as the test likes.
+/// Peer that completes the handshake of ZMTP 3.1 and then does what the test wants.
 struct Peer(TcpStream);
 
 impl Peer {
-    /// Connects, and sends nothing.
+    /// Connects and sends nothing.
     fn connect(port: u16) -> Self {
         let stream = TcpStream::connect(("127.0.0.1", port)).expect("the port is open");
         stream.set_read_timeout(Some(PATIENCE)).expect("a socket takes a timeout");
@@ -34,13 +34,14 @@ impl Peer {
         greeting.extend_from_slice(b"\x04\x1c\x05READY\x0bSocket-Type\x00\x00\x00\x06DEALER");
         let mut peer = Self::connect(port);
         if peer.0.write_all(&greeting).is_ok() {
-            // The other side's greeting and the beginning of its READY: it has taken ours in.
+            // After the other side's greeting and the beginning of its READY, it has processed ours.
             let _closed = peer.0.read_exact(&mut [0; 66]);
         }
         peer
     }
 
-    /// Sends a frame that claims one byte more than come. Returns how many were sent before the connection was closed.
+    /// Sends a frame that announces one byte more than it sends. Returns the number of bytes that were sent before
+    /// the connection was closed.
     fn send_unfinished(&mut self, bytes: usize) -> usize {
         let header = [&[2][..], &(bytes as u64 + 1).to_be_bytes()].concat();
         if self.0.write_all(&header).is_err() {
@@ -51,7 +52,7 @@ impl Peer {
         (0..bytes / piece.len()).take_while(sends).count() * piece.len()
     }
 
-    /// Whether the other side has closed the connection.
+    /// Returns whether the other side has closed the connection.
     fn is_closed(&mut self) -> bool {
         self.0.set_read_timeout(Some(Duration::from_millis(1))).expect("a socket takes a timeout");
         let mut scratch = [0; 256];
@@ -68,7 +69,7 @@ impl Peer {
     }
 }
 
-/// The most memory that a process ever had, in bytes.
+/// Returns the peak memory of a process, bytes.
 fn peak_memory(process: &Process) -> u64 {
     let status = std::fs::read_to_string(format!("/proc/{}/status", process.pid())).expect("it runs");
     let line = status.lines().find_map(|line| line.strip_prefix("VmHWM:")).expect("the kernel tells");

@@ -1,52 +1,53 @@
-//! Forged probes from an unknown host.
+//! Test of forged probes from an unknown host.
 
 use peernet_tests::network::Host;
-use peernet_tests::{Network, Plant, until};
+use peernet_tests::{Network, TwoHostTestbed, until};
 
-/// Where probes are answered.
+/// Port of the reflector.
 const PORT: &str = "8620";
 
-/// Few enough for the reflector to look at all of them beside other tests, and ten times what is answered.
+/// Rate of forged probes: low enough for the reflector to process all of them beside other tests, and ten times the
+/// rate of answers.
 const PER_SECOND: u64 = 10_000;
 const SECONDS: u64 = 4;
 
-/// What all without a session get together, each second and once at first (docs/configuration.md).
+/// Largest rate of answers to all peers without a session, with a burst of the same number (docs/configuration.md).
 const ANSWERED_HZ: u64 = 1_000;
 
-/// UDP packets that a host sent so far.
+/// Returns the number of UDP packets that a host has sent.
 fn sent(host: &Host) -> u64 {
     let counts = host.run("cat", &["/proc/net/snmp"]);
     let udp = counts.lines().filter(|line| line.starts_with("Udp:")).nth(1).expect("the kernel counts");
     udp.split_whitespace().nth(4).and_then(|count| count.parse().ok()).expect("OutDatagrams")
 }
 
-/// The edge's probes so far: those that were sent, and those that nobody answered.
-fn probes(plant: &Plant) -> (u64, u64) {
+/// Returns the number of the edge's probes that were sent and that were lost.
+fn probes(testbed: &TwoHostTestbed) -> (u64, u64) {
     let counts =
-        plant.ask("SELECT coalesce(sum(probes_sent), 0), coalesce(sum(probes_lost), 0) FROM clock_sample");
+        testbed.ask("SELECT coalesce(sum(probes_sent), 0), coalesce(sum(probes_lost), 0) FROM clock_sample");
     let mut counts = counts.split('|').map(|count| count.trim().parse::<u64>().expect("a number"));
     (counts.next().expect("two columns"), counts.next().expect("two columns"))
 }
 
 #[test]
 fn peers_probes_are_answered_during_forged_flood() {
-    let plant = Plant::new(|_| Network::direct().with_third_host());
-    let (cloud, third) = (plant.network.cloud(), plant.network.third());
-    // Forged addresses arrive, and their answers leave.
+    let testbed = TwoHostTestbed::new(|_| Network::direct().with_third_host());
+    let (cloud, third) = (testbed.network.cloud(), testbed.network.third());
+    // Packets with forged source addresses are accepted, and their answers are sent.
     for interface in ["all", "third"] {
         cloud.run("sysctl", &["-qw", &format!("net.ipv4.conf.{interface}.rp_filter=0")]);
     }
     cloud.run("ip", &["route", "add", "11.0.0.0/8", "via", &third.address.to_string()]);
-    let _cloud = plant.cloud("");
-    let pipeline = plant.pipeline("steady", 100, "load = { mode = \"rate\", hz = 20.0 }");
-    let _edge = plant.edge(&format!("[probes]\nrate_hz = 50.0\nidle_rate_hz = 50.0\n{pipeline}"), &[]);
-    until("probes", || (probes(&plant).0 > 50).then_some(()));
+    let _cloud = testbed.cloud("");
+    let pipeline = testbed.pipeline("steady", 100, "load = { mode = \"rate\", hz = 20.0 }");
+    let _edge = testbed.edge(&format!("[probes]\nrate_hz = 50.0\nidle_rate_hz = 50.0\n{pipeline}"), &[]);
+    until("probes", || (probes(&testbed).0 > 50).then_some(()));
 
-    let (before, out_before) = (probes(&plant), sent(cloud));
+    let (before, out_before) = (probes(&testbed), sent(cloud));
     let script = peernet_tests::root().join("tests/tests/it/limits/forged_probes.py");
     let arguments = [
         &script.display().to_string(),
-        &plant.network.third_faces().to_string(),
+        &testbed.network.cloud_address_for_third_host().to_string(),
         PORT,
         &PER_SECOND.to_string(),
         &SECONDS.to_string(),
@@ -54,13 +55,13 @@ fn peers_probes_are_answered_during_forged_flood() {
     let forged = third.run("python3", &arguments);
     let forged: u64 = forged.trim().parse().expect("the script prints a number");
     let out = sent(cloud) - out_before;
-    // A probe is lost after two seconds.
+    // A probe counts as lost after two seconds.
     let during = before.0 + 50 * SECONDS;
-    until("what became of the probes", || (probes(&plant).0 > during + 150).then_some(()));
-    let lost = probes(&plant).1 - before.1;
+    until("what became of the probes", || (probes(&testbed).0 > during + 150).then_some(()));
+    let lost = probes(&testbed).1 - before.1;
 
     assert!(forged > ANSWERED_HZ * (SECONDS + 2) * 2, "too few to tell: {forged}");
-    // Those of the edge are among them.
+    // The answers to the edge's probes are included.
     let most = ANSWERED_HZ * (SECONDS + 2) + 100 * SECONDS;
     assert!(out <= most, "{out} answers to {forged} forged probes");
     assert!(lost * 20 <= 50 * SECONDS, "{lost} of the edge's probes were lost");

@@ -1,10 +1,10 @@
-//! Sessions of a cloud that many pipelines want.
+//! Test of a cloud's sessions when many pipelines want one.
 
-use peernet_tests::Site;
+use peernet_tests::LoopbackDeployment;
 
 const PIPELINES: usize = 16;
 
-/// So many pipelines that ask the cloud.
+/// Returns this number of pipelines that use the cloud.
 fn pipelines(count: usize, more: &str) -> String {
     (0..count)
         .map(|n| {
@@ -18,21 +18,21 @@ fn pipelines(count: usize, more: &str) -> String {
 }
 
 #[test]
-fn two_greedy_agents_leave_sessions_to_a_third() {
-    let site = Site::new();
-    let (aggregator, api) = site.aggregator();
+fn two_greedy_agents_do_not_exclude_a_third() {
+    let deployment = LoopbackDeployment::new();
+    let (aggregator, api) = deployment.aggregator();
     let tables = format!(
         "[serve]\nlisten = \"tcp://127.0.0.1:{{data}}\"\nsession = {{ max_sessions = {PIPELINES} }}\n\
          [[model]]\nname = \"echo\"\nkind = \"echo\"\n"
     );
-    let cloud = site.agent("cloud", &tables);
+    let cloud = deployment.agent("cloud", &tables);
     cloud.wait_for("ready");
     let greedy = ["first", "second"].map(|name| {
-        let agent = site.agent(name, &pipelines(PIPELINES, ""));
+        let agent = deployment.agent(name, &pipelines(PIPELINES, ""));
         agent.wait_for("half of what other hosts leave of the cloud's max_sessions, 16");
         agent
     });
-    let third = site.agent("third", &pipelines(1, "limit = { iterations = 5 }"));
+    let third = deployment.agent("third", &pipelines(1, "limit = { iterations = 5 }"));
     let counts = api.until("/api/v1/runs", |runs| {
         let runs = runs["runs"].as_array()?;
         runs.iter().find(|run| run["reason"] == "finished").map(|run| run["counts"]["ok"].clone())

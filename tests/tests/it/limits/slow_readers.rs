@@ -1,54 +1,54 @@
-//! Hosts that ask the dashboard for answers and do not read them.
+//! Test of hosts that request pages of the dashboard and do not read the answers.
 
 use std::io::{Read, Write};
 use std::net::{SocketAddr, TcpStream};
 use std::path::Path;
 
-use peernet_tests::{AGGREGATOR, Api, PATIENCE, Process, Site, program, until};
+use peernet_tests::{AGGREGATOR, Api, LoopbackDeployment, PATIENCE, Process, program, until};
 use socket2::{Domain, Socket, Type};
 
-/// Descriptors of the daemon; an eighth of them are connections to the dashboard.
+/// Descriptors of the daemon; an eighth of them are for connections to the dashboard.
 const DESCRIPTORS: &str = "--nofile=1024:1024";
 
-/// More than the dashboard keeps, of hosts of which none has more than a quarter.
+/// More connections than the dashboard keeps, from hosts of which none has more than a quarter.
 const SLOW_HOSTS: u8 = 6;
 const OF_EACH: usize = 25;
 
-/// A connection of 127.0.0.`host` that has asked for `path` and takes in next to nothing.
-fn asked(site: &Site, host: u8, path: &str) -> TcpStream {
+/// Returns a connection of 127.0.0.`host` that has requested `path` and reads almost nothing.
+fn asked(deployment: &LoopbackDeployment, host: u8, path: &str) -> TcpStream {
     let socket = Socket::new(Domain::IPV4, Type::STREAM, None).expect("a socket");
     socket.set_recv_buffer_size(2_048).expect("a socket takes a buffer size");
     socket
         .bind(&SocketAddr::from(([127, 0, 0, host], 0)).into())
         .expect("all of 127.0.0.0/8 is this machine");
-    socket.connect(&SocketAddr::from(([127, 0, 0, 1], site.http)).into()).expect("the port is open");
+    socket.connect(&SocketAddr::from(([127, 0, 0, 1], deployment.http)).into()).expect("the port is open");
     let mut stream = TcpStream::from(socket);
     stream.set_read_timeout(Some(PATIENCE)).expect("a socket takes a timeout");
     let request = format!("GET {path} HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n");
-    // The connection may have been closed for another host's.
+    // The connection may have been closed in favour of another host's.
     let _closed = stream.write_all(request.as_bytes());
     stream
 }
 
 #[test]
-fn slow_readers_of_many_addresses_leave_the_dashboard_to_others() {
-    let site = Site::new();
-    site.write("aggregator.toml", AGGREGATOR);
+fn slow_readers_do_not_block_dashboard() {
+    let deployment = LoopbackDeployment::new();
+    deployment.write("aggregator.toml", AGGREGATOR);
     let peernetd = program("peernetd").display().to_string();
     let arguments = [DESCRIPTORS, &peernetd, "run", "aggregator.toml"];
-    let aggregator = Process::start(Path::new("prlimit"), &arguments, site.folder(), &[]);
-    let api = Api::at(site.http);
+    let aggregator = Process::start(Path::new("prlimit"), &arguments, deployment.folder(), &[]);
+    let api = Api::at(deployment.http);
     until("the dashboard", || api.get("/healthz").filter(|(status, _)| *status == 200));
 
     for path in ["/api/v1/live?topics=picture", "/api/openapi.json"] {
         let hosts = 2..2 + SLOW_HOSTS;
         let slow: Vec<TcpStream> = hosts
             .flat_map(|host| (0..OF_EACH).map(move |_| host))
-            .map(|host| asked(&site, host, path))
+            .map(|host| asked(&deployment, host, path))
             .collect();
         let (status, page) = api.get("/").expect("the overview is served");
         assert_eq!(status, 200, "{page}");
-        let mut live = asked(&site, 1, "/api/v1/live?topics=picture");
+        let mut live = asked(&deployment, 1, "/api/v1/live?topics=picture");
         let mut heard = [0; 4_096];
         let length = live.read(&mut heard).expect("the stream begins");
         let heard = String::from_utf8_lossy(&heard[..length]);
@@ -57,6 +57,6 @@ fn slow_readers_of_many_addresses_leave_the_dashboard_to_others() {
     }
     let ended = aggregator.stop();
     assert_eq!(ended.code(), 0);
-    // Once, then as counts.
+    // The reason is logged once, then as a count.
     assert_eq!(ended.log.matches("closed a connection").count(), 1, "{}", ended.log);
 }

@@ -1,10 +1,11 @@
-//! An unknown host beside the README's two machines: garbage, silence, false sizes and unfinished frames on every port.
+//! Test of an unknown host beside the README's two machines, which sends garbage, silence, false sizes and unfinished
+//! frames to every port.
 
 use std::net::TcpStream;
 use std::path::Path;
 
 use peernet_tests::network::Host;
-use peernet_tests::{Desk, Process, Since, root, until};
+use peernet_tests::{DocumentedCommands, Process, Stopwatch, root, until};
 use serde_json::Value;
 
 use super::peak_memory;
@@ -13,19 +14,24 @@ use crate::documented::two_machines::install;
 const SECONDS: u64 = 30;
 const BYTES_PER_SECOND: &str = "4000000";
 
-/// What each of the two daemons on the cloud may have used of memory at its peak: docs/operating.md states the bound.
+/// Peak memory that each of the two daemons on the cloud may have used; docs/operating.md states the bound.
 const PEAK_BYTES: u64 = 512 << 20;
 
 #[test]
 fn unknown_host_stops_neither_storing_nor_dashboard() {
-    let desk = Desk::with_third_host();
-    install(&desk);
-    let _master = ros_master(&desk);
-    change(&desk, desk.cloud(), "\"tcp://0.0.0.0:5551\"", ADDRESSES);
-    change(&desk, desk.cloud(), "[[model]]", "[[model]]\nname = \"echo\"\nkind = \"echo\"\n\n[[model]]");
+    let machines = DocumentedCommands::with_third_host();
+    install(&machines);
+    let _master = ros_master(&machines);
+    change(&machines, machines.cloud(), "\"tcp://0.0.0.0:5551\"", ADDRESSES);
     change(
-        &desk,
-        desk.edge(),
+        &machines,
+        machines.cloud(),
+        "[[model]]",
+        "[[model]]\nname = \"echo\"\nkind = \"echo\"\n\n[[model]]",
+    );
+    change(
+        &machines,
+        machines.edge(),
         "[[pipeline]]",
         &format!(
             "{}\n{}\n[[pipeline]]",
@@ -33,21 +39,22 @@ fn unknown_host_stops_neither_storing_nor_dashboard() {
             pipeline("topics", "ros1://10.0.0.2:11311/cloud")
         ),
     );
-    let (edge, cloud) = (desk.edge(), desk.cloud());
-    let run = |host: &Host, name: &str| desk.run_on(host, &daemon(&desk, host, name));
+    let (edge, cloud) = (machines.edge(), machines.cloud());
+    let run = |host: &Host, name: &str| machines.run_on(host, &daemon(&machines, host, name));
     let (aggregator, agent, robot) = (run(cloud, "aggregator"), run(cloud, "agent"), run(edge, "agent"));
     aggregator.wait_for("ready");
     agent.wait_for("for its pipeline topics");
-    let before = until("the robot's iterations are stored", || stored(&desk).filter(|events| *events > 20));
+    let before =
+        until("the robot's iterations are stored", || stored(&machines).filter(|events| *events > 20));
 
-    let attack = attack(&desk);
-    let (began, mut latest) = (Since::now(), before);
-    // The last question is asked while the attack goes on.
+    let attack = attack(&machines);
+    let (began, mut latest) = (Stopwatch::now(), before);
+    // The last query is made during the attack.
     while began.elapsed().as_secs() < SECONDS - 5 {
         latest = until("more is stored, and the dashboard says so", || {
-            stored(&desk).filter(|events| *events > latest)
+            stored(&machines).filter(|events| *events > latest)
         });
-        assert_eq!(desk.run_on(edge, &curl("/")).ended().code(), 0, "the overview is not served");
+        assert_eq!(machines.run_on(edge, &curl("/")).ended().code(), 0, "the overview is not served");
     }
     let ended = attack.ended();
     assert_eq!(ended.code(), 0, "{}", ended.log);
@@ -58,11 +65,11 @@ fn unknown_host_stops_neither_storing_nor_dashboard() {
 
     assert_eq!(robot.stop().code(), 0);
     let account =
-        until("all is stored", || account(&desk).filter(|host| host["now"]["events"]["waiting"] == 0));
+        until("all is stored", || account(&machines).filter(|host| host["now"]["events"]["waiting"] == 0));
     let events = &account["now"]["events"];
     assert_eq!(events["dropped"], 0, "{account}");
     assert_eq!(account["stored"]["missing"], 0, "{account}");
-    let runs = json(&desk, "/api/v1/runs").expect("the dashboard answers");
+    let runs = json(&machines, "/api/v1/runs").expect("the dashboard answers");
     let counts = |pipeline: &str| {
         let runs = runs["runs"].as_array().expect("a list");
         let run = runs.iter().find(|run| run["pipeline"] == pipeline);
@@ -73,7 +80,7 @@ fn unknown_host_stops_neither_storing_nor_dashboard() {
         assert_eq!((&counts["lost"], &counts["timeout"]), (&0.into(), &0.into()), "{pipeline}: {counts}");
     }
     assert!(counts("topics")["ok"].as_u64().is_some_and(|answered| answered > 150), "{runs}");
-    // Datagrams may be lost beside the attack, but most are not.
+    // The attack may cause lost datagrams, but most must arrive.
     let over_udp = counts("datagrams");
     let of = |name: &str| over_udp[name].as_u64().unwrap_or_else(|| panic!("no {name}: {over_udp}"));
     let others = of("failed") + of("lost") + of("timeout");
@@ -82,7 +89,7 @@ fn unknown_host_stops_neither_storing_nor_dashboard() {
     assert_eq!(aggregator.stop().code(), 0);
 }
 
-/// A pipeline beside the README's, whose samples have several datagrams each.
+/// Returns an additional pipeline, whose samples take several datagrams each.
 fn pipeline(name: &str, peer: &str) -> String {
     format!(
         "[[pipeline]]\nname = \"{name}\"\nsensor = {{ kind = \"synthetic\", size_bytes = 100000 }}\n\
@@ -91,58 +98,58 @@ fn pipeline(name: &str, peer: &str) -> String {
     )
 }
 
-/// Where the cloud serves models: on every network.
+/// Addresses at which the cloud serves models, one per network.
 const ADDRESSES: &str = r#"["tcp://0.0.0.0:5551", "udp://0.0.0.0:5552", "ros1://10.0.0.2:11311/cloud"]"#;
 
 /// Changes the configuration of a machine's agent.
-fn change(desk: &Desk, host: &Host, from: &str, to: &str) {
-    let file = desk.root_of(host).join("etc/peernet/agent.toml");
+fn change(machines: &DocumentedCommands, host: &Host, from: &str, to: &str) {
+    let file = machines.root_of(host).join("etc/peernet/agent.toml");
     let text = std::fs::read_to_string(&file).expect("it is installed");
     assert!(text.contains(from), "nothing to change: {text}");
     std::fs::write(&file, text.replacen(from, to, 1)).expect("it can be written");
 }
 
 /// Starts a ROS master on the cloud.
-fn ros_master(desk: &Desk) -> Process {
-    let line = format!("env ROS_HOME={} rosmaster --core -p 11311", desk.folder().display());
-    let master = desk.run_on(desk.cloud(), &line);
-    until("the ROS master", || desk.cloud().inside(|| TcpStream::connect("127.0.0.1:11311").ok()));
+fn ros_master(machines: &DocumentedCommands) -> Process {
+    let line = format!("env ROS_HOME={} rosmaster --core -p 11311", machines.folder().display());
+    let master = machines.run_on(machines.cloud(), &line);
+    until("the ROS master", || machines.cloud().inside(|| TcpStream::connect("127.0.0.1:11311").ok()));
     master
 }
 
-fn daemon(desk: &Desk, host: &Host, name: &str) -> String {
-    let address = if host.address == desk.cloud().address { "10.0.0.2" } else { "10.0.0.1" };
-    format!("env ROS_IP={address} peernetd run {}/etc/peernet/{name}.toml", desk.root_of(host).display())
+fn daemon(machines: &DocumentedCommands, host: &Host, name: &str) -> String {
+    let address = if host.address == machines.cloud().address { "10.0.0.2" } else { "10.0.0.1" };
+    format!("env ROS_IP={address} peernetd run {}/etc/peernet/{name}.toml", machines.root_of(host).display())
 }
 
-fn attack(desk: &Desk) -> Process {
+fn attack(machines: &DocumentedCommands) -> Process {
     let program = root().join("tests/bench/peers/attack.py");
     let ports = "--events 5550 --data 5551 --udp-data 5552 --http 8040 --probes 8620 --ros-master 11311";
     let line = format!(
         "{} attack {} {ports} --seconds {SECONDS} --bytes-per-second {BYTES_PER_SECOND}",
         program.display(),
-        desk.network().third_faces()
+        machines.network().cloud_address_for_third_host()
     );
     let arguments: Vec<&str> = line.split(' ').collect();
-    desk.network().third().start(Path::new("python3"), &arguments, desk.folder(), &[])
+    machines.network().third().start(Path::new("python3"), &arguments, machines.folder(), &[])
 }
 
 fn curl(path: &str) -> String {
-    format!("curl --silent --fail --max-time 10 http://{}:8040{path}", Desk::CLOUD)
+    format!("curl --silent --fail --max-time 10 http://{}:8040{path}", DocumentedCommands::CLOUD)
 }
 
-/// A document, asked for from where the robot is.
-fn json(desk: &Desk, path: &str) -> Option<Value> {
-    let ended = desk.run_on(desk.edge(), &curl(path)).ended();
+/// Requests a document from the robot's host.
+fn json(machines: &DocumentedCommands, path: &str) -> Option<Value> {
+    let ended = machines.run_on(machines.edge(), &curl(path)).ended();
     assert_eq!(ended.code(), 0, "{path} is not served: {}", ended.log);
     serde_json::from_str(&ended.log).ok()
 }
 
-fn account(desk: &Desk) -> Option<Value> {
-    json(desk, "/api/v1/hosts")
+fn account(machines: &DocumentedCommands) -> Option<Value> {
+    json(machines, "/api/v1/hosts")
         .and_then(|hosts| hosts["hosts"].as_array()?.iter().find(|host| host["name"] == "robot").cloned())
 }
 
-fn stored(desk: &Desk) -> Option<u64> {
-    account(desk)?["stored"]["events"].as_u64()
+fn stored(machines: &DocumentedCommands) -> Option<u64> {
+    account(machines)?["stored"]["events"].as_u64()
 }

@@ -1,4 +1,4 @@
-//! `peernet models …`, as a user types it.
+//! Tests of the commands `peernet models …`.
 
 use std::process::{Command, Output};
 
@@ -7,7 +7,7 @@ use serde_json::Value;
 
 use super::{NAME, exported};
 
-/// Runs `peernet models` from the root of the checkout, where `models/` is.
+/// Runs `peernet models` in the root of the checkout, where `models/` is.
 fn models(arguments: &[&str]) -> Output {
     let mut command = Command::new(program("peernet"));
     command
@@ -41,7 +41,7 @@ fn all_folders_are_listed() {
 }
 
 #[test]
-fn a_model_is_shown_with_the_hash_of_its_file() {
+fn model_list_shows_hash_of_file() {
     let file = root().join("models/quality-control/model.onnx");
     let sum = Command::new("sha256sum").arg(file).output().expect("is installed");
     let sum = String::from_utf8(sum.stdout).expect("is text");
@@ -52,7 +52,7 @@ fn a_model_is_shown_with_the_hash_of_its_file() {
 }
 
 #[test]
-fn a_model_is_checked_on_its_own_pictures_or_on_zeros_alone() {
+fn model_check_uses_its_pictures_or_zeros() {
     let checked = said(&models(&["check", "quality-control"]));
     assert!(checked.contains("run on zeros") && checked.contains("of 30 labels right"), "{checked}");
     let checked = said(&models(&["check", NAME]));
@@ -82,7 +82,7 @@ fn a_model_is_measured_stage_by_stage() {
 }
 
 #[test]
-fn what_cannot_be_done_is_said_with_its_exit_code() {
+fn impossible_model_commands_fail_with_exit_code() {
     for (arguments, code, told) in [
         (&["show", "efficientnet_v2_xl"] as &[&str], 66, "there is efficientnet_v2_s, quality-control"),
         (&["list", "--models-dir", "/nowhere"], 66, "there is no folder /nowhere"),
@@ -99,8 +99,8 @@ fn what_cannot_be_done_is_said_with_its_exit_code() {
 }
 
 #[test]
-fn the_exporting_script_says_what_it_lacks() {
-    // Without the site's packages, as on a machine that has none.
+fn exporting_script_names_missing_packages() {
+    // Without site packages, as on a machine without torch.
     let script = root().join("models/export_torchvision.py");
     let output = Command::new(super::python()).arg("-S").arg(script).arg(NAME).output().expect("starts");
     let error = String::from_utf8_lossy(&output.stderr);

@@ -1,4 +1,4 @@
-//! The model bank: models on disk, exported from torchvision, asked for by the command line and by peers.
+//! Tests of the model bank: models on disk, exported from torchvision, requested by the command line and by peers.
 
 mod commands;
 mod torchvision;
@@ -10,13 +10,13 @@ use std::sync::OnceLock;
 use peernet_tests::root;
 use serde::Deserialize;
 
-/// A picture and what torchvision says about it.
+/// Picture with torchvision's output.
 #[derive(Debug, Deserialize)]
 struct Reference {
     file: PathBuf,
     width: u32,
     height: u32,
-    /// The file of its pixels, as Pillow decodes them.
+    /// File of its pixels, as Pillow decodes them.
     pixels: PathBuf,
     logits: Vec<f64>,
 }
@@ -30,7 +30,7 @@ struct Exported {
 
 const NAME: &str = "efficientnet_v2_s";
 
-/// Exported once for all tests, which takes some seconds.
+/// Exports the model once for all tests, which takes some seconds.
 fn exported() -> &'static Exported {
     static EXPORTED: OnceLock<Exported> = OnceLock::new();
     EXPORTED.get_or_init(|| {
@@ -47,17 +47,17 @@ fn exported() -> &'static Exported {
     })
 }
 
-/// The folder with that model, for tests of other things.
+/// Returns the folder with that model, for tests of other features.
 pub(crate) fn exported_models() -> &'static Path {
     &exported().models
 }
 
-/// The system's own Python: the packages of Debian are not found by another one.
+/// Returns the system's Python, because other interpreters do not find Debian's packages.
 fn python() -> PathBuf {
     std::env::var_os("PEERNET_PYTHON").map_or_else(|| "/usr/bin/python3".into(), PathBuf::from)
 }
 
-/// A folder for this process; those that processes of the past left behind are removed.
+/// Returns a folder for this process, and removes those of ended processes.
 fn fresh_folder() -> PathBuf {
     let parent = Path::new(env!("CARGO_TARGET_TMPDIR"));
     for entry in std::fs::read_dir(parent).expect("cargo makes it") {

@@ -1,4 +1,4 @@
-//! An exported model answers as torchvision itself does.
+//! Tests that an exported model answers as torchvision does.
 
 use std::sync::Arc;
 use std::sync::mpsc::sync_channel;
@@ -12,12 +12,13 @@ use serde_json::Value;
 
 use super::{NAME, Reference, exported};
 
-/// How far our numbers may lie from torchvision's, as a share of the largest.
+/// Largest difference from torchvision's numbers, as a share of the largest number.
 ///
-/// The model is the same to 1e-5 in both libraries; what differs is its input. Scaling with one rounding order in another
-/// (columns or rows first, each rounded to whole bytes) makes one byte in eight differ by one from Pillow's, and libjpeg
-/// decodes some two bytes in a hundred differently. A model with random weights passes that on at 0.005 to 0.009: it is
-/// rougher than a trained one. Another filter, the least of all mistakes in a card, is at 0.1.
+/// The model agrees to 1e-5 in both libraries; the difference comes from its input. Scaling with another order of
+/// rounding (columns or rows first, each rounded to whole bytes) makes one byte in eight differ by one from Pillow's,
+/// and libjpeg decodes two bytes in a hundred differently. A model with random weights amplifies that to 0.005 to
+/// 0.009, because it is less smooth than a trained one. Another filter, the smallest possible mistake in a card,
+/// leads to 0.1.
 const TOLERANCE: f64 = 0.01;
 
 #[test]
@@ -33,9 +34,9 @@ fn an_exported_model_answers_as_torchvision_does() {
     }
 }
 
-/// What the test above would notice: random weights must not give the same answer to everything.
+/// This shows that the previous test can fail: random weights must not give the same answer to every input.
 #[test]
-fn each_mistake_in_the_card_changes_the_answer_by_far_more_than_the_tolerance() {
+fn card_mistakes_exceed_the_answer_tolerance() {
     let [reference, other] = &*exported().answers else { panic!("two pictures") };
     assert!(difference(&reference.logits, &other.logits) > 10.0 * TOLERANCE, "another picture");
     for change in [
@@ -50,7 +51,7 @@ fn each_mistake_in_the_card_changes_the_answer_by_far_more_than_the_tolerance() 
 }
 
 #[test]
-fn the_card_says_what_the_weights_say() {
+fn card_matches_exported_weights() {
     let found = ModelFolders::of([exported().models.clone()]).find(NAME).expect("was exported");
     let hash = found.hash().expect("is read");
     let card = found.card.expect("is right");
@@ -62,7 +63,7 @@ fn the_card_says_what_the_weights_say() {
     assert!(card.provenance.contains(&("sha256".to_owned(), hash)));
 }
 
-/// The five best classes, best first.
+/// Returns the five best classes, best first.
 fn best(logits: &[f64]) -> Vec<usize> {
     let mut classes: Vec<usize> = (0..logits.len()).collect();
     classes.sort_by(|a, b| logits[*b].total_cmp(&logits[*a]));
@@ -70,7 +71,8 @@ fn best(logits: &[f64]) -> Vec<usize> {
     classes
 }
 
-/// The exported model with a card that lists all numbers of the output as they are, in which these keys are changed.
+/// Loads the exported model with a card that lists all numbers of the output unchanged, and in which these keys are
+/// replaced.
 fn pool(changes: &[(&str, &str)]) -> Arc<Pool> {
     let found = ModelFolders::of([exported().models.clone()]).find(NAME).expect("was exported");
     let models = tempfile::tempdir().expect("a folder");
@@ -81,7 +83,7 @@ fn pool(changes: &[(&str, &str)]) -> Arc<Pool> {
     let output = card["output"].as_table_mut().expect("is a table");
     output.insert("activation".to_owned(), "none".into());
     output.insert("top_k".to_owned(), 1000.into());
-    // Two pairs of ImageNet's classes have one label.
+    // Two pairs of ImageNet's classes have the same label, so that the classes are numbered.
     let labels: Vec<toml::Value> = (0..1000).map(|number| number.to_string().into()).collect();
     output.insert("labels".to_owned(), labels.into());
     for (path, value) in changes {
@@ -98,7 +100,7 @@ fn pool(changes: &[(&str, &str)]) -> Arc<Pool> {
     bank.load(&model.name, None).unwrap_or_else(|error| panic!("{error}"))
 }
 
-/// The numbers of the output, by class.
+/// Returns the numbers of the output, by class.
 fn logits(pool: &Pool, sample: Sample) -> Vec<f64> {
     let (sender, receiver) = sync_channel(1);
     let reply = Box::new(move |done| sender.send(done).expect("is awaited"));
@@ -127,7 +129,7 @@ fn pixels(reference: &Reference) -> Sample {
     Sample::of(Description::pixels(PixelFormat::Rgb8, reference.width, reference.height), bytes.into())
 }
 
-/// The largest difference of two answers, as a share of the largest number of the first.
+/// Returns the largest difference of two answers, as a share of the largest number of the first one.
 fn difference(a: &[f64], b: &[f64]) -> f64 {
     let largest = |values: &mut dyn Iterator<Item = f64>| values.map(f64::abs).fold(0.0, f64::max);
     largest(&mut a.iter().zip(b).map(|(a, b)| a - b)) / largest(&mut a.iter().copied())

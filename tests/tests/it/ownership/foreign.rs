@@ -1,4 +1,4 @@
-//! Hosts that report on the runs of another.
+//! Tests of hosts that report on the runs of another host.
 
 use std::sync::Arc;
 
@@ -10,7 +10,7 @@ use peernet_stream::{
     RunEnded, ToAggregator,
 };
 use peernet_tests::truth::ask;
-use peernet_tests::{Chance, Fleet, Introduced, Ledger, Stranger, measured, until, wall};
+use peernet_tests::{Fleet, InventedHost, MisbehavingPeer, StoredEvents, TestRng, measured, until, wall};
 
 use super::measuring;
 
@@ -79,8 +79,8 @@ fn clock(peer: HostId) -> Event {
 }
 
 #[test]
-fn foreign_reports_change_nothing_of_the_run() {
-    let mut chance = Chance::new("foreign reports");
+fn foreign_reports_leave_run_unchanged() {
+    let mut rng = TestRng::new("foreign reports");
     let mut fleet = measuring("");
     let row = ask(
         fleet.database(),
@@ -91,11 +91,11 @@ fn foreign_reports_change_nothing_of_the_run() {
     let missing = |fleet: &peernet_tests::Fleet| fleet.api.json("/api/v1/runs/1")["gaps"].clone();
     let before = (missing(&fleet), fleet.api.json("/api/v1/runs/1")["reason"].clone());
 
-    let stranger = Stranger::at(fleet.site.events);
-    let mut host = Introduced::new("stranger", &mut chance);
-    host.enter(&stranger);
+    let misbehaving_peer = MisbehavingPeer::at(fleet.deployment.events);
+    let mut host = InventedHost::new("stranger", &mut rng);
+    host.open_session(&misbehaving_peer);
     let own = host.hello.host.id;
-    // Each kind of event by itself, and all together; then the real events of the robot go on.
+    // Each kind of event is sent alone, and then all together; afterwards the robot sends real events.
     let kinds = [
         gap(run),
         incident(run, victim),
@@ -107,17 +107,17 @@ fn foreign_reports_change_nothing_of_the_run() {
     let mut batches = 0;
     for event in &kinds {
         let batch = host.batch_with(std::slice::from_ref(event));
-        stranger.send(&batch);
+        misbehaving_peer.send(&batch);
         batches += 1;
-        stranger.hear_ack(batches);
+        misbehaving_peer.wait_for_ack(batches);
     }
     let all = host.batch_with(&kinds[..2]);
-    stranger.send(&all);
-    stranger.hear_ack(batches + 1);
-    // As if the robot itself had measured it: put aside, whole.
+    misbehaving_peer.send(&all);
+    misbehaving_peer.wait_for_ack(batches + 1);
+    // An event that claims to be the robot's own is quarantined.
     let forged = host.batch_with(&[iteration(run, 8, victim)]);
-    stranger.send(&forged);
-    stranger.hear_ack(batches + 2);
+    misbehaving_peer.send(&forged);
+    misbehaving_peer.wait_for_ack(batches + 2);
 
     assert_eq!((missing(&fleet), fleet.api.json("/api/v1/runs/1")["reason"].clone()), before);
     let trust = fleet.api.json("/api/v1/runs/1/trust").to_string();
@@ -133,19 +133,19 @@ fn foreign_reports_change_nothing_of_the_run() {
     );
     assert!(incidents.iter().filter(foreign).all(|incident| incident["run"] != 1), "{incidents:?}");
 
-    let seen = fleet.account(0, "it is there", |_| true);
-    fleet.account(0, "the robot goes on", |account| account.events > seen.events + 20);
+    let seen = fleet.counts(0, "it is there", |_| true);
+    fleet.counts(0, "the robot goes on", |counts| counts.events > seen.events + 20);
     fleet.agents[0].stop();
-    fleet.deliver(0).balances();
-    let mut ledger = stop(&mut fleet);
-    let stranger = ledger.hosts.remove("stranger").expect("stored");
-    assert_eq!((stranger.quarantined, ledger.hosts["edge"].gaps), (1, 0));
-    let stored = &ledger.runs[&run.to_string()];
+    fleet.deliver(0).assert_balanced();
+    let mut stored_events = stop(&mut fleet);
+    let misbehaving_peer = stored_events.hosts.remove("stranger").expect("stored");
+    assert_eq!((misbehaving_peer.quarantined, stored_events.hosts["edge"].gaps), (1, 0));
+    let stored = &stored_events.runs[&run.to_string()];
     assert_eq!(
         (stored.host.as_str(), stored.pipeline.as_str(), stored.reason.as_str()),
         ("edge", "loop", "stopped")
     );
-    assert!(stored.is_whole() && stored.missing == 0, "{stored:?}");
+    assert!(stored.is_contiguous() && stored.missing == 0, "{stored:?}");
     measured(
         "foreign reports",
         &[("kinds of events", kinds.len().to_string()), ("that changed the run", "0".into())],
@@ -153,26 +153,26 @@ fn foreign_reports_change_nothing_of_the_run() {
 }
 
 #[test]
-fn run_claimed_before_its_start_still_belongs_to_its_host() {
-    let mut chance = Chance::new("claimed runs");
+fn run_id_claimed_early_still_belongs_to_host() {
+    let mut rng = TestRng::new("claimed runs");
     let mut fleet = peernet_tests::Fleet::new(&[], "");
-    let (one, other) = (Stranger::at(fleet.site.events), Stranger::at(fleet.site.events));
-    let (mut thief, mut robot) =
-        (Introduced::new("thief", &mut chance), Introduced::new("robot", &mut chance));
+    let (one, other) =
+        (MisbehavingPeer::at(fleet.deployment.events), MisbehavingPeer::at(fleet.deployment.events));
+    let (mut thief, mut robot) = (InventedHost::new("thief", &mut rng), InventedHost::new("robot", &mut rng));
     let run = RunId::random();
-    thief.enter(&one);
+    thief.open_session(&one);
     one.send(&thief.batch_with(&[gap(run), started(run), iteration(run, 1, thief.hello.host.id)]));
-    one.hear_ack(1);
-    robot.enter(&other);
+    one.wait_for_ack(1);
+    robot.open_session(&other);
     let own = robot.hello.host.id;
     other.send(&robot.batch_with(&[started(run), iteration(run, 1, own), iteration(run, 2, own)]));
-    other.hear_ack(1);
+    other.wait_for_ack(1);
     one.send(&thief.batch_with(&[Event::RunEnded(RunEnded { run, ended: wall(), reason: "taken".into() })]));
-    one.hear_ack(2);
+    one.wait_for_ack(2);
 
-    // The live lane of either shows its own run.
-    for (stranger, host) in [(&one, &thief), (&other, &robot)] {
-        stranger.say(&ToAggregator::Live(LiveUpdate {
+    // The live lane of each host shows its own run.
+    for (misbehaving_peer, host) in [(&one, &thief), (&other, &robot)] {
+        misbehaving_peer.say(&ToAggregator::Live(LiveUpdate {
             host: host.hello.host.id,
             sent: wall(),
             pipelines: vec![PipelineLive {
@@ -202,20 +202,20 @@ fn run_claimed_before_its_start_still_belongs_to_its_host() {
     });
     assert_ne!(numbers[0], numbers[1]);
 
-    let ledger = stop(&mut fleet);
-    let of = |host: &str| ledger.runs.values().filter(|run| run.host == host).collect::<Vec<_>>();
+    let stored_events = stop(&mut fleet);
+    let of = |host: &str| stored_events.runs.values().filter(|run| run.host == host).collect::<Vec<_>>();
     let (thief, robot) = (of("thief"), of("robot"));
-    assert_eq!((thief.len(), robot.len()), (1, 1), "{ledger:?}");
+    assert_eq!((thief.len(), robot.len()), (1, 1), "{stored_events:?}");
     assert_eq!((robot[0].ranges.as_slice(), robot[0].missing), (&[1..=2][..], 0));
     assert_ne!(robot[0].reason, "taken");
-    assert!(ledger.hosts.values().all(|host| host.quarantined == 0), "{ledger:?}");
+    assert!(stored_events.hosts.values().all(|host| host.quarantined == 0), "{stored_events:?}");
 }
 
-/// Stops what runs. What strangers made up has no total, and so no statistics that could agree with it.
-fn stop(fleet: &mut Fleet) -> Ledger {
-    for agent in fleet.agents.iter_mut().filter(|agent| agent.runs()) {
+/// Stops all running processes. Data of invented hosts has no totals, so that no statistics can agree with it.
+fn stop(fleet: &mut Fleet) -> StoredEvents {
+    for agent in fleet.agents.iter_mut().filter(|agent| agent.is_running()) {
         agent.stop();
     }
     fleet.aggregator.stop();
-    Ledger::of(fleet.database())
+    StoredEvents::of(fleet.database())
 }

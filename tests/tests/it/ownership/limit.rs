@@ -1,33 +1,34 @@
-//! Hosts that somebody invents.
+//! Tests of invented hosts.
 
 use peernet_stream::ToAggregator;
 use peernet_tests::truth::ask;
-use peernet_tests::{Chance, Introduced, Stranger, measured, thousands, until};
+use peernet_tests::{InventedHost, MisbehavingPeer, TestRng, measured, thousands, until};
 
 use super::measuring;
 
-/// Hosts that may be stored.
+/// Largest number of stored hosts.
 const MAX_HOSTS: usize = 50;
 
 #[test]
 fn invented_hosts_leave_pages_and_metrics_bounded() {
-    let mut chance = Chance::new("invented hosts");
+    let mut rng = TestRng::new("invented hosts");
     let mut fleet = measuring(&format!("max_hosts = {MAX_HOSTS}"));
     let bytes = |path: &str| fleet.api.get(path).expect("answers").1.len();
     let before = (bytes("/metrics"), bytes("/api/v1/hosts"));
-    // Some that only say hello, on many connections, and some that prove to be whoever they say.
-    let crowd: Vec<Stranger> = (0..320).map(|_| Stranger::at(fleet.site.events)).collect();
-    for stranger in &crowd {
+    // Some hosts only say hello, on many connections, and some prove their id.
+    let crowd: Vec<MisbehavingPeer> =
+        (0..320).map(|_| MisbehavingPeer::at(fleet.deployment.events)).collect();
+    for misbehaving_peer in &crowd {
         for _ in 0..62 {
-            let name = format!("invented-{}", chance.below(1 << 30));
-            stranger.say(&ToAggregator::Hello(Introduced::new(&name, &mut chance).hello));
+            let name = format!("invented-{}", rng.below(1 << 30));
+            misbehaving_peer.say(&ToAggregator::Hello(InventedHost::new(&name, &mut rng).hello));
         }
     }
     let (mut proven, mut newest) = (0, String::new());
-    for (n, stranger) in (0..).zip(&crowd[..10]) {
+    for (n, misbehaving_peer) in (0..).zip(&crowd[..10]) {
         for m in 0..20 {
             newest = format!("proven-{n}-{m}");
-            Introduced::new(&newest, &mut chance).enter(stranger);
+            InventedHost::new(&newest, &mut rng).open_session(misbehaving_peer);
             proven += 1;
         }
     }
@@ -37,7 +38,7 @@ fn invented_hosts_leave_pages_and_metrics_bounded() {
         let is_seen = hosts.iter().any(|host| host["name"] == newest.as_str());
         is_seen.then(|| (hosts.len(), bytes("/metrics"), bytes("/api/v1/hosts")))
     });
-    // The robot, of which something is stored, and as many newcomers as hosts may be stored.
+    // The robot, which has stored data, and as many new hosts as may be stored.
     assert!(after.0 <= 1 + MAX_HOSTS, "{after:?}");
     assert!(after.1 < 100 * before.0 && after.2 < 100 * before.1, "{after:?}");
     assert_eq!(ask(fleet.database(), "SELECT count(*) FROM host WHERE name <> 'edge'").trim(), "0");
@@ -47,8 +48,8 @@ fn invented_hosts_leave_pages_and_metrics_bounded() {
         let hosts = fleet.api.json("/api/v1/hosts");
         (hosts["hosts"].as_array()?.len() == 1).then_some(())
     });
-    let seen = fleet.account(0, "it is there", |_| true);
-    fleet.account(0, "the robot goes on", |account| account.events > seen.events + 20);
+    let seen = fleet.counts(0, "it is there", |_| true);
+    fleet.counts(0, "the robot goes on", |counts| counts.events > seen.events + 20);
     fleet.stop();
     measured(
         "invented hosts",
@@ -62,20 +63,20 @@ fn invented_hosts_leave_pages_and_metrics_bounded() {
 }
 
 #[test]
-fn new_host_beyond_the_limit_is_refused_and_known_ones_are_not() {
-    let mut chance = Chance::new("too many hosts");
+fn host_limit_refuses_new_hosts_only() {
+    let mut rng = TestRng::new("too many hosts");
     let mut fleet = measuring("max_hosts = 2");
-    let stranger = Stranger::at(fleet.site.events);
-    let mut second = Introduced::new("second", &mut chance);
-    second.enter(&stranger);
-    stranger.send(&second.batch(1));
-    stranger.hear_ack(1);
-    let third = Introduced::new("third", &mut chance);
-    let words = third.is_refused(&stranger);
+    let misbehaving_peer = MisbehavingPeer::at(fleet.deployment.events);
+    let mut second = InventedHost::new("second", &mut rng);
+    second.open_session(&misbehaving_peer);
+    misbehaving_peer.send(&second.batch(1));
+    misbehaving_peer.wait_for_ack(1);
+    let third = InventedHost::new("third", &mut rng);
+    let words = third.expect_refusal(&misbehaving_peer);
     assert!(words.contains("max_hosts"), "{words}");
     fleet.agents[0].stop();
     fleet.start(0);
     fleet.agents[0].process().wait_for("connected to the aggregator");
-    second.enter(&stranger);
+    second.open_session(&misbehaving_peer);
     fleet.stop();
 }

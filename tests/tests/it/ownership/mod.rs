@@ -1,4 +1,4 @@
-//! Whose data it is: a host speaks for itself and its own runs only, and proves that it is the host it says it is.
+//! Tests of ownership: a host reports only for itself and its own runs, and proves its id.
 
 mod foreign;
 mod limit;
@@ -7,10 +7,10 @@ mod secret;
 use peernet_tests::Fleet;
 use peernet_tests::fleet::{echo, edge, rate};
 
-/// A fleet whose agent measures.
+/// Starts a fleet with one agent that measures.
 fn measuring(keys: &str) -> Fleet {
     let mut fleet = Fleet::aggregating(keys, &["edge"], &edge("", &echo("loop", &rate(100.0))));
     fleet.start(0);
-    fleet.account(0, "something is stored", |account| account.events > 20);
+    fleet.counts(0, "something is stored", |counts| counts.events > 20);
     fleet
 }

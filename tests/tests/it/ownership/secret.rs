@@ -1,16 +1,16 @@
-//! Agents that prove who they are, and others that cannot.
+//! Tests of agents that prove their id, and of others that cannot.
 
 use std::path::PathBuf;
 
 use peernet_logger::HostId;
 use peernet_stream::{ToAgent, ToAggregator};
 use peernet_tests::truth::ask;
-use peernet_tests::{Chance, Fleet, Introduced, Stranger, until};
+use peernet_tests::{Fleet, InventedHost, MisbehavingPeer, TestRng, until};
 
 use super::measuring;
 
 fn state(fleet: &Fleet) -> PathBuf {
-    fleet.site.folder().join("edge")
+    fleet.deployment.folder().join("edge")
 }
 
 fn secret(fleet: &Fleet) -> String {
@@ -20,62 +20,63 @@ fn secret(fleet: &Fleet) -> String {
         .to_owned()
 }
 
-/// A host that says it is the robot, without its secret.
-fn impostor(fleet: &Fleet, chance: &mut Chance) -> Introduced {
+/// Returns a host that claims to be the robot, without its secret.
+fn impostor(fleet: &Fleet, rng: &mut TestRng) -> InventedHost {
     let id = std::fs::read_to_string(state(fleet).join("host-id")).expect("made at the first start");
-    let mut impostor = Introduced::new("edge", chance);
+    let mut impostor = InventedHost::new("edge", rng);
     impostor.hello.host.id = id.trim().parse::<HostId>().expect("an id");
     impostor
 }
 
-/// Runs `peernetd clear-host-secret` for the robot beside the aggregator that runs.
+/// Runs `peernetd clear-host-secret` for the robot while the aggregator runs.
 fn clear(fleet: &Fleet) -> String {
-    let ended = fleet.site.peernetd(&["clear-host-secret", "--config", "aggregator.toml", "edge"]).ended();
+    let ended =
+        fleet.deployment.peernetd(&["clear-host-secret", "--config", "aggregator.toml", "edge"]).ended();
     assert_eq!(ended.code(), 0, "{}", ended.log);
     ended.log
 }
 
 #[test]
-fn impostor_does_not_keep_the_robot_out() {
-    let mut chance = Chance::new("impostor");
+fn impostor_does_not_exclude_known_host() {
+    let mut rng = TestRng::new("impostor");
     let mut fleet = measuring("");
-    // The robot goes away with batches that nobody has.
+    // The robot leaves with batches that are not stored.
     fleet.aggregator.kill();
     let spooled = fleet.agents[0].process().log().matches("spooled batch=").count();
     fleet.agents[0].process().wait_for_nth("spooled batch=", spooled + 5);
     fleet.agents[0].kill();
-    fleet.aggregator_returns();
+    fleet.restart_aggregator();
 
-    let stranger = Stranger::at(fleet.site.events);
-    let mut impostor = impostor(&fleet, &mut chance);
-    let words = impostor.is_refused(&stranger);
+    let misbehaving_peer = MisbehavingPeer::at(fleet.deployment.events);
+    let mut impostor = impostor(&fleet, &mut rng);
+    let words = impostor.expect_refusal(&misbehaving_peer);
     assert!(words.contains("clear-host-secret") && words.contains("spool"), "{words}");
     assert!(!words.contains("delete the"), "no advice destroys unsent data: {words}");
-    // It is not in, whatever it sends then.
-    stranger.send(&impostor.batch(10));
-    stranger.hear_until(|said| (*said == ToAgent::Unknown).then_some(()));
-    stranger.say(&ToAggregator::Goodbye(impostor.hello.host.id));
-    // While it says hello again and again the robot comes back, with another process number.
+    // It is not welcomed, whatever it sends then.
+    misbehaving_peer.send(&impostor.batch(10));
+    misbehaving_peer.receive_until(|said| (*said == ToAgent::Unknown).then_some(()));
+    misbehaving_peer.say(&ToAggregator::Goodbye(impostor.hello.host.id));
+    // While it repeats its hello, the robot comes back with another process number.
     for _ in 0..20 {
-        stranger.say(&ToAggregator::Hello(impostor.hello.clone()));
+        misbehaving_peer.say(&ToAggregator::Hello(impostor.hello.clone()));
     }
     fleet.start(0);
     fleet.agents[0].process().wait_for("connected to the aggregator");
     assert!(!fleet.agents[0].process().log().contains("refuses this agent"));
-    let words = impostor.is_refused(&stranger);
+    let words = impostor.expect_refusal(&misbehaving_peer);
     assert!(words.contains("clear-host-secret"), "{words}");
-    let seen = fleet.account(0, "it is there", |_| true);
-    fleet.account(0, "it goes on", |account| account.events > seen.events + 50 && account.waiting < 100);
+    let seen = fleet.counts(0, "it is there", |_| true);
+    fleet.counts(0, "it goes on", |counts| counts.events > seen.events + 50 && counts.waiting < 100);
     fleet.agents[0].stop();
-    fleet.deliver(0).balances();
-    let ledger = fleet.stop();
-    assert_eq!(ledger.lacks(fleet.agents[0].spooled()), 0, "{ledger:?}");
-    // What it had not spooled when it was killed may be missing, and is a gap then.
-    assert_eq!(ledger.hosts["edge"].streams, 1, "{ledger:?}");
+    fleet.deliver(0).assert_balanced();
+    let stored_events = fleet.stop();
+    assert_eq!(stored_events.count_missing(fleet.agents[0].spooled()), 0, "{stored_events:?}");
+    // Events that were not spooled when it was killed may be missing, and are in a gap then.
+    assert_eq!(stored_events.hosts["edge"].streams, 1, "{stored_events:?}");
 }
 
 #[test]
-fn secret_survives_the_loss_of_the_spool_and_of_the_database() {
+fn host_secret_survives_loss_of_spool_or_database() {
     let mut fleet = measuring("");
     let before = secret(&fleet);
     assert_eq!(before.len(), 64);
@@ -86,11 +87,11 @@ fn secret_survives_the_loss_of_the_spool_and_of_the_database() {
             std::fs::remove_file(path).expect("deleted");
         }
     }
-    fleet.idle(0);
+    fleet.start_without_pipelines(0);
     assert_eq!(secret(&fleet), before);
     assert_eq!(ask(fleet.database(), "SELECT lower(hex(secret)) FROM host_secret").trim(), before);
 
-    // What was told is told nowhere again.
+    // The secret is not shown anywhere.
     let (_, metrics) = fleet.api.get("/metrics").expect("answers");
     let pages = ["/", "/hosts", "/api/v1/hosts", "/api/v1/hosts/edge", "/api/v1/runs", "/api/v1/incidents"];
     let texts = pages.map(|page| fleet.api.get(page).expect("answers").1);
@@ -102,15 +103,15 @@ fn secret_survives_the_loss_of_the_spool_and_of_the_database() {
     fleet.agents[0].stop();
     fleet.aggregator.stop();
     std::fs::remove_dir_all(fleet.database().parent().expect("a folder of its own")).expect("it has stopped");
-    fleet.aggregator_returns();
+    fleet.restart_aggregator();
     fleet.start(0);
-    fleet.account(0, "it is stored again", |account| account.events > 20);
+    fleet.counts(0, "it is stored again", |counts| counts.events > 20);
     assert_eq!(ask(fleet.database(), "SELECT lower(hex(secret)) FROM host_secret").trim(), before);
     fleet.stop();
 }
 
 #[test]
-fn cleared_secret_lets_the_robot_in_with_a_new_one() {
+fn cleared_secret_permits_a_new_one() {
     let mut fleet = measuring("");
     let before = secret(&fleet);
     fleet.agents[0].stop();
@@ -127,25 +128,25 @@ fn cleared_secret_lets_the_robot_in_with_a_new_one() {
         let stored = ask(fleet.database(), "SELECT lower(hex(secret)) FROM host_secret");
         (stored.trim() == after).then_some(())
     });
-    fleet.account(0, "what waited is stored", |account| account.waiting < 100);
+    fleet.counts(0, "what waited is stored", |counts| counts.waiting < 100);
     fleet.agents[0].stop();
-    fleet.deliver(0).balances();
-    let ledger = fleet.stop();
-    assert_eq!(ledger.lacks(fleet.agents[0].spooled()), 0, "{ledger:?}");
+    fleet.deliver(0).assert_balanced();
+    let stored_events = fleet.stop();
+    assert_eq!(stored_events.count_missing(fleet.agents[0].spooled()), 0, "{stored_events:?}");
 }
 
 #[test]
-fn newcomer_with_the_robots_name_makes_way() {
-    let mut chance = Chance::new("namesake");
+fn robot_takes_its_name_back_from_newcomer() {
+    let mut rng = TestRng::new("namesake");
     let mut fleet = measuring("");
     fleet.agents[0].stop();
-    let stranger = Stranger::at(fleet.site.events);
-    let namesake = Introduced::new("edge", &mut chance);
-    namesake.enter(&stranger);
+    let misbehaving_peer = MisbehavingPeer::at(fleet.deployment.events);
+    let namesake = InventedHost::new("edge", &mut rng);
+    namesake.open_session(&misbehaving_peer);
     fleet.start(0);
     fleet.agents[0].process().wait_for("connected to the aggregator");
     assert!(!fleet.agents[0].process().log().contains("refuses this agent"));
-    let words = namesake.is_refused(&stranger);
+    let words = namesake.expect_refusal(&misbehaving_peer);
     assert!(words.contains("the name edge is taken"), "{words}");
     fleet.stop();
 }

@@ -1,6 +1,6 @@
-//! The two commands of the paper, between two machines.
+//! Tests of the paper's two commands between two machines.
 
-use peernet_tests::Site;
+use peernet_tests::LoopbackDeployment;
 use serde_json::{Value, json};
 
 use super::{Lab, PUBLISHED, picture};
@@ -8,7 +8,7 @@ use crate::models::exported_models;
 
 const FILES: [&str; 5] = ["data.csv", "run.json", "summary.md", "summary.csv", "summary.tex"];
 
-/// The figures that the published program draws.
+/// Figures that the published program draws.
 const FIGURES: [&str; 6] = [
     "sensing-time.png",
     "upload-time.png",
@@ -45,7 +45,7 @@ fn the_published_commands_work_word_for_word() {
     assert_eq!((data.outcomes("ok"), data.rows.len()), (12, 12));
     let warm_up = data.column("warm-up");
     assert_eq!(warm_up.iter().position(|cell| *cell == "0"), Some(5), "{warm_up:?}");
-    // Decoded pixels of three bytes: what pickling the opened picture sends, without the pickle.
+    // Decoded pixels of three bytes each: the size of the pickled picture without the pickle's overhead.
     let pixels = f64::from(1280 * 960 * 3);
     assert!(data.numbers("upload-bytes").iter().all(|bytes| *bytes == pixels));
     for (stage, at_least) in [("preprocessing", 0.01), ("inference", 0.08), ("postprocessing", 0.01)] {
@@ -74,7 +74,7 @@ fn the_published_commands_work_word_for_word() {
         record["command"].as_str().is_some_and(|command| command.contains("--dataset-loc sample-image.JPEG"))
     );
     assert!(record["pipeline"].is_object() && record["edge"]["hardware"].is_object(), "{record:#}");
-    // What relative paths, the file of devices and the data set were.
+    // Contents of the relative paths, the file of devices and the data set.
     let here = lab.folder().canonicalize().expect("is there");
     assert_eq!(record["folder"], here.display().to_string());
     let network = &record["network_config"];
@@ -86,8 +86,8 @@ fn the_published_commands_work_word_for_word() {
             .all(|host| record[host]["clock"].as_str().is_some_and(|text| !text.is_empty())),
         "{record:#}"
     );
-    // The free-running clocks are one, and the wall clock is read a moment after them. In two network namespaces nothing proves that: the
-    // offset is measured.
+    // Both hosts share one free-running clock, and the wall clock is read a moment after it. In two network
+    // namespaces nothing proves that, so that the offset is measured.
     for which in ["first_offset", "last_offset"] {
         let offset = &record["clocks"]["upload"][which];
         let bounds = offset["lo"].as_f64().zip(offset["hi"].as_f64());
@@ -106,7 +106,7 @@ fn the_published_commands_work_word_for_word() {
 }
 
 #[test]
-fn a_network_is_measured_with_efficientnet_and_random_weights() {
+fn published_network_measurement_works_with_random_weights() {
     let lab = Lab::new();
     let models = exported_models().display();
     let server = lab.server(&format!(
@@ -133,7 +133,7 @@ fn a_network_is_measured_with_efficientnet_and_random_weights() {
 }
 
 #[test]
-fn a_client_may_come_first_and_send_whatever_it_likes() {
+fn early_client_sends_all_kinds_of_samples() {
     for (options, bytes) in [
         ("--sensor-type \"random string\" --text-size 300", Some(300.0)),
         ("--sensor-type synthetic --text-size 4000", Some(4000.0)),
@@ -163,10 +163,10 @@ fn a_client_may_come_first_and_send_whatever_it_likes() {
 }
 
 #[test]
-fn a_run_is_on_a_dashboard_as_well_and_its_host_is_known_again() {
+fn streamed_run_is_on_dashboard_with_same_host() {
     let lab = Lab::here();
-    let site = Site::new();
-    let (_aggregator, api) = site.aggregator();
+    let deployment = LoopbackDeployment::new();
+    let (_aggregator, api) = deployment.aggregator();
     for results in ["first", "second"] {
         let server = lab.server(
             "PEERNet --server --name cluster --network-config net_config.yaml --model-name echo --iterations 20",
@@ -174,7 +174,7 @@ fn a_run_is_on_a_dashboard_as_well_and_its_host_is_known_again() {
         let client = lab.client(&format!(
             "PEERNet --client --name jetson-orin --network-config net_config.yaml --sensor-type synthetic \
              --iterations 20 --result-loc {results} --aggregator tcp://127.0.0.1:{}",
-            site.events
+            deployment.events
         ));
         let (client, server) = (client.ended(), server.ended());
         assert_eq!((client.code(), server.code()), (0, 0), "{}\n{}", client.log, server.log);
@@ -187,7 +187,7 @@ fn a_run_is_on_a_dashboard_as_well_and_its_host_is_known_again() {
         (runs.len() == 2 && runs.iter().all(|run| run["ended"].is_string())).then_some(runs)
     });
     assert!(runs.iter().all(|run| run["host"] == "jetson-orin"), "{runs:#?}");
-    // Whoever looks afterwards sees a run that ended well and a host with which all is well.
+    // Afterwards the dashboard shows a finished run and a host without problems.
     let line = api.until("/api/v1/pipelines/jetson-orin/jetson-orin", |line| {
         let over = ["finished", "failed", "away"].contains(&line["state"].as_str()?);
         over.then(|| line["state"].clone())
@@ -202,7 +202,7 @@ fn a_run_is_on_a_dashboard_as_well_and_its_host_is_known_again() {
 }
 
 #[test]
-fn results_take_the_place_of_others_only_when_they_are_told_to() {
+fn existing_results_are_replaced_only_on_request() {
     let lab = Lab::here();
     let measure = |iterations: u32, options: &str| {
         let server = lab.server(&format!(
@@ -223,7 +223,7 @@ fn results_take_the_place_of_others_only_when_they_are_told_to() {
 }
 
 #[test]
-fn what_relates_the_clocks_is_taken_from_a_configuration() {
+fn clock_settings_come_from_configuration() {
     let lab = Lab::here();
     std::fs::write(lab.folder().join("edge.toml"), "[agent]\n[rehearsal]\noffset_ms = 5000\n")
         .expect("writable");
@@ -238,7 +238,7 @@ fn what_relates_the_clocks_is_taken_from_a_configuration() {
     assert_eq!((client.code(), server.code()), (0, 0), "{}\n{}", client.log, server.log);
     assert!(client.log.contains("REHEARSAL"), "{}", client.log);
     let data = lab.data("results");
-    // The raw stamps are five seconds apart; what is told of the delay is not.
+    // The raw stamps differ by five seconds, but the reported delay is right.
     assert!(data.numbers("upload-raw").iter().all(|raw| *raw < -4.0));
     let told = data.column("upload").into_iter().filter_map(|cell| cell.parse::<f64>().ok());
     let told: Vec<f64> = told.collect();
@@ -246,7 +246,7 @@ fn what_relates_the_clocks_is_taken_from_a_configuration() {
 }
 
 #[test]
-fn an_order_is_one_run_in_a_process_of_its_own() {
+fn each_order_is_a_run_in_a_process() {
     let lab = Lab::here();
     let order = json!({
         "agent": {

@@ -1,11 +1,11 @@
-//! The published commands over datagrams, of which some are lost.
+//! Tests of the published commands over datagrams, of which some are lost.
 
 use peernet_tests::Network;
-use peernet_tests::network::Way;
+use peernet_tests::network::WireProperties;
 
 use super::{Data, Lab};
 
-/// A sensor of payloads of all sizes, and a model that checks each before it sends it back.
+/// Sensor with payloads of all sizes, and a model that checks each payload before it returns it.
 const PAYLOADS: &str = "\
 SIZES = [0, 1, 1_000, 60_000, 1_200_000, 20_000_000]
 
@@ -46,7 +46,8 @@ fn payloads_of_all_sizes_cross_datagrams_whole() {
     let data = lab.data("results");
     let (answered, lost) = (data.outcomes("ok"), data.outcomes("lost"));
     assert_eq!((answered + lost, data.rows.len()), (ITERATIONS, ITERATIONS), "{}", client.log);
-    // A lost one makes it an incomplete run; of a server only where the request was lost, not the answer.
+    // A lost payload makes the client's run incomplete. For the server that is so only if the request was lost, not
+    // the answer.
     assert_eq!(client.code(), if lost == 0 { 0 } else { 75 }, "{}", client.log);
     assert!([0, client.code()].contains(&server.code()), "{}", server.log);
     let sizes = [0.0, 1.0, 1e3, 6e4, 1.2e6, 2e7];
@@ -57,7 +58,7 @@ fn payloads_of_all_sizes_cross_datagrams_whole() {
         if outcomes[row] == "ok" {
             assert_eq!(returned[row], Some(size));
         } else {
-            // Nothing but a full buffer loses datagrams on this cable.
+            // On this cable only a full buffer loses datagrams.
             assert!(size > 1e5, "{size} bytes were lost: {}", client.log);
         }
     }
@@ -69,7 +70,7 @@ fn payloads_of_all_sizes_cross_datagrams_whole() {
 fn iterations_over_bad_path_are_answered_or_lost() {
     const ITERATIONS: usize = 150;
     let sockets = tempfile::tempdir().expect("the temporary folder is writable");
-    let way = |delay_ms| Way { delay_ms, jitter_ms: 3, loss_percent: 2 };
+    let way = |delay_ms| WireProperties { delay_ms, jitter_ms: 3, loss_percent: 2 };
     let lab = Lab::between(Network::reordering_wire(sockets.path(), way(30), way(5)));
     std::fs::write(lab.folder().join("edge.toml"), "[agent]\n[rehearsal]\noffset_ms = 5000\n")
         .expect("writable");
@@ -89,7 +90,7 @@ fn iterations_over_bad_path_are_answered_or_lost() {
     for (reason, outcome) in reasons {
         assert!(outcome == "ok" || reason.contains("of 5 fragments arrived"), "{outcome}: {reason}");
     }
-    // Both hosts have this machine's clock, but for what the edge's is wrong on purpose.
+    // Both hosts read this machine's clock; the edge's has an injected fault.
     for (name, ahead, delay) in [("upload", -5.0, 0.03), ("download", 5.0, 0.005)] {
         let [raw, lo, hi] = ["raw", "lo", "hi"].map(|what| numbers(&data, &format!("{name}-{what}")));
         let mut compared = 0;
@@ -97,7 +98,7 @@ fn iterations_over_bad_path_are_answered_or_lost() {
             let (Some(raw), Some(lo), Some(hi)) = (raw, lo, hi) else { continue };
             let truth = raw - ahead;
             assert!(truth >= delay - 0.004, "{name}: {truth}");
-            // The interval is of the free-running clocks; the wall clocks are read up to 3 µs later.
+            // The interval is for the free-running clocks; the wall clocks are read up to 3 µs later.
             assert!(lo - 3e-6 <= truth && truth <= hi + 3e-6, "{name}: {truth} is not in [{lo}, {hi}]");
             compared += 1;
         }

@@ -1,4 +1,4 @@
-//! Runs that end early: what was measured is not lost, and the exit code says how it went.
+//! Tests of runs that end early: measured data is kept, and the exit code tells the reason.
 
 use std::ffi::{OsStr, OsString};
 use std::os::unix::ffi::OsStrExt;
@@ -9,7 +9,7 @@ use rustix::process::Signal;
 
 use super::{Lab, picture};
 
-/// A client that measures for a long time.
+/// Starts a client that measures for a long time.
 fn endless(lab: &Lab, options: &str) -> Process {
     lab.client(&format!(
         "PEERNet --client --name jetson-orin --network-config net_config.yaml --iterations 1000000 --dataset-loc {} \
@@ -18,7 +18,7 @@ fn endless(lab: &Lab, options: &str) -> Process {
     ))
 }
 
-/// What `peernet compare` says of results.
+/// Returns the output of `peernet compare` for results.
 fn told(lab: &Lab, results: &str) -> String {
     Process::start(&program("peernet"), &["compare", results], lab.folder(), &[]).ended().log
 }
@@ -30,7 +30,7 @@ fn server(lab: &Lab, iterations: u32) -> Process {
 }
 
 #[test]
-fn ctrl_c_ends_a_client_early_and_writes_all_results() {
+fn ctrl_c_ends_client_with_all_results() {
     let lab = Lab::here();
     let server = server(&lab, 1_000_000);
     let client = endless(&lab, "--result-loc results");
@@ -54,7 +54,7 @@ fn ctrl_c_ends_a_client_early_and_writes_all_results() {
 }
 
 #[test]
-fn a_session_that_ends_ends_a_client_with_all_results() {
+fn ended_session_ends_client_with_all_results() {
     let lab = Lab::here();
     let _server = server(&lab, 1_000_000);
     let client = endless(&lab, "--result-loc results");
@@ -88,7 +88,7 @@ fn a_client_under_nohup_outlives_its_session() {
 }
 
 #[test]
-fn a_folder_that_is_being_written_is_left_alone() {
+fn folder_in_use_is_left_unchanged() {
     let lab = Lab::here();
     let _server = server(&lab, 1_000_000);
     let first = endless(&lab, "--result-loc results --overwrite");
@@ -105,7 +105,7 @@ fn a_folder_that_is_being_written_is_left_alone() {
 }
 
 #[test]
-fn results_that_a_killed_run_was_to_replace_come_back() {
+fn results_replaced_by_killed_run_are_restored() {
     let lab = Lab::here();
     let _server = server(&lab, 1_000_000);
     let short = || {
@@ -136,7 +136,7 @@ fn results_that_a_killed_run_was_to_replace_come_back() {
 }
 
 #[test]
-fn results_of_a_killed_run_are_told() {
+fn results_of_killed_run_are_reported() {
     let lab = Lab::here();
     let _server = server(&lab, 1_000_000);
     let killed = endless(&lab, "--result-loc results");
@@ -151,12 +151,12 @@ fn results_of_a_killed_run_are_told() {
 }
 
 #[test]
-fn nothing_is_left_of_a_killed_run_once_others_have_ended_in_its_place() {
+fn killed_run_leaves_no_files_after_later_runs() {
     let lab = Lab::here();
     let _server = server(&lab, 1_000_000);
     let temporary = lab.folder().join("temporary");
     std::fs::create_dir(&temporary).expect("writable");
-    // Any name may be a folder's.
+    // A folder's name may be any bytes.
     let results = OsStr::from_bytes(b"res\xff");
     let start = |line: &str| {
         let words = line.split(' ').map(OsString::from).chain([results.to_owned()]);
@@ -204,7 +204,7 @@ fn a_second_signal_does_not_wait() {
     client.wait_for("no answer from cluster");
     client.signal(Signal::INT);
     client.wait_for("Ctrl-C again");
-    // Another SIGINT so soon would be the same wish.
+    // A second SIGINT within half a second would count as the same signal.
     client.signal(Signal::TERM);
     client.wait_for("left alone");
     let ended = client.ended();
@@ -213,7 +213,7 @@ fn a_second_signal_does_not_wait() {
 }
 
 #[test]
-fn a_server_that_goes_away_leaves_rows_and_a_code() {
+fn lost_server_leaves_rows_and_exit_code() {
     let lab = Lab::here();
     let server = server(&lab, 1_000_000);
     let client = endless(&lab, "--result-loc results --patience 2");
@@ -230,7 +230,7 @@ fn a_server_that_goes_away_leaves_rows_and_a_code() {
 }
 
 #[test]
-fn a_server_that_comes_back_is_asked_again() {
+fn returning_server_is_used_again() {
     let lab = Lab::here();
     let first = server(&lab, 1_000_000);
     let client = lab.client(&format!(
@@ -250,7 +250,7 @@ fn a_server_that_comes_back_is_asked_again() {
 }
 
 #[test]
-fn a_full_disk_loses_nothing_that_was_measured() {
+fn full_result_disk_loses_no_rows() {
     let disk = SmallDisk::new(1 << 20);
     let lab = Lab::here();
     let _server = server(&lab, 1_000_000);
@@ -287,10 +287,10 @@ fn a_full_disk_loses_nothing_that_was_measured() {
 }
 
 #[test]
-fn without_room_anywhere_the_rows_that_fit_are_kept() {
+fn full_disks_keep_rows_that_fit() {
     let (disk, other) = (SmallDisk::new(200 << 10), SmallDisk::new(64 << 10));
     let lab = Lab::here();
-    // One that answers at once: most rows are written together.
+    // The model answers at once, so that most rows are written together.
     let _server = lab.server(
         "PEERNet --server --name cluster --network-config net_config.yaml --model-name echo --iterations 1000000",
     );

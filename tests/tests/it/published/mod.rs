@@ -1,4 +1,4 @@
-//! The published commands, typed as the paper types them.
+//! Tests of the published commands, as the paper shows them.
 
 mod commands;
 mod datagrams;
@@ -15,7 +15,7 @@ use peernet_tests::{Network, Process, free_port, onnxruntime, program, root};
 use serde_json::Value;
 use tempfile::TempDir;
 
-/// The columns that the published program writes for a model with all three steps, in its order.
+/// Columns that the published program writes for a model with all three steps, in its order.
 const PUBLISHED: [&str; 13] = [
     "iteration",
     "sensing",
@@ -32,22 +32,22 @@ const PUBLISHED: [&str; 13] = [
     "download-throughput",
 ];
 
-/// Two devices with one network configuration, and the program under its published name.
+/// Two devices with one network configuration, and the program with its published name.
 struct Lab {
     folder: TempDir,
-    /// Two machines; without it both are this one.
+    /// Two machines; `None` if both devices are this machine.
     network: Option<Network>,
-    /// Where the master of ROS is.
+    /// URI of the ROS master.
     ros_master: Option<String>,
 }
 
 impl Lab {
-    /// Two machines and a cable.
+    /// Creates two machines and a cable.
     fn new() -> Self {
         Self::between(Network::direct())
     }
 
-    /// Two machines and what is between them.
+    /// Creates two machines with this network.
     fn between(network: Network) -> Self {
         let (edge, cloud) = (network.edge().address.to_string(), network.cloud().address.to_string());
         Self::with(
@@ -56,7 +56,7 @@ impl Lab {
         )
     }
 
-    /// One machine.
+    /// Creates one machine.
     fn here() -> Self {
         let devices = "  jetson-orin: 127.0.0.1\n  cluster: 127.0.0.1\n  spare: 127.0.0.1\n";
         Self::with(None, &format!("devices:\n{devices}server: cluster\nstart_port: {}\n", free_port()))
@@ -74,12 +74,12 @@ impl Lab {
         self.folder.path()
     }
 
-    /// Types a command on the device that serves.
+    /// Executes a command on the device that serves.
     fn server(&self, command: &str) -> Process {
         self.start(self.network.as_ref().map(Network::cloud), command)
     }
 
-    /// Types a command on the device that senses.
+    /// Executes a command on the device that senses.
     fn client(&self, command: &str) -> Process {
         self.start(self.network.as_ref().map(Network::edge), command)
     }
@@ -94,7 +94,7 @@ impl Lab {
         let mut environment = vec![
             ("ORT_DYLIB_PATH", &*library),
             ("PEERNET_PYTHON", "/usr/bin/python3"),
-            // Nothing is left in the home of whoever tests.
+            // The tests must not leave files in the home folder of the user.
             ("XDG_STATE_HOME", &*state),
         ];
         environment.extend(self.ros_master.as_deref().map(|uri| ("ROS_MASTER_URI", uri)));
@@ -104,7 +104,7 @@ impl Lab {
         }
     }
 
-    /// The rows of a file of results, by column, as they stand there.
+    /// Reads the rows of a results file, by column, as text.
     fn data(&self, results: &str) -> Data {
         let file = csv::Reader::from_path(self.folder().join(results).join("data.csv"));
         let mut file = file.expect("the results are there");
@@ -120,7 +120,7 @@ impl Lab {
     }
 }
 
-/// A command's words; quotes hold several together.
+/// Splits a command into words; quotes join several words.
 fn words(command: &str) -> Vec<String> {
     let parts = command.split('"').enumerate();
     parts
@@ -131,7 +131,7 @@ fn words(command: &str) -> Vec<String> {
         .collect()
 }
 
-/// A table of results.
+/// Table of results.
 struct Data {
     header: Vec<String>,
     rows: Vec<Vec<String>>,
@@ -154,7 +154,7 @@ impl Data {
     }
 }
 
-/// A picture of some size.
+/// Returns a picture.
 fn picture() -> PathBuf {
     root().join("models/quality-control/pictures/part-0001.jpg")
 }

@@ -1,10 +1,10 @@
-//! Users' own objects, written for the published program.
+//! Tests of users' objects that were written for the published program.
 
-use peernet_tests::Ended;
+use peernet_tests::ProcessEnd;
 
 use super::{Lab, PUBLISHED};
 
-/// A sensor as the published program takes them: any object with `sample()`.
+/// Sensor in the form of the published program: any object with `sample()`.
 const SENSOR: &str = r#"
 import numpy as np
 
@@ -17,7 +17,7 @@ class Camera:
         return np.full((48, 64, 3), self.taken % 256, dtype=np.uint8)
 "#;
 
-/// A model likewise: `infer(x)`, and here the two optional steps.
+/// Model in the form of the published program: `infer(x)`, and the two optional steps.
 const MODEL: &str = r#"
 import numpy as np
 
@@ -88,7 +88,7 @@ fn a_sensor_that_hangs_is_named() {
         client.wait_for(told);
         client.signal(rustix::process::Signal::INT);
         client.wait_for("Ctrl-C again");
-        // Another SIGINT so soon would be the same wish.
+        // A second SIGINT within half a second would count as the same signal.
         client.signal(rustix::process::Signal::TERM);
         let ended = client.ended();
         assert_eq!(ended.code(), 130, "{}", ended.log);
@@ -96,7 +96,7 @@ fn a_sensor_that_hangs_is_named() {
 }
 
 #[test]
-fn a_sensor_and_a_model_of_ones_own_are_run_where_the_command_line_names_them() {
+fn python_sensor_and_model_run_on_their_hosts() {
     let lab = Lab::new();
     std::fs::write(lab.folder().join("my_camera.py"), SENSOR).expect("writable");
     std::fs::write(lab.folder().join("my_model.py"), MODEL).expect("writable");
@@ -114,12 +114,12 @@ fn a_sensor_and_a_model_of_ones_own_are_run_where_the_command_line_names_them() 
     assert_eq!(data.header[..PUBLISHED.len()], PUBLISHED);
     assert_eq!((data.outcomes("ok"), data.rows.len()), (20, 20));
     assert!(data.numbers("upload-bytes").iter().all(|bytes| *bytes >= f64::from(48 * 64 * 3)));
-    // What the border between the processes costs stands apart from the user's code.
+    // The time between the processes is separate from that of the user's code.
     assert!(data.numbers("ipc").iter().all(|seconds| *seconds > 0.0));
 }
 
-/// Client and server of so many iterations with this camera and an echo, once both have ended.
-fn seen_by(camera: &str, iterations: u32, lab: &Lab) -> (Ended, Ended) {
+/// Runs client and server for this number of iterations with this camera and an echo; returns both results.
+fn seen_by(camera: &str, iterations: u32, lab: &Lab) -> (ProcessEnd, ProcessEnd) {
     std::fs::write(lab.folder().join("my_camera.py"), camera).expect("writable");
     let server = lab.server(&format!(
         "PEERNet --server --name cluster --network-config net_config.yaml --model-name echo --iterations {iterations}"
@@ -134,7 +134,7 @@ fn seen_by(camera: &str, iterations: u32, lab: &Lab) -> (Ended, Ended) {
 #[test]
 fn an_exception_is_a_failed_iteration() {
     let lab = Lab::here();
-    // The server does not wait for what will never come.
+    // The server does not wait for answers that will never come.
     let (client, server) = seen_by(FAILING, 20, &lab);
     assert_eq!((client.code(), server.code()), (75, 75), "{}\n{}", client.log, server.log);
     let told = "1 of 20 iterations has no answer; iteration 3 failed: ";
@@ -150,9 +150,9 @@ fn an_exception_is_a_failed_iteration() {
     assert_eq!((data.outcomes("ok"), data.outcomes("failed")), (19, 1));
 }
 
-/// So many in a row that the client waits longer and longer between them: it is over all the same.
+/// After consecutive failures the client waits longer and longer; the server must end all the same.
 #[test]
-fn a_server_does_not_wait_for_samples_that_all_failed() {
+fn server_ends_when_all_samples_failed() {
     let lab = Lab::here();
     let unplugged = "class Camera:\n    def sample(self):\n        raise OSError('unplugged')\n";
     let (client, server) = seen_by(unplugged, 14, &lab);
@@ -162,7 +162,7 @@ fn a_server_does_not_wait_for_samples_that_all_failed() {
 }
 
 #[test]
-fn the_wait_for_a_process_that_was_started_anew_is_told() {
+fn restart_of_python_process_is_recorded() {
     let lab = Lab::here();
     let dying = |class: &str, method: &str, last: u32| {
         format!(
@@ -211,13 +211,13 @@ class {class}:
         let waited = told(column);
         assert!(waited.len() == 1 && waited[0] >= 0.3, "{column}: {waited:?}");
     }
-    // It is no time of the model's, nor of the way to it.
+    // It belongs neither to the model nor to the transfer.
     assert!(told("unattributed").into_iter().fold(0.0, f64::max) >= told("restart")[0]);
     drop(server);
 }
 
 #[test]
-fn a_server_says_how_many_of_its_answers_are_errors() {
+fn server_prints_number_of_error_answers() {
     let lab = Lab::here();
     std::fs::write(lab.folder().join("my_model.py"), REFUSING).expect("writable");
     let server = lab.server(
@@ -234,7 +234,7 @@ fn a_server_says_how_many_of_its_answers_are_errors() {
 }
 
 #[test]
-fn programs_are_run_where_the_command_line_names_them() {
+fn programs_run_on_their_hosts() {
     let lab = Lab::here();
     let light = peernet_tests::root().join("docs/examples/external/light.sh");
     let server = lab.server(
@@ -252,7 +252,7 @@ fn programs_are_run_where_the_command_line_names_them() {
 }
 
 #[test]
-fn what_objects_print_is_passed_on_even_quietly() {
+fn output_of_objects_is_printed_in_quiet_mode() {
     let lab = Lab::here();
     let sensor = "
 class Camera:

@@ -1,4 +1,4 @@
-//! What cannot work is said before anything is measured: what was tried, what to do, and an exit code of its own.
+//! Tests of errors before the measurement: attempted action, remedy, and exit code.
 
 use std::net::TcpListener;
 
@@ -6,7 +6,7 @@ use peernet_tests::program;
 
 use super::{Lab, picture};
 
-/// Runs a command that must end with this code and say all of this.
+/// Runs a command that must end with this code and print all these texts.
 fn refused(lab: &Lab, command: &str, code: i32, said: &[&str]) {
     let ended = lab.client(command).ended();
     assert_eq!(ended.code(), code, "{command}\n{}", ended.log);
@@ -41,7 +41,7 @@ fn a_wrong_command_line_is_refused() {
 }
 
 #[test]
-fn a_device_has_its_place_in_the_network_configuration() {
+fn device_or_role_outside_network_configuration_is_refused() {
     let lab = Lab::here();
     let command = |name: &str, role: &str| {
         format!(
@@ -67,7 +67,7 @@ fn a_device_has_its_place_in_the_network_configuration() {
 }
 
 #[test]
-fn what_is_not_there_is_named() {
+fn missing_files_are_named() {
     let lab = Lab::here();
     let client = "PEERNet --client --name jetson-orin --network-config net_config.yaml --iterations 5";
     let server = "PEERNet --server --name cluster --network-config net_config.yaml --iterations 5";
@@ -97,7 +97,7 @@ fn what_is_not_there_is_named() {
 }
 
 #[test]
-fn a_port_in_use_and_a_folder_with_results_are_told() {
+fn used_port_and_existing_results_are_reported() {
     let lab = Lab::here();
     let configuration = std::fs::read_to_string(lab.folder().join("net_config.yaml")).expect("is there");
     let port = configuration.lines().find_map(|line| line.strip_prefix("start_port: ")).expect("a port");
@@ -118,7 +118,7 @@ fn a_port_in_use_and_a_folder_with_results_are_told() {
 }
 
 #[test]
-fn an_answer_that_cannot_be_written_is_no_success() {
+fn unwritable_answer_is_a_failure() {
     for arguments in [["models", "list"], ["completions", "bash"], ["run", "--help"]] {
         let full = std::fs::OpenOptions::new().write(true).open("/dev/full").expect("there is one");
         let ended = std::process::Command::new(program("peernet")).args(arguments).stdout(full).output();
@@ -130,7 +130,7 @@ fn an_answer_that_cannot_be_written_is_no_success() {
 }
 
 #[test]
-fn a_server_that_never_comes_is_given_up() {
+fn client_gives_up_without_server() {
     let lab = Lab::here();
     let client = format!(
         "PEERNet --client --name jetson-orin --network-config net_config.yaml --iterations 5 --dataset-loc {} \
@@ -142,7 +142,7 @@ fn a_server_that_never_comes_is_given_up() {
 }
 
 #[test]
-fn a_run_that_does_not_begin_replaces_nothing() {
+fn failed_start_replaces_no_results() {
     let lab = Lab::here();
     let results = lab.folder().join("results");
     std::fs::create_dir(&results).expect("writable");

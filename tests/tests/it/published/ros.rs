@@ -1,10 +1,10 @@
-//! The two commands over topics of ROS 1.
+//! Tests of the two commands over topics of ROS 1.
 
 use peernet_tests::Ros1System;
 
 use super::{Lab, picture};
 
-/// A master of ROS 1, and a lab whose programs know it.
+/// Starts a ROS 1 master, and creates a lab whose programs use it.
 fn lab() -> (Lab, Ros1System) {
     let system = Ros1System::new();
     (Lab { ros_master: Some(system.uri()), ..Lab::here() }, system)
@@ -33,7 +33,7 @@ fn published_commands_work_over_ros() {
 }
 
 #[test]
-fn run_goes_on_when_master_and_server_are_killed_and_come_back() {
+fn run_continues_after_master_and_server_restart() {
     let (lab, mut system) = lab();
     let server = lab.server(&format!("{SERVER} --model-name dummy --iterations 1000"));
     server.wait_for("serving dummy");
@@ -58,7 +58,7 @@ fn run_goes_on_when_master_and_server_are_killed_and_come_back() {
 }
 
 #[test]
-fn missing_master_is_named_with_next_step() {
+fn missing_master_is_named_with_advice() {
     let (lab, mut system) = lab();
     system.kill_master();
     let client = lab.client(&format!("{CLIENT} --sensor-type synthetic --iterations 5 --patience 0"));

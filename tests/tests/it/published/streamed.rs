@@ -1,18 +1,18 @@
-//! Runs that are streamed to aggregators as well: to several in turn, and to one that is away.
+//! Tests of runs that are also streamed to aggregators: to several in turn, and to one that is absent.
 
-use peernet_tests::Site;
+use peernet_tests::LoopbackDeployment;
 
 use super::Lab;
 
-/// Measures and streams; returns what the client said.
-fn streamed(lab: &Lab, site: &Site) -> String {
+/// Measures and streams; returns the client's output.
+fn streamed(lab: &Lab, deployment: &LoopbackDeployment) -> String {
     let server = lab.server(
         "PEERNet --server --name cluster --network-config net_config.yaml --model-name echo --iterations 20",
     );
     let client = lab.client(&format!(
         "PEERNet --client --name jetson-orin --network-config net_config.yaml --sensor-type synthetic \
          --iterations 20 --result-loc results --overwrite --aggregator tcp://127.0.0.1:{}",
-        site.events
+        deployment.events
     ));
     let (client, server) = (client.ended(), server.ended());
     assert_eq!((client.code(), server.code()), (0, 0), "{}\n{}", client.log, server.log);
@@ -20,18 +20,18 @@ fn streamed(lab: &Lab, site: &Site) -> String {
 }
 
 #[test]
-fn each_aggregator_gets_what_was_streamed_to_it_and_what_one_has_not_taken_is_told() {
+fn aggregators_store_their_stream_and_unsent_is_reported() {
     let lab = Lab::here();
-    let (there, away) = (Site::new(), Site::new());
+    let (there, away) = (LoopbackDeployment::new(), LoopbackDeployment::new());
     let (_first, first) = there.aggregator();
     let waits = format!("wait for the aggregator at localhost:{}, in ", away.events);
     let (now, later) = ("see host jetson-orin", "will be on the dashboard of the aggregator at 127.0.0.1:");
     let said = streamed(&lab, &there);
     assert!(said.contains(now) && !said.contains("wait for the aggregator"), "all is taken: {said}");
-    for (site, whose, sent_to, not_yet) in
+    for (deployment, whose, sent_to, not_yet) in
         [(&away, "its own", later, now), (&there, "another one's", now, later)]
     {
-        let said = streamed(&lab, site);
+        let said = streamed(&lab, deployment);
         assert!(said.contains(&waits), "{whose}: {said}");
         assert!(said.contains(sent_to) && !said.contains(not_yet), "{whose}: {said}");
     }
@@ -52,10 +52,10 @@ fn each_aggregator_gets_what_was_streamed_to_it_and_what_one_has_not_taken_is_to
 }
 
 #[test]
-fn what_an_aggregator_exports_is_the_file_of_the_run() {
-    let (lab, site) = (Lab::here(), Site::new());
-    let (_aggregator, api) = site.aggregator();
-    streamed(&lab, &site);
+fn export_of_aggregator_equals_file_of_run() {
+    let (lab, deployment) = (Lab::here(), LoopbackDeployment::new());
+    let (_aggregator, api) = deployment.aggregator();
+    streamed(&lab, &deployment);
     let (status, text) =
         api.get(&format!("/api/v1/runs/{}/export", api.finished_run())).expect("the dashboard answers");
     assert_eq!(status, 200, "{text}");
@@ -70,13 +70,13 @@ fn what_an_aggregator_exports_is_the_file_of_the_run() {
 }
 
 #[test]
-fn a_device_that_streams_twice_at_once_is_one_host_and_refused() {
-    let (lab, site) = (Lab::here(), Site::new());
-    let (_aggregator, _) = site.aggregator();
+fn second_concurrent_stream_of_device_is_refused() {
+    let (lab, deployment) = (Lab::here(), LoopbackDeployment::new());
+    let (_aggregator, _) = deployment.aggregator();
     let command = format!(
         "PEERNet --client --name jetson-orin --network-config net_config.yaml --sensor-type synthetic \
          --iterations 20 --aggregator tcp://127.0.0.1:{}",
-        site.events
+        deployment.events
     );
     let first = lab.client(&command);
     first.wait_for("is away");
@@ -88,8 +88,8 @@ fn a_device_that_streams_twice_at_once_is_one_host_and_refused() {
 }
 
 #[test]
-fn an_experiment_sends_nobody_to_a_dashboard_that_has_nothing_of_it() {
-    let (lab, away) = (Lab::here(), Site::new());
+fn experiment_prints_no_link_to_unused_dashboard() {
+    let (lab, away) = (Lab::here(), LoopbackDeployment::new());
     let file = format!(
         "[experiment]\nname = \"board\"\niterations = 20\naggregator = \"tcp://127.0.0.1:{}\"\n\
          [pipeline]\nsensor = {{ kind = \"synthetic\", size_bytes = 100 }}\nplacement = {{ kind = \"local\", model = \"echo\" }}\n\
@@ -97,7 +97,7 @@ fn an_experiment_sends_nobody_to_a_dashboard_that_has_nothing_of_it() {
         away.events
     );
     std::fs::write(lab.folder().join("board.toml"), file).expect("writable");
-    // A spool that the file names is another than the host's own, and looked into as well.
+    // A spool that the file names differs from the host's own, and is examined as well.
     for (options, spool) in
         [("--result-loc a", "spool-localhost:"), ("--result-loc b --set spool.file=mine", "mine;")]
     {

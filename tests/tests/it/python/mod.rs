@@ -1,4 +1,4 @@
-//! Users' Python objects in real agents: a sensor on the edge, a model on the cloud.
+//! Tests of users' Python objects in real agents: a sensor on the edge, a model on the cloud.
 
 mod two_agents;
 mod worker;
@@ -8,7 +8,7 @@ use std::path::Path;
 
 use peernet_tests::python;
 
-/// A sensor in the published style: two arrays a sample.
+/// Sensor in the published style, with two arrays per sample.
 const RIG: &str = r#"
 import numpy
 
@@ -23,7 +23,7 @@ class Rig:
         return image, numpy.array([self.taken, 0.5])
 "#;
 
-/// A model in the published style, which cannot stand every tenth sample.
+/// Model in the published style, which raises an exception for every tenth sample.
 const FOLLOWER: &str = r#"
 import os
 
@@ -72,12 +72,12 @@ fn write_modules(folder: &Path) {
     }
 }
 
-/// The table of the model, for a Python that is there.
+/// Returns the table of the model, with an existing Python interpreter.
 fn model() -> String {
     MODEL.replace("{python}", &python().display().to_string())
 }
 
-/// The table of a pipeline that computes there.
+/// Returns the table of a pipeline with this placement.
 fn drive(placement: &str) -> String {
     DRIVE.replace("PLACEMENT", placement).replace("{python}", &python().display().to_string())
 }

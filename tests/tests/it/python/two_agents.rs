@@ -1,22 +1,22 @@
-//! From a Python sensor over the network to a Python model and back, into the store.
+//! Test of a Python sensor and a Python model over a network, up to the store.
 
-use peernet_tests::{Network, Plant};
+use peernet_tests::{Network, TwoHostTestbed};
 
 use super::{drive, model, write_modules};
 
 #[test]
-fn arrays_go_up_and_each_step_of_the_users_is_a_stage() {
-    let plant = Plant::new(|_| Network::direct());
-    write_modules(plant.folder());
-    let cloud = plant.cloud(&model());
-    let there = format!("{{ kind = \"remote\", peer = \"{}\", model = \"follower\" }}", plant.peer());
+fn python_objects_exchange_arrays_with_one_stage_each() {
+    let testbed = TwoHostTestbed::new(|_| Network::direct());
+    write_modules(testbed.folder());
+    let cloud = testbed.cloud(&model());
+    let there = format!("{{ kind = \"remote\", peer = \"{}\", model = \"follower\" }}", testbed.peer());
     let more = "limit = { iterations = 30 }\nactuator = { kind = \"log\" }\n";
-    let edge = plant.edge(&(drive(&there) + more), &[]);
+    let edge = testbed.edge(&(drive(&there) + more), &[]);
     edge.wait_for("the rig is up");
-    let api = &plant.api;
+    let api = &testbed.api;
     let run = api.finished_run();
 
-    // Every tenth sample failed, with the user's own words; the others went on.
+    // Every tenth sample failed with the user's own message; the others succeeded.
     let detail = api.json(&format!("/api/v1/runs/{run}"));
     assert_eq!(detail["counts"]["failed"], 3, "{detail}");
     assert_eq!(detail["counts"]["ok"], 27, "{detail}");
@@ -28,14 +28,14 @@ fn arrays_go_up_and_each_step_of_the_users_is_a_stage() {
     let said = failed["outcome"].to_string() + &failed["reason"].to_string();
     assert!(said.contains("the path is lost at 10") && said.contains("follower.py"), "{failed}");
 
-    // What the process border costs is told apart, and the sum is whole.
+    // The time between the processes is a stage, and the stages add up to the total.
     let here = ["sensing", "encode", "upload", "download", "actuation"];
     let there = ["queue", "ipc", "preprocessing", "inference", "postprocessing"];
-    api.stages_are_the_total(run, &[&here[..], &there].concat());
+    api.assert_stages_sum_to_total(run, &[&here[..], &there].concat());
     assert!(api.mean(run, "capture-ipc") <= api.mean(run, "capture"));
 
     cloud.wait_for("following on cuda:0");
     assert_eq!(edge.stop().code(), 0);
     assert_eq!(cloud.stop().code(), 0);
-    plant.stop();
+    testbed.stop();
 }

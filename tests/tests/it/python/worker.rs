@@ -1,58 +1,58 @@
-//! The life of the worker beside that of its agent.
+//! Tests of the worker process and its agent.
 
 use std::fs;
 use std::path::PathBuf;
 
-use peernet_tests::{Process, Site, until};
+use peernet_tests::{LoopbackDeployment, Process, until};
 
 use super::{drive, model, write_modules};
 
 const CONFIGURATION: i32 = 78;
 
-/// A site with both modules in its folder, of which the model's is another one if it is given.
-fn site(follower: Option<&str>) -> Site {
-    let site = Site::new();
-    write_modules(site.folder());
+/// Creates a deployment with both modules in its folder; `follower` replaces the model's.
+fn deployment(follower: Option<&str>) -> LoopbackDeployment {
+    let deployment = LoopbackDeployment::new();
+    write_modules(deployment.folder());
     if let Some(text) = follower {
-        fs::write(site.folder().join("follower.py"), text).expect("the temporary folder is writable");
+        fs::write(deployment.folder().join("follower.py"), text).expect("the temporary folder is writable");
     }
-    site
+    deployment
 }
 
-/// An agent that serves the model, and one that asks it, with further keys of its pipeline.
-fn start(site: &Site, keys: &str) -> (Process, Process) {
+/// Starts an agent that serves the model, and one that uses it, with additional keys of its pipeline.
+fn start(deployment: &LoopbackDeployment, keys: &str) -> (Process, Process) {
     let serve = "[serve]\nlisten = \"tcp://127.0.0.1:{data}\"\n";
-    let cloud = site.agent("cloud", &(serve.to_owned() + &model()));
+    let cloud = deployment.agent("cloud", &(serve.to_owned() + &model()));
     let there = drive("{ kind = \"remote\", peer = \"tcp://127.0.0.1:{data}\", model = \"follower\" }");
-    (cloud, site.agent("edge", &(there + keys)))
+    (cloud, deployment.agent("edge", &(there + keys)))
 }
 
-/// The model's process, once there is one.
-fn worker(site: &Site) -> PathBuf {
+/// Returns the folder of the model's process in `/proc`, once the process exists.
+fn worker(deployment: &LoopbackDeployment) -> PathBuf {
     let number = until("the model is there", || {
-        let text = fs::read_to_string(site.folder().join("pid")).ok()?;
+        let text = fs::read_to_string(deployment.folder().join("pid")).ok()?;
         (!text.is_empty()).then_some(text)
     });
     PathBuf::from("/proc").join(number)
 }
 
 #[test]
-fn no_process_stays_behind_when_the_agent_is_killed() {
-    let site = site(None);
-    let (cloud, _edge) = start(&site, "");
-    let worker = worker(&site);
+fn killed_agent_leaves_no_python_process() {
+    let deployment = deployment(None);
+    let (cloud, _edge) = start(&deployment, "");
+    let worker = worker(&deployment);
     assert!(worker.exists());
     cloud.kill();
     until("the worker is gone", || (!worker.exists()).then_some(()));
 }
 
 #[test]
-fn a_check_names_what_is_missing_and_runs_nothing() {
-    let site = site(None);
+fn check_names_missing_parts_without_running_code() {
+    let deployment = deployment(None);
     let broken = model().replace("follower::Follower", "folower::Follower");
     let here = drive("{ kind = \"local\", model = \"follower\" }");
-    site.write("it.toml", &format!("[agent]\nstate_dir = \"{{folder}}/it\"\n{broken}{here}"));
-    let ended = site.peernetd(&["check", "it.toml"]).ended();
+    deployment.write("it.toml", &format!("[agent]\nstate_dir = \"{{folder}}/it\"\n{broken}{here}"));
+    let ended = deployment.peernetd(&["check", "it.toml"]).ended();
     assert_eq!(ended.code(), CONFIGURATION, "{}", ended.log);
     assert!(
         ended.log.contains("model[0]") && ended.log.contains("no Python module folower"),
@@ -60,12 +60,12 @@ fn a_check_names_what_is_missing_and_runs_nothing() {
         ended.log
     );
     assert!(!ended.log.contains("the rig is up"), "{}", ended.log);
-    assert!(!site.folder().join("pid").exists(), "no object was made");
+    assert!(!deployment.folder().join("pid").exists(), "no object was made");
 }
 
 #[test]
-fn a_model_that_dies_is_started_anew() {
-    let site = site(Some(
+fn dead_model_process_is_restarted() {
+    let deployment = deployment(Some(
         "
 import os
 class Follower:
@@ -75,10 +75,10 @@ class Follower:
         return 0
 ",
     ));
-    let (_aggregator, api) = site.aggregator();
-    let (cloud, edge) = start(&site, "limit = { total = 12 }\n");
+    let (_aggregator, api) = deployment.aggregator();
+    let (cloud, edge) = start(&deployment, "limit = { total = 12 }\n");
     let run = api.finished_run();
-    // The call in which it died is the only one that has no answer.
+    // Only the call in which it died has no answer.
     let counts = api.json(&format!("/api/v1/runs/{run}"))["counts"].clone();
     assert_eq!((counts["ok"].as_u64(), counts["failed"].as_u64()), (Some(11), Some(1)), "{counts}");
     cloud.wait_for("started anew");
@@ -87,8 +87,8 @@ class Follower:
 }
 
 #[test]
-fn a_model_that_hangs_holds_up_neither_iterations_nor_the_end() {
-    let site = site(Some(
+fn hanging_model_delays_neither_iterations_nor_stop() {
+    let deployment = deployment(Some(
         "
 import os, time
 open('pid', 'w').write(str(os.getpid()))
@@ -98,10 +98,10 @@ class Follower:
         time.sleep(600)
 ",
     ));
-    let (_aggregator, api) = site.aggregator();
-    let (cloud, edge) = start(&site, "timeout_ms = 300\n");
+    let (_aggregator, api) = deployment.aggregator();
+    let (cloud, edge) = start(&deployment, "timeout_ms = 300\n");
     cloud.wait_for("hanging");
-    let worker = worker(&site);
+    let worker = worker(&deployment);
     api.until("/api/v1/runs", |runs| (runs["runs"][0]["counts"]["timeout"].as_u64() > Some(2)).then_some(()));
     edge.stop();
     cloud.stop();

@@ -1,69 +1,69 @@
-//! Sums that must agree at rest, wherever they are read.
+//! Test that all counts agree at rest, wherever they are read.
 
 use std::collections::BTreeMap;
 
 use peernet_tests::fleet::{echo, edge};
-use peernet_tests::{Account, Fleet, measured, thousands, until};
+use peernet_tests::{EventCounts, Fleet, measured, thousands, until};
 
 use super::turn;
 
 #[test]
-fn at_rest_everything_produced_is_stored_or_counted_as_dropped_wherever_one_looks() {
+fn produced_events_are_stored_or_counted_as_dropped() {
     let _turn = turn();
-    // A spool too small for what is measured while nobody takes it, and hardly large enough while somebody does.
+    // The spool is too small for what is measured without an aggregator, and hardly large enough with one.
     let small = edge("queue_events = 2000", "[spool]\nlimit_bytes = 1048576\n");
     let mut fleet = Fleet::new(&["edge-1", "edge-2"], &(small + &echo("loop", "")));
     fleet.start_all();
     for agent in 0..2 {
-        fleet.account(agent, "something is stored", |account| account.events > 100);
+        fleet.counts(agent, "something is stored", |counts| counts.events > 100);
     }
     fleet.aggregator.stop();
-    fleet.aggregator_returns();
-    let accounts: Vec<Account> = (0..2)
+    fleet.restart_aggregator();
+    let accounts: Vec<EventCounts> = (0..2)
         .map(|agent| {
-            fleet.account(agent, "drops are told", |account| account.dropped > 0);
+            fleet.counts(agent, "drops are told", |counts| counts.dropped > 0);
             fleet.agents[agent].stop();
             fleet.deliver(agent)
         })
         .collect();
 
-    // The agent's word, the aggregator's, and the metrics.
-    for (agent, account) in fleet.agents.iter().zip(&accounts) {
-        account.balances();
-        assert_eq!((account.waiting, account.missing), (0, account.dropped), "{account:?}");
+    // The counts of the agent, of the aggregator, and of the metrics.
+    for (agent, counts) in fleet.agents.iter().zip(&accounts) {
+        counts.assert_balanced();
+        assert_eq!((counts.waiting, counts.missing), (0, counts.dropped), "{counts:?}");
         let expected = [
-            ("peernet_host_produced_events_total", account.produced),
-            ("peernet_host_acknowledged_events_total", account.stored),
-            ("peernet_host_waiting_events", account.waiting),
-            ("peernet_host_dropped_events_total", account.dropped),
-            ("peernet_host_stored_events_total", account.events),
-            ("peernet_host_missing_events_total", account.missing),
+            ("peernet_host_produced_events_total", counts.produced),
+            ("peernet_host_acknowledged_events_total", counts.stored),
+            ("peernet_host_waiting_events", counts.waiting),
+            ("peernet_host_dropped_events_total", counts.dropped),
+            ("peernet_host_stored_events_total", counts.events),
+            ("peernet_host_missing_events_total", counts.missing),
         ];
         until("the metrics agree", || {
             let metrics = metrics_of(&fleet, &agent.name);
             expected.iter().all(|(name, value)| metrics.get(*name) == Some(value)).then_some(())
         });
     }
-    // The tables.
-    let ledger = fleet.stop();
-    for (agent, account) in fleet.agents.iter().zip(&accounts) {
-        let host = &ledger.hosts[&agent.name];
-        assert_eq!(host.missing, account.dropped, "{host:?}, {account:?}");
-        assert!(host.events >= account.stored && host.quarantined == 0, "{host:?}, {account:?}");
-        assert_eq!(ledger.lacks(agent.spooled()), 0);
+    // The counts of the tables.
+    let stored_events = fleet.stop();
+    for (agent, counts) in fleet.agents.iter().zip(&accounts) {
+        let host = &stored_events.hosts[&agent.name];
+        assert_eq!(host.missing, counts.dropped, "{host:?}, {counts:?}");
+        assert!(host.events >= counts.stored && host.quarantined == 0, "{host:?}, {counts:?}");
+        assert_eq!(stored_events.count_missing(agent.spooled()), 0);
         measured(
             &format!("accounting, {}", agent.name),
             &[
-                ("produced", thousands(account.produced as f64)),
-                ("stored", thousands(account.stored as f64)),
-                ("dropped", thousands(account.dropped as f64)),
-                ("gaps", thousands(account.gaps as f64)),
+                ("produced", thousands(counts.produced as f64)),
+                ("stored", thousands(counts.stored as f64)),
+                ("dropped", thousands(counts.dropped as f64)),
+                ("gaps", thousands(counts.gaps as f64)),
             ],
         );
     }
 }
 
-/// What the metrics say of a host.
+/// Returns the metrics of a host.
 fn metrics_of(fleet: &Fleet, host: &str) -> BTreeMap<String, u64> {
     let (_, text) = fleet.api.get("/metrics").expect("the aggregator answers");
     let label = format!("host=\"{host}\"");

@@ -1,18 +1,18 @@
-//! A full disk under the database.
+//! Test of a full disk under the database.
 
 use peernet_tests::fleet::{echo, edge, rate};
 use peernet_tests::{Fleet, SmallDisk, measured, thousands, until};
 
-use super::{nothing_lost, turn};
+use super::{assert_nothing_lost, turn};
 
 #[test]
-fn a_full_disk_stops_the_storing_but_not_the_picture_and_nothing_is_lost() {
+fn full_database_disk_stops_storing_without_loss() {
     let _turn = turn();
     let disk = SmallDisk::new(48 << 20);
     let database = disk.folder().join("aggregator.sqlite").display().to_string();
     let mut fleet = Fleet::storing_in(&database, &["edge"], &edge("", &echo("loop", &rate(500.0))));
     fleet.start(0);
-    fleet.account(0, "something is stored", |account| account.events > 100);
+    fleet.counts(0, "something is stored", |counts| counts.events > 100);
 
     disk.fill();
     let words = until("not ready", || {
@@ -21,36 +21,36 @@ fn a_full_disk_stops_the_storing_but_not_the_picture_and_nothing_is_lost() {
     assert!(words.contains("full"), "why: {words}");
     let (status, page) = fleet.api.get("/").expect("the dashboard answers");
     assert!(status == 200 && page.contains("full"), "the page says so: {page}");
-    // The picture goes on by seconds that began after it.
+    // The live state contains seconds that began after the disk was full.
     let second = || {
         let pipeline = fleet.api.json("/api/v1/pipelines/edge/loop");
         pipeline["seconds"].as_array().and_then(|seconds| seconds.last()?["at"].as_i64())
     };
     let at = second().expect("it measures");
     until("newer figures", || second().filter(|now| *now > at + 1));
-    let kept = fleet.account(0, "events wait", |account| account.waiting > 400);
+    let kept = fleet.counts(0, "events wait", |counts| counts.waiting > 400);
     assert_eq!(kept.dropped, 0, "{kept:?}");
 
     disk.free();
     until("ready", || fleet.api.get("/readyz").filter(|(status, _)| *status == 200));
-    fleet.account(0, "what waited is stored", |account| account.events > kept.events + kept.waiting);
+    fleet.counts(0, "what waited is stored", |counts| counts.events > kept.events + kept.waiting);
     let outage = fleet.api.until("/api/v1/incidents", |list| {
         let storage = list["incidents"].as_array()?.iter().find(|incident| incident["kind"] == "storage")?;
         storage["text"].as_str().map(str::to_owned)
     });
     assert!(outage.starts_with("nothing could be stored for ") && outage.contains("full"), "{outage}");
     fleet.agents[0].stop();
-    let account = fleet.deliver(0);
-    account.balances();
-    let ledger = fleet.stop();
-    let spooled = nothing_lost(&fleet, &ledger);
+    let counts = fleet.deliver(0);
+    counts.assert_balanced();
+    let stored_events = fleet.stop();
+    let spooled = assert_nothing_lost(&fleet, &stored_events);
     let number = |count: u64| thousands(count as f64);
     measured(
         "full disk, database",
         &[
             ("events that waited, at least", number(kept.waiting)),
             ("iterations reported as spooled", number(spooled)),
-            ("iterations stored", number(ledger.iterations())),
+            ("iterations stored", number(stored_events.iterations())),
         ],
     );
 }

@@ -1,31 +1,31 @@
-//! Peers that send whatever they like to a real aggregator, with a good agent beside them.
+//! Tests of peers that send invalid messages to a real aggregator, while a normal agent is connected.
 
 use peernet_stream::{ToAgent, ToAggregator, codec};
 use peernet_tests::fleet::{echo, edge, rate};
-use peernet_tests::{Chance, Fleet, Introduced, Stranger, measured, thousands, until};
+use peernet_tests::{Fleet, InventedHost, MisbehavingPeer, TestRng, measured, thousands, until};
 
-use super::{nothing_lost, turn};
+use super::{assert_nothing_lost, turn};
 
-/// A fleet whose agent measures meanwhile.
-fn beside_an_agent() -> Fleet {
+/// Starts a fleet whose agent measures meanwhile.
+fn with_agent() -> Fleet {
     let mut fleet = Fleet::new(&["edge"], &edge("", &echo("loop", &rate(200.0))));
     fleet.start(0);
-    fleet.account(0, "something is stored", |account| account.events > 0);
+    fleet.counts(0, "something is stored", |counts| counts.events > 0);
     fleet
 }
 
-/// The agent beside lost nothing, and the aggregator ends well.
-fn nobody_was_harmed(mut fleet: Fleet) -> u64 {
-    let seen = fleet.account(0, "it is there", |_| true);
-    fleet.account(0, "more is stored", |account| account.events > seen.events + 100);
+/// Checks that the normal agent lost nothing and that the aggregator exits with 0.
+fn assert_nobody_was_harmed(mut fleet: Fleet) -> u64 {
+    let seen = fleet.counts(0, "it is there", |_| true);
+    fleet.counts(0, "more is stored", |counts| counts.events > seen.events + 100);
     fleet.agents[0].stop();
-    fleet.deliver(0).balances();
-    let mut ledger = fleet.stop();
-    ledger.hosts.retain(|name, _| name == "edge");
-    nothing_lost(&fleet, &ledger)
+    fleet.deliver(0).assert_balanced();
+    let mut stored_events = fleet.stop();
+    stored_events.hosts.retain(|name, _| name == "edge");
+    assert_nothing_lost(&fleet, &stored_events)
 }
 
-/// The sum of a counter over all its labels, by the start of its name.
+/// Returns the sum of a counter over all its labels, by the beginning of its name.
 fn counter(fleet: &Fleet, name: &str) -> u64 {
     let (status, text) = fleet.api.get("/metrics").expect("the aggregator answers");
     assert_eq!(status, 200, "{text}");
@@ -35,51 +35,51 @@ fn counter(fleet: &Fleet, name: &str) -> u64 {
 }
 
 #[test]
-fn frames_that_are_cut_or_flipped_are_refused_and_counted() {
+fn damaged_frames_are_refused_and_counted() {
     let _turn = turn();
-    let mut chance = Chance::new("damaged frames");
-    let fleet = beside_an_agent();
-    let stranger = Stranger::at(fleet.site.events);
-    let mut host = Introduced::new("stranger", &mut chance);
-    host.enter(&stranger);
-    stranger.send(&host.batch(10));
-    stranger.hear_ack(1);
+    let mut rng = TestRng::new("damaged frames");
+    let fleet = with_agent();
+    let misbehaving_peer = MisbehavingPeer::at(fleet.deployment.events);
+    let mut host = InventedHost::new("stranger", &mut rng);
+    host.open_session(&misbehaving_peer);
+    misbehaving_peer.send(&host.batch(10));
+    misbehaving_peer.wait_for_ack(1);
 
-    // Neither pieces of messages nor noise are messages.
+    // Neither parts of messages nor noise are valid messages.
     let hello = codec::encode(&ToAggregator::Hello(host.hello.clone()));
     let next = host.batch(10);
     let mut sent = 0;
     for _ in 0..300 {
-        let whole = if chance.once_in(2) { &hello } else { &next };
-        let mut frame = whole[..chance.below(whole.len())].to_vec();
-        if chance.once_in(3) {
-            frame.iter_mut().for_each(|byte| *byte = chance.bits() as u8);
+        let whole = if rng.once_in(2) { &hello } else { &next };
+        let mut frame = whole[..rng.below(whole.len())].to_vec();
+        if rng.once_in(3) {
+            frame.iter_mut().for_each(|byte| *byte = rng.bits() as u8);
         }
-        stranger.send(&frame);
+        misbehaving_peer.send(&frame);
         sent += 1;
     }
-    // Whatever was made of them, the batch itself comes through: it may have to be introduced again.
-    host.enter(&stranger);
-    stranger.send(&next);
-    stranger.hear_ack(2);
+    // Afterwards the batch itself is accepted, perhaps after another hello.
+    host.open_session(&misbehaving_peer);
+    misbehaving_peer.send(&next);
+    misbehaving_peer.wait_for_ack(2);
 
-    // Each bit of a batch that is turned round is noticed, in whatever part of it.
+    // Each flipped bit of a batch is noticed, in any part of it.
     for _ in 0..300 {
         let mut frame = next.clone();
-        let at = chance.below(frame.len());
-        frame[at] ^= 1 << chance.below(8);
-        stranger.send(&frame);
+        let at = rng.below(frame.len());
+        frame[at] ^= 1 << rng.below(8);
+        misbehaving_peer.send(&frame);
         sent += 1;
     }
-    stranger.greet(&host, |said| matches!(said, ToAgent::Welcome { stored: 2, .. }));
+    misbehaving_peer.send_hello_until(&host, |said| matches!(said, ToAgent::Welcome { stored: 2, .. }));
     until("it is counted", || {
         (counter(&fleet, "peernet_aggregator_damaged_batches_total") > 0).then_some(())
     });
     let damaged = counter(&fleet, "peernet_aggregator_damaged_batches_total");
     let told = fleet.aggregator.process().wait_for("messages were not taken");
     assert!(told.contains("unreadable="), "{told}");
-    stranger.say(&ToAggregator::Goodbye(host.hello.host.id));
-    let spooled = nobody_was_harmed(fleet);
+    misbehaving_peer.say(&ToAggregator::Goodbye(host.hello.host.id));
+    let spooled = assert_nobody_was_harmed(fleet);
     measured(
         "damaged frames",
         &[
@@ -91,112 +91,113 @@ fn frames_that_are_cut_or_flipped_are_refused_and_counted() {
 }
 
 #[test]
-fn a_batch_that_is_wrong_in_itself_is_put_aside_and_the_stream_goes_on() {
+fn invalid_batch_is_quarantined_and_stream_continues() {
     let _turn = turn();
-    let mut chance = Chance::new("wrong batches");
-    let fleet = beside_an_agent();
-    let stranger = Stranger::at(fleet.site.events);
-    let mut host = Introduced::new("stranger", &mut chance);
-    host.enter(&stranger);
+    let mut rng = TestRng::new("wrong batches");
+    let fleet = with_agent();
+    let misbehaving_peer = MisbehavingPeer::at(fleet.deployment.events);
+    let mut host = InventedHost::new("stranger", &mut rng);
+    host.open_session(&misbehaving_peer);
 
-    // Correctly hashed, but noise, too few, too many, and more than it may be.
-    let noise: Vec<u8> = (0..10_000).map(|_| chance.bits() as u8).collect();
+    // Correctly hashed, but noise, too few events, too many events, or longer than permitted.
+    let noise: Vec<u8> = (0..10_000).map(|_| rng.bits() as u8).collect();
     let event = host.clone().batch(1).split_off(0);
     let wrong = [(7, noise.clone(), false), (u32::MAX, noise, true), (3, event, false), (0, vec![], false)];
     for (number, (events, body, compress)) in (1..).zip(wrong) {
         let batch = host.batch_of(events, &body, compress);
-        stranger.send(&batch);
-        stranger.hear_ack(number);
+        misbehaving_peer.send(&batch);
+        misbehaving_peer.wait_for_ack(number);
     }
-    stranger.send(&host.batch(10));
-    stranger.hear_ack(5);
-    // Its bytes are not what its hash says, however often it comes.
+    misbehaving_peer.send(&host.batch(10));
+    misbehaving_peer.wait_for_ack(5);
+    // The bytes never match their hash, however often they are sent.
     let mut damaged = host.batch(10);
     let last = damaged.len() - 1;
     damaged[last] ^= 1;
     for _ in 0..8 {
-        stranger.send(&damaged);
+        misbehaving_peer.send(&damaged);
     }
-    stranger.hear_ack(6);
-    // Zeros that take four thousand times the room when they are unpacked.
-    stranger.send(&host.batch_of(9, &vec![0; 64 << 20], true));
-    stranger.send(&host.batch(10));
+    misbehaving_peer.wait_for_ack(6);
+    // Zeros whose unpacked size is four thousand times the packed one.
+    misbehaving_peer.send(&host.batch_of(9, &vec![0; 64 << 20], true));
+    misbehaving_peer.send(&host.batch(10));
     let stored = until("what is stored", || {
-        let stranger = fleet.api.json("/api/v1/hosts/stranger");
-        let quarantined = stranger["stored"]["quarantined"].as_u64()?;
-        (quarantined >= 4).then(|| stranger["stored"].clone())
+        let misbehaving_peer = fleet.api.json("/api/v1/hosts/stranger");
+        let quarantined = misbehaving_peer["stored"]["quarantined"].as_u64()?;
+        (quarantined >= 4).then(|| misbehaving_peer["stored"].clone())
     });
     assert!(stored["gaps"].as_u64() >= Some(4), "{stored}");
-    // What a batch claims to hold is not believed when it cannot be.
+    // An impossible number of events in a batch is not believed.
     assert!(stored["missing"].as_u64() < Some(1_000), "{stored}");
-    nobody_was_harmed(fleet);
+    assert_nobody_was_harmed(fleet);
 }
 
 #[test]
-fn batches_of_another_host_are_not_taken_and_repeated_ones_not_twice() {
+fn foreign_batches_are_refused_and_repeated_ones_ignored() {
     let _turn = turn();
-    let mut chance = Chance::new("replayed batches");
-    let fleet = beside_an_agent();
-    let (own, other) = (Stranger::at(fleet.site.events), Stranger::at(fleet.site.events));
-    let mut host = Introduced::new("victim", &mut chance);
-    host.enter(&own);
+    let mut rng = TestRng::new("replayed batches");
+    let fleet = with_agent();
+    let (own, other) =
+        (MisbehavingPeer::at(fleet.deployment.events), MisbehavingPeer::at(fleet.deployment.events));
+    let mut host = InventedHost::new("victim", &mut rng);
+    host.open_session(&own);
     let batches: Vec<Vec<u8>> = (0..5).map(|_| host.batch(20)).collect();
     batches[..4].iter().for_each(|batch| own.send(batch));
-    own.hear_ack(4);
+    own.wait_for_ack(4);
 
-    // Overheard and sent by somebody else: old ones and the next.
+    // Batches of another host, recorded and sent again: old ones and the next one.
     for batch in &batches {
         other.send(batch);
-        other.hear_until(|said| (*said == ToAgent::Unknown).then_some(()));
+        other.receive_until(|said| (*said == ToAgent::Unknown).then_some(()));
     }
-    // In his own name, in the victim's name, with the victim's stream.
-    let mut thief = Introduced::new("thief", &mut chance);
+    // A hello with its own name, with the victim's name, and with the victim's stream.
+    let mut thief = InventedHost::new("thief", &mut rng);
     thief.hello.stream = host.hello.stream;
-    let words = thief.is_refused(&other);
+    let words = thief.expect_refusal(&other);
     assert!(words.contains(&host.hello.host.id.to_string()), "{words}");
-    let mut impostor = Introduced::new("victim", &mut chance);
-    let words = impostor.is_refused(&other);
+    let mut impostor = InventedHost::new("victim", &mut rng);
+    let words = impostor.expect_refusal(&other);
     assert!(words.contains("name"), "{words}");
     impostor.hello.host.name = "impostor".parse().expect("a name");
-    impostor.enter(&other);
+    impostor.open_session(&other);
     batches.iter().for_each(|batch| other.send(batch));
 
-    // The host itself may repeat as it likes.
+    // The host itself may repeat batches.
     for batch in batches.iter().chain(&batches) {
         own.send(batch);
     }
-    own.hear_ack(5);
+    own.wait_for_ack(5);
     let stored = until("all is stored and duplicates are counted", || {
         let victim = fleet.api.json("/api/v1/hosts/victim");
         let stored = &victim["stored"];
-        // Repeats show at once, what is new with the next picture after its commit.
+        // Repeated batches are visible at once, new ones with the first live update after their commit.
         let all = stored["duplicates"].as_u64()? >= 8 && stored["events"].as_u64()? >= 100;
         all.then(|| stored.clone())
     });
     assert_eq!((stored["events"].as_u64(), stored["gaps"].as_u64()), (Some(100), Some(0)), "{stored}");
-    nobody_was_harmed(fleet);
+    assert_nobody_was_harmed(fleet);
 }
 
 #[test]
-fn a_storm_of_hellos_keeps_no_agent_out() {
+fn hello_flood_excludes_no_agent() {
     let _turn = turn();
-    let mut chance = Chance::new("hello storm");
-    let fleet = beside_an_agent();
-    let stranger = Stranger::at(fleet.site.events);
-    // More hosts than one connection may speak for.
+    let mut rng = TestRng::new("hello storm");
+    let fleet = with_agent();
+    let misbehaving_peer = MisbehavingPeer::at(fleet.deployment.events);
+    // More hosts than one connection may represent.
     for n in 0..200 {
-        let one = Introduced::new(&format!("crowd-{n}"), &mut chance);
+        let one = InventedHost::new(&format!("crowd-{n}"), &mut rng);
         let welcome_or_not =
             |said: &ToAgent| matches!(said, ToAgent::Welcome { .. } | ToAgent::Refused { .. });
-        stranger.greet(&one, welcome_or_not);
+        misbehaving_peer.send_hello_until(&one, welcome_or_not);
     }
-    let words = Introduced::new("one-more", &mut chance).is_refused(&stranger);
+    let words = InventedHost::new("one-more", &mut rng).expect_refusal(&misbehaving_peer);
     assert!(words.contains("connection"), "{words}");
-    // Many connections, many with the good agent's name, wrong versions, and long stories.
-    let crowd: Vec<Stranger> = (0..60).map(|_| Stranger::at(fleet.site.events)).collect();
+    // Many connections, many with the normal agent's name, wrong versions, and long texts.
+    let crowd: Vec<MisbehavingPeer> = (0..60).map(|_| MisbehavingPeer::at(fleet.deployment.events)).collect();
     for (n, one) in crowd.iter().enumerate() {
         let name = if n % 2 == 0 { "edge" } else { "somebody" };
-        let mut hello = Introduced::new(name, &mut chance).hello;
+        let mut hello = InventedHost::new(name, &mut rng).hello;
         match n % 3 {
             0 => hello.protocol = u16::MAX,
             1 => hello.host.hardware.cpu = "x".repeat(3 << 20),
@@ -206,12 +207,12 @@ fn a_storm_of_hellos_keeps_no_agent_out() {
             one.say(&ToAggregator::Hello(hello.clone()));
         }
     }
-    let words = crowd[0].hear_refusal();
+    let words = crowd[0].wait_for_refusal();
     assert!(words.contains("version"), "{words}");
     until("refusals are shown", || {
         let hosts = fleet.api.json("/api/v1/hosts");
         (!hosts["refused"].as_array()?.is_empty()).then_some(())
     });
     until("refusals are counted", || (counter(&fleet, "peernet_aggregator_refused_hosts") > 0).then_some(()));
-    nobody_was_harmed(fleet);
+    assert_nobody_was_harmed(fleet);
 }

@@ -1,4 +1,4 @@
-//! Databases that were restored, spools that were copied or deleted: recognised, never merged wrongly.
+//! Tests of restored databases and of copied or deleted spools: they are recognised and never merged wrongly.
 
 use std::path::Path;
 
@@ -6,9 +6,9 @@ use peernet_tests::fleet::{echo, edge, edge_in, rate};
 use peernet_tests::truth::ask;
 use peernet_tests::{Daemon, Fleet, measured, thousands};
 
-use super::{nothing_lost, turn};
+use super::{assert_nothing_lost, turn};
 
-/// Copies a folder with all files in it.
+/// Copies a folder with all its files.
 fn copy(from: &Path, to: &Path) {
     std::fs::create_dir_all(to).expect("the temporary folder is writable");
     for entry in std::fs::read_dir(from).expect("the folder is there") {
@@ -17,15 +17,17 @@ fn copy(from: &Path, to: &Path) {
     }
 }
 
-/// Lets an agent stop measuring and deliver what is left.
-fn nothing_waits(fleet: &mut Fleet, agent: usize) {
+/// Stops an agent's measurement and waits until everything is delivered.
+fn stop_measuring_and_deliver(fleet: &mut Fleet, agent: usize) {
     fleet.agents[agent].stop();
-    let since = fleet.idle(agent);
-    fleet.account(agent, "nothing waits", |account| account.seen > since && account.waiting == 0).balances();
+    let since = fleet.start_without_pipelines(agent);
+    fleet
+        .counts(agent, "nothing waits", |counts| counts.seen > since && counts.waiting == 0)
+        .assert_balanced();
 }
 
-/// Kills the aggregator, and some batches later the agent: they wait in its spool.
-fn killed_with_batches(fleet: &mut Fleet) {
+/// Kills the aggregator, and some batches later the agent, so that these batches wait in its spool.
+fn kill_with_batches(fleet: &mut Fleet) {
     fleet.aggregator.kill();
     let spooled = fleet.agents[0].process().log().matches("spooled batch=").count();
     fleet.agents[0].process().wait_for_nth("spooled batch=", spooled + 5);
@@ -33,34 +35,34 @@ fn killed_with_batches(fleet: &mut Fleet) {
 }
 
 #[test]
-fn a_database_restored_from_an_older_copy_shows_the_hole_and_goes_on() {
+fn restored_database_records_gap_and_continues() {
     let _turn = turn();
     let mut fleet = Fleet::new(&["edge"], &edge("", &echo("loop", &rate(500.0))));
     fleet.start(0);
-    fleet.account(0, "something is stored", |account| account.events > 500);
+    fleet.counts(0, "something is stored", |counts| counts.events > 500);
     let store = fleet.database().parent().expect("a folder of its own").to_owned();
-    let backup = fleet.site.folder().join("backup");
+    let backup = fleet.deployment.folder().join("backup");
     fleet.aggregator.stop();
     copy(&store, &backup);
-    let older = fleet.ledger();
+    let older = fleet.stored_events();
 
-    fleet.aggregator_returns();
-    let before = fleet.account(0, "it is back", |_| true);
-    fleet.account(0, "more is stored", |account| account.stored > before.stored + 1_000);
+    fleet.restart_aggregator();
+    let before = fleet.counts(0, "it is back", |_| true);
+    fleet.counts(0, "more is stored", |counts| counts.stored > before.stored + 1_000);
     fleet.aggregator.stop();
-    let newer = fleet.ledger();
+    let newer = fleet.stored_events();
     std::fs::remove_dir_all(&store).expect("the aggregator has stopped");
     copy(&backup, &store);
 
-    fleet.aggregator_returns();
-    fleet.account(0, "newer batches are stored", |account| account.events > older.iterations() + 1_000);
-    nothing_waits(&mut fleet, 0);
-    let ledger = fleet.stop();
-    let (host, run) = (&ledger.hosts["edge"], ledger.runs.values().next().expect("one run"));
+    fleet.restart_aggregator();
+    fleet.counts(0, "newer batches are stored", |counts| counts.events > older.iterations() + 1_000);
+    stop_measuring_and_deliver(&mut fleet, 0);
+    let stored_events = fleet.stop();
+    let (host, run) = (&stored_events.hosts["edge"], stored_events.runs.values().next().expect("one run"));
     assert_eq!((host.gaps, host.streams, host.quarantined), (1, 1, 0), "{host:?}");
-    assert_eq!((ledger.runs.len(), run.ranges.len()), (1, 2), "one hole: {run:?}");
+    assert_eq!((stored_events.runs.len(), run.ranges.len()), (1, 2), "one hole: {run:?}");
     assert_eq!(run.reason, "stopped");
-    // It begins where the copy ended, and is no longer than what the lost database had.
+    // The gap begins where the copy ended, and is not longer than the lost part of the database.
     assert_eq!(run.ranges[0], 1..=older.iterations());
     assert!(*run.ranges[1].start() <= newer.iterations() + 1, "{run:?}, {newer:?}");
     let why = ask(fleet.database(), "SELECT reason FROM gap");
@@ -70,95 +72,93 @@ fn a_database_restored_from_an_older_copy_shows_the_hole_and_goes_on() {
         "restored database",
         &[
             ("iterations missing by the hole", thousands((last - first + 1) as f64)),
-            ("stored before and after", thousands(ledger.iterations() as f64)),
+            ("stored before and after", thousands(stored_events.iterations() as f64)),
             ("gap", why.trim().to_owned()),
         ],
     );
 }
 
 #[test]
-fn a_copied_state_folder_is_refused_while_the_first_lives_and_is_a_stream_of_its_own_later() {
+fn copied_state_folder_starts_new_stream_after_refusal() {
     let _turn = turn();
     let configuration = edge("", &echo("loop", &rate(200.0)));
     let mut fleet = Fleet::new(&["edge"], &configuration);
     fleet.start(0);
-    fleet.account(0, "something is stored", |account| account.events > 100);
-    // The copy holds what the first will have delivered by itself by the time the copy comes to it.
-    killed_with_batches(&mut fleet);
-    let folder = fleet.site.folder();
+    fleet.counts(0, "something is stored", |counts| counts.events > 100);
+    // The copied spool contains batches that the first agent delivers before the copy connects.
+    kill_with_batches(&mut fleet);
+    let folder = fleet.deployment.folder();
     copy(&folder.join("edge"), &folder.join("copy"));
-    fleet.aggregator_returns();
+    fleet.restart_aggregator();
     fleet.start(0);
-    fleet.account(0, "it delivers", |account| account.waiting < 100);
+    fleet.counts(0, "it delivers", |counts| counts.waiting < 100);
 
     let copied = edge_in("{folder}/copy", "", &echo("loop", &rate(200.0))).replace("NAME", "copy");
-    let mut copy = Daemon::started(&fleet.site, "copy", &copied);
+    let mut copy = Daemon::started(&fleet.deployment, "copy", &copied);
     let said = copy.process().wait_for("refused");
     assert!(said.contains("another agent with the host id"), "{said}");
     copy.stop();
-    fleet.account(0, "the first goes on", |account| account.waiting < 100);
+    fleet.counts(0, "the first goes on", |counts| counts.waiting < 100);
     fleet.agents[0].stop();
-    fleet.deliver(0).balances();
+    fleet.deliver(0).assert_balanced();
     fleet.agents[0].stop();
 
-    copy.start(&fleet.site);
+    copy.start(&fleet.deployment);
     copy.process().wait_for("new stream");
     fleet.agents.push(copy);
-    fleet.account(1, "what the copy measures is stored", |account| {
-        account.waiting < 100 && account.stored > 500
-    });
-    nothing_waits(&mut fleet, 1);
-    let ledger = fleet.stop();
-    assert_eq!(ledger.lacks(fleet.agents[0].spooled()), 0, "{ledger:?}");
-    assert_eq!(ledger.lacks(fleet.agents[1].spooled()), 0, "{ledger:?}");
+    fleet.counts(1, "what the copy measures is stored", |counts| counts.waiting < 100 && counts.stored > 500);
+    stop_measuring_and_deliver(&mut fleet, 1);
+    let stored_events = fleet.stop();
+    assert_eq!(stored_events.count_missing(fleet.agents[0].spooled()), 0, "{stored_events:?}");
+    assert_eq!(stored_events.count_missing(fleet.agents[1].spooled()), 0, "{stored_events:?}");
     let streams = ask(fleet.database(), "SELECT count(*) FROM stream");
-    assert_eq!(streams.trim(), "2", "the copy goes on in a stream of its own: {ledger:?}");
-    for (id, run) in &ledger.runs {
-        assert!(run.is_whole(), "run {id}: {run:?}");
+    assert_eq!(streams.trim(), "2", "the copy goes on in a stream of its own: {stored_events:?}");
+    for (id, run) in &stored_events.runs {
+        assert!(run.is_contiguous(), "run {id}: {run:?}");
     }
 }
 
 #[test]
-fn a_deleted_spool_is_a_new_stream_and_a_gap() {
+fn deleted_spool_causes_new_stream_and_gap() {
     let _turn = turn();
     let mut fleet = Fleet::new(&["edge"], &edge("", &echo("loop", &rate(200.0))));
     fleet.start(0);
-    fleet.account(0, "something is stored", |account| account.events > 100);
-    killed_with_batches(&mut fleet);
-    for entry in std::fs::read_dir(fleet.site.folder().join("edge")).expect("the state is there") {
+    fleet.counts(0, "something is stored", |counts| counts.events > 100);
+    kill_with_batches(&mut fleet);
+    for entry in std::fs::read_dir(fleet.deployment.folder().join("edge")).expect("the state is there") {
         let path = entry.expect("readable").path();
         if path.file_name().is_some_and(|name| name.to_string_lossy().starts_with("spool.sqlite")) {
             std::fs::remove_file(path).expect("deleted");
         }
     }
-    fleet.aggregator_returns();
+    fleet.restart_aggregator();
     fleet.start(0);
-    fleet.account(0, "a gap", |account| account.missing > 0 || account.events > 300);
-    nothing_waits(&mut fleet, 0);
-    let mut ledger = fleet.stop();
-    let host = ledger.hosts.get_mut("edge").expect("stored");
+    fleet.counts(0, "a gap", |counts| counts.missing > 0 || counts.events > 300);
+    stop_measuring_and_deliver(&mut fleet, 0);
+    let mut stored_events = fleet.stop();
+    let host = stored_events.hosts.get_mut("edge").expect("stored");
     assert_eq!((host.streams, host.gaps, host.quarantined), (2, 1, 0), "{host:?}");
     let why = ask(fleet.database(), "SELECT reason FROM gap");
     assert!(why.contains("spool"), "{why}");
-    // Apart from the hole, which is in the run that was killed, nothing is amiss.
+    // Apart from the gap, which is in the run that was killed, everything is right.
     host.gaps = 0;
-    assert_eq!(ledger.runs.len(), 2, "{ledger:?}");
-    assert!(ledger.runs.values().all(|run| run.is_whole()), "{ledger:?}");
+    assert_eq!(stored_events.runs.len(), 2, "{stored_events:?}");
+    assert!(stored_events.runs.values().all(|run| run.is_contiguous()), "{stored_events:?}");
 }
 
 #[test]
-fn two_agents_in_one_folder_are_one_too_many() {
+fn second_agent_in_state_folder_is_refused() {
     let _turn = turn();
     let mut fleet = Fleet::new(&["edge"], &edge("", &echo("loop", &rate(100.0))));
     fleet.start(0);
-    fleet.account(0, "something is stored", |account| account.events > 0);
+    fleet.counts(0, "something is stored", |counts| counts.events > 0);
     let second = edge_in("{folder}/edge", "", "").replace("NAME", "second");
-    fleet.site.write("second.toml", &second);
-    let ended = fleet.site.start("second.toml").ended();
+    fleet.deployment.write("second.toml", &second);
+    let ended = fleet.deployment.start("second.toml").ended();
     assert_eq!(ended.code(), 69, "{}", ended.log);
     assert!(ended.log.contains("another agent uses"), "{}", ended.log);
     fleet.agents[0].stop();
-    fleet.deliver(0).balances();
-    let ledger = fleet.stop();
-    nothing_lost(&fleet, &ledger);
+    fleet.deliver(0).assert_balanced();
+    let stored_events = fleet.stop();
+    assert_nothing_lost(&fleet, &stored_events);
 }

@@ -1,7 +1,7 @@
-//! The event stream between real processes: what was spooled is stored once, whatever happens to whom.
+//! Tests of the event stream between real processes: spooled events are stored once, whichever process fails.
 //!
-//! `make soak` runs the same tests longer (`PEERNET_KILLS`, `PEERNET_OUTAGE_ITERATIONS`, `PEERNET_OUTAGE_HZ`) and holds
-//! them to more (`PEERNET_LAG_MS`, `PEERNET_CATCH_UP` in nodes per second). Each test prints what it counted.
+//! `make soak` runs the same tests for longer (`PEERNET_KILLS`, `PEERNET_OUTAGE_ITERATIONS`, `PEERNET_OUTAGE_HZ`) and
+//! with stricter limits (`PEERNET_LAG_MS`, `PEERNET_CATCH_UP` in nodes per second). Each test prints its counts.
 
 mod accounting;
 mod database_full;
@@ -16,16 +16,17 @@ mod versions;
 
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
-use peernet_tests::{Fleet, Ledger};
+use peernet_tests::{Fleet, StoredEvents};
 
-/// These tests keep all cores busy: one after the other, none is slowed down beyond patience by the others.
+/// Waits for the turn of a test. These tests keep all cores busy: in sequence, none is slowed down beyond its
+/// timeouts by the others.
 pub(super) fn turn() -> MutexGuard<'static, ()> {
     static TURN: Mutex<()> = Mutex::new(());
-    // One that failed has cleaned up all the same.
+    // A failed test has cleaned up as well.
     TURN.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// How often or how many: of an environment variable, or the usual.
+/// Returns the value of an environment variable, or the default.
 pub(super) fn setting(variable: &str, usual: u64) -> u64 {
     match std::env::var(variable) {
         Ok(text) => text.parse().unwrap_or_else(|_| panic!("{variable}={text:?} is no number")),
@@ -33,27 +34,33 @@ pub(super) fn setting(variable: &str, usual: u64) -> u64 {
     }
 }
 
-/// A table of an agent that can measure faster than anyone stores: what waits for that stays a matter of seconds.
+/// Table of an agent that can measure faster than the aggregator stores, so that waiting batches are stored within
+/// seconds.
 const SMALL_SPOOL: &str = "[spool]\nlimit_bytes = 8388608\n";
 
-/// Checks that everything that the agents said is in their spools is stored, and that a run has no hole that is not a
-/// gap. Returns how many iterations were said to be spooled.
-fn nothing_lost(fleet: &Fleet, ledger: &Ledger) -> u64 {
+/// Checks that every batch that the agents reported as spooled is stored, and that all missing iterations of a run
+/// are in gaps. Returns the number of spooled iterations.
+fn assert_nothing_lost(fleet: &Fleet, stored_events: &StoredEvents) -> u64 {
     let mut spooled = 0;
     for agent in &fleet.agents {
-        assert_eq!(ledger.lacks(agent.spooled()), 0, "lost of {}: {ledger:?}", agent.name);
+        assert_eq!(
+            stored_events.count_missing(agent.spooled()),
+            0,
+            "lost of {}: {stored_events:?}",
+            agent.name
+        );
         spooled += agent.spooled().iter().map(|line| line.count).sum::<u64>();
     }
-    let gaps = ledger.hosts.values().any(|host| host.gaps > 0);
-    for (id, run) in &ledger.runs {
+    let gaps = stored_events.hosts.values().any(|host| host.gaps > 0);
+    for (id, run) in &stored_events.runs {
         if !gaps {
-            assert!(run.is_whole(), "holes in run {id}: {run:?}");
+            assert!(run.is_contiguous(), "holes in run {id}: {run:?}");
         } else if ["stopped", "finished"].contains(&run.reason.as_str()) {
-            // One that was killed had no time to tell of its last losses.
-            assert!(run.holes() <= run.missing, "holes in run {id} are not gaps: {run:?}");
+            // An agent that was killed had no time to report its last losses.
+            assert!(run.missing_iterations() <= run.missing, "holes in run {id} are not gaps: {run:?}");
         }
     }
-    for (name, host) in &ledger.hosts {
+    for (name, host) in &stored_events.hosts {
         assert_eq!(host.quarantined, 0, "{name}: {host:?}");
     }
     spooled

@@ -1,4 +1,4 @@
-//! A full disk under an agent's spool.
+//! Tests of a full disk under an agent's spool.
 
 use peernet_tests::fleet::{echo, edge_in, rate};
 use peernet_tests::{Fleet, SmallDisk, measured, thousands};
@@ -7,65 +7,65 @@ use serde_json::Value;
 use super::turn;
 
 #[test]
-fn a_full_disk_under_the_spool_is_said_and_what_does_not_fit_is_counted() {
+fn full_spool_disk_is_reported_and_drops_counted() {
     let _turn = turn();
     let (store, state) = (SmallDisk::new(48 << 20), SmallDisk::new(16 << 20));
     let database = store.folder().join("aggregator.sqlite").display().to_string();
     let folder = state.folder().join("NAME").display().to_string();
-    // What waits in memory meanwhile is soon too much.
+    // Events that wait in memory meanwhile soon exceed the limit.
     let agent = edge_in(&folder, "queue_events = 4000", &echo("loop", &rate(2_000.0)));
     let mut fleet = Fleet::storing_in(&database, &["edge"], &agent);
     fleet.start(0);
-    fleet.account(0, "something is stored", |account| account.events > 100);
+    fleet.counts(0, "something is stored", |counts| counts.events > 100);
 
-    // The spool alone: events still arrive, by the way that is left.
+    // Only the spool's disk is full: events still reach the aggregator.
     state.fill();
-    let before = fleet.account(0, "it is known", |_| true);
-    let now = fleet.account(0, "more is stored", |account| account.events > before.events + 4_000);
+    let before = fleet.counts(0, "it is known", |_| true);
+    let now = fleet.counts(0, "more is stored", |counts| counts.events > before.events + 4_000);
     assert_eq!(now.dropped, 0, "{now:?}");
 
-    // Nobody takes them any more, so that the spool has to grow and cannot.
+    // The aggregator accepts no more events, so that the spool would have to grow.
     store.fill();
-    let troubled = fleet.account(0, "the spool fails", |account| account.trouble.is_some());
+    let troubled = fleet.counts(0, "the spool fails", |counts| counts.trouble.is_some());
     let words = troubled.trouble.as_deref().unwrap_or_default();
     assert!(words.contains("full"), "why: {words}");
-    let full = fleet.account(0, "memory is full, too", |account| account.dropped > 1_000);
+    let full = fleet.counts(0, "memory is full, too", |counts| counts.dropped > 1_000);
     assert!(full.produced > troubled.produced, "measuring goes on: {full:?}");
 
     state.free();
-    fleet.account(0, "the spool works again", |account| account.trouble.is_none());
+    fleet.counts(0, "the spool works again", |counts| counts.trouble.is_none());
     store.free();
-    fleet.account(0, "what waited is stored", |account| account.events > full.events + 5_000);
+    fleet.counts(0, "what waited is stored", |counts| counts.events > full.events + 5_000);
     fleet.agents[0].stop();
-    let account = fleet.deliver(0);
-    account.balances();
-    let ledger = fleet.stop();
-    let host = &ledger.hosts["edge"];
-    assert_eq!(host.missing, account.dropped, "{host:?}, {account:?}");
-    assert_eq!(host.events, account.stored, "{host:?}, {account:?}");
+    let counts = fleet.deliver(0);
+    counts.assert_balanced();
+    let stored_events = fleet.stop();
+    let host = &stored_events.hosts["edge"];
+    assert_eq!(host.missing, counts.dropped, "{host:?}, {counts:?}");
+    assert_eq!(host.events, counts.stored, "{host:?}, {counts:?}");
     assert_eq!((host.streams, host.quarantined), (1, 0), "{host:?}");
-    assert_eq!(ledger.lacks(fleet.agents[0].spooled()), 0);
+    assert_eq!(stored_events.count_missing(fleet.agents[0].spooled()), 0);
     // Each missing iteration is counted in a gap of its run.
-    for run in ledger.runs.values() {
+    for run in stored_events.runs.values() {
         let last = run.ranges.last().map_or(0, |range| *range.end());
         assert!(last - run.iterations() <= run.missing, "{run:?}");
     }
     measured(
         "full disk, spool",
         &[
-            ("events produced", thousands(account.produced as f64)),
-            ("stored", thousands(account.stored as f64)),
-            ("dropped and counted in gaps", thousands(account.dropped as f64)),
+            ("events produced", thousands(counts.produced as f64)),
+            ("stored", thousands(counts.stored as f64)),
+            ("dropped and counted in gaps", thousands(counts.dropped as f64)),
         ],
     );
 }
 
 #[test]
-fn what_is_measured_after_a_start_on_a_full_disk_and_cannot_be_kept_is_counted() {
+fn start_on_full_disk_counts_dropped_events() {
     let _turn = turn();
     let state = SmallDisk::new(16 << 20);
     let folder = state.folder().join("NAME").display().to_string();
-    // Some waits in memory until the end, the rest is dropped before.
+    // Some events wait in memory until the end; the others are dropped before.
     let agent = edge_in(
         &folder,
         "queue_events = 400",
@@ -82,7 +82,7 @@ fn what_is_measured_after_a_start_on_a_full_disk_and_cannot_be_kept_is_counted()
     fleet.agents[0].process().wait_for("the disk is full");
     fleet.agents[0].process().wait_for_nth("actuators: answer", 1_500);
     let spool = state.folder().join("edge").join("spool.sqlite").display().to_string();
-    let examined = fleet.site.peernetd(&["doctor", "--json", "--spool", &spool]).ended();
+    let examined = fleet.deployment.peernetd(&["doctor", "--json", "--spool", &spool]).ended();
     let report: Value =
         serde_json::from_str(&examined.log).unwrap_or_else(|error| panic!("{error}: {}", examined.log));
     assert_eq!((examined.code(), &report["healthy"]), (65, &Value::Bool(false)), "{report}");
@@ -93,18 +93,18 @@ fn what_is_measured_after_a_start_on_a_full_disk_and_cannot_be_kept_is_counted()
     assert!(ended.log.contains("a gap will say so"), "{}", ended.log);
 
     state.free();
-    fleet.aggregator_returns();
-    fleet.idle(0);
-    let account = fleet.account(0, "what was lost is told", |account| {
-        account.gaps > 0 && account.waiting == 0 && account.events == account.stored
+    fleet.restart_aggregator();
+    fleet.start_without_pipelines(0);
+    let counts = fleet.counts(0, "what was lost is told", |counts| {
+        counts.gaps > 0 && counts.waiting == 0 && counts.events == counts.stored
     });
-    account.balances();
-    let ledger = fleet.stop();
-    let host = &ledger.hosts["edge"];
-    assert_eq!(host.missing, account.dropped, "{host:?}, {account:?}");
-    assert_eq!(ledger.lacks(fleet.agents[0].spooled()), 0);
+    counts.assert_balanced();
+    let stored_events = fleet.stop();
+    let host = &stored_events.hosts["edge"];
+    assert_eq!(host.missing, counts.dropped, "{host:?}, {counts:?}");
+    assert_eq!(stored_events.count_missing(fleet.agents[0].spooled()), 0);
     let first = &fleet.agents[0].spooled()[0].run;
-    let second = ledger.runs.iter().filter(|(id, _)| *id != first).map(|(_, run)| run.iterations());
+    let second = stored_events.runs.iter().filter(|(id, _)| *id != first).map(|(_, run)| run.iterations());
     assert!(host.missing + second.sum::<u64>() >= answers, "{answers} answers: {host:?}");
     measured(
         "full disk at the start, spool",

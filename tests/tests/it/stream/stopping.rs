@@ -1,28 +1,29 @@
-//! SIGTERM while everything runs at full speed.
+//! Tests of SIGTERM while everything runs at full speed.
 
 use peernet_tests::fleet::{echo, edge};
-use peernet_tests::{Ended, Fleet, measured, thousands};
+use peernet_tests::{Fleet, ProcessEnd, measured, thousands};
 
-use super::{SMALL_SPOOL, nothing_lost, turn};
+use super::{SMALL_SPOOL, assert_nothing_lost, turn};
 
-/// The agent says each answer, so that what was measured is known from elsewhere than the spool.
+/// Returns an agent that logs each answer, so that the number of measured iterations is known independently of the
+/// spool.
 fn counted() -> String {
     edge("", &(SMALL_SPOOL.to_owned() + &echo("loop", "actuator = { kind = \"log\" }")))
 }
 
-/// Answers that an agent said it had.
-fn answers(ended: &Ended) -> u64 {
+/// Returns the number of answers in an agent's log.
+fn answers(ended: &ProcessEnd) -> u64 {
     ended.log.lines().filter(|line| line.contains("actuators: answer")).count() as u64
 }
 
-/// What was measured is stored or counted in gaps, and the end of the run is there.
-fn everything_measured_is_stored(what: &str, mut fleet: Fleet, measured_in_all: u64) {
-    fleet.deliver(0).balances();
-    let ledger = fleet.stop();
-    nothing_lost(&fleet, &ledger);
-    let run = ledger.runs.values().next().expect("one run");
-    assert_eq!((ledger.runs.len(), run.reason.as_str()), (1, "stopped"), "{ledger:?}");
-    assert_eq!(run.iterations() + run.missing, measured_in_all, "{ledger:?}");
+/// Checks that every measured iteration is stored or counted in gaps, and that the end of the run is stored.
+fn assert_everything_is_stored(what: &str, mut fleet: Fleet, measured_in_all: u64) {
+    fleet.deliver(0).assert_balanced();
+    let stored_events = fleet.stop();
+    assert_nothing_lost(&fleet, &stored_events);
+    let run = stored_events.runs.values().next().expect("one run");
+    assert_eq!((stored_events.runs.len(), run.reason.as_str()), (1, "stopped"), "{stored_events:?}");
+    assert_eq!(run.iterations() + run.missing, measured_in_all, "{stored_events:?}");
     let number = |count: u64| thousands(count as f64);
     measured(
         what,
@@ -35,55 +36,55 @@ fn everything_measured_is_stored(what: &str, mut fleet: Fleet, measured_in_all: 
 }
 
 #[test]
-fn an_agent_that_stops_without_its_aggregator_leaves_everything_in_its_spool() {
+fn agent_stopped_without_aggregator_keeps_all_in_spool() {
     let _turn = turn();
     let mut fleet = Fleet::new(&["edge"], &counted());
     fleet.aggregator.stop();
     fleet.start(0);
     fleet.agents[0].process().wait_for_nth("spooled batch=", 8);
     let ended = fleet.agents[0].stop();
-    fleet.aggregator_returns();
-    everything_measured_is_stored("SIGTERM, agent alone", fleet, answers(&ended));
+    fleet.restart_aggregator();
+    assert_everything_is_stored("SIGTERM, agent alone", fleet, answers(&ended));
 }
 
 #[test]
-fn an_agent_that_stops_under_load_has_everything_spooled_or_stored() {
+fn agent_stopped_under_load_spooled_or_stored_everything() {
     let _turn = turn();
     let mut fleet = Fleet::new(&["edge"], &counted());
     fleet.start(0);
-    fleet.account(0, "something is stored", |account| account.events > 1_000);
+    fleet.counts(0, "something is stored", |counts| counts.events > 1_000);
     let ended = fleet.agents[0].stop();
-    everything_measured_is_stored("SIGTERM, agent", fleet, answers(&ended));
+    assert_everything_is_stored("SIGTERM, agent", fleet, answers(&ended));
 }
 
 #[test]
-fn an_aggregator_that_stops_under_load_has_stored_what_it_acknowledged() {
+fn aggregator_stopped_under_load_stored_acknowledged_batches() {
     let _turn = turn();
     let mut fleet =
         Fleet::new(&["edge-1", "edge-2"], &edge("", &(SMALL_SPOOL.to_owned() + &echo("loop", ""))));
     fleet.start_all();
     for agent in 0..2 {
-        fleet.account(agent, "something is stored", |account| account.events > 1_000);
+        fleet.counts(agent, "something is stored", |counts| counts.events > 1_000);
     }
     fleet.aggregator.stop();
-    let first = fleet.ledger();
+    let first = fleet.stored_events();
     let before = [0, 1].map(|agent| first.hosts[&fleet.agents[agent].name].events);
-    // What was acknowledged is deleted in the spools: had it not been stored, its absence would be a gap now.
-    fleet.aggregator_returns();
+    // Acknowledged batches are deleted in the spools: if they had not been stored, there would be a gap now.
+    fleet.restart_aggregator();
     for (agent, before) in before.into_iter().enumerate() {
-        fleet.account(agent, "more is stored", |account| account.events > before);
+        fleet.counts(agent, "more is stored", |counts| counts.events > before);
         fleet.agents[agent].stop();
-        fleet.deliver(agent).balances();
+        fleet.deliver(agent).assert_balanced();
     }
-    let ledger = fleet.stop();
-    nothing_lost(&fleet, &ledger);
-    assert!(ledger.iterations() > first.iterations(), "{ledger:?}");
+    let stored_events = fleet.stop();
+    assert_nothing_lost(&fleet, &stored_events);
+    assert!(stored_events.iterations() > first.iterations(), "{stored_events:?}");
     let number = |count: u64| thousands(count as f64);
     measured(
         "SIGTERM, aggregator",
         &[
             ("iterations stored when it ended", number(first.iterations())),
-            ("in the end", number(ledger.iterations())),
+            ("in the end", number(stored_events.iterations())),
         ],
     );
 }

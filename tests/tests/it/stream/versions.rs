@@ -1,11 +1,11 @@
-//! Agents of other versions of the event stream, at a real aggregator.
+//! Test of agents with other versions of the event stream at a real aggregator.
 
 use peernet_stream::{Hello, HelloExtension, Release, STREAM_VERSIONS, ToAgent, ToAggregator, codec};
-use peernet_tests::{Chance, Fleet, Introduced, Stranger, until};
+use peernet_tests::{Fleet, InventedHost, MisbehavingPeer, TestRng, until};
 
 use super::turn;
 
-/// A hello as a later version may write it: with a name in its extension that this version does not know.
+/// Returns a hello of a later version, whose extension has a name that this version does not know.
 fn later_frame(hello: &Hello) -> Vec<u8> {
     let encode = |extension| rmp_serde::to_vec(&extension).expect("plain data serialises");
     let mut frame = codec::encode(&ToAggregator::Hello(hello.clone()));
@@ -19,33 +19,33 @@ fn later_frame(hello: &Hello) -> Vec<u8> {
 }
 
 #[test]
-fn later_agent_is_served_and_unknown_versions_are_refused() {
+fn newer_agent_is_served_unknown_versions_refused() {
     let _turn = turn();
-    let mut chance = Chance::new("other versions");
+    let mut rng = TestRng::new("other versions");
     let mut fleet = Fleet::new(&[], "");
     let newest = STREAM_VERSIONS.newest();
     let since = Some(Release(0, 9, 0));
 
-    let mut later = Introduced::new("later", &mut chance);
+    let mut later = InventedHost::new("later", &mut rng);
     later.hello.extension = Some(HelloExtension { newest: Some(newest + 4), since });
-    let stranger = Stranger::at(fleet.site.events);
-    stranger.send(&later_frame(&later.hello));
-    let challenge = stranger.hear();
+    let misbehaving_peer = MisbehavingPeer::at(fleet.deployment.events);
+    misbehaving_peer.send(&later_frame(&later.hello));
+    let challenge = misbehaving_peer.receive();
     let ToAgent::Challenge { version, .. } = challenge else { panic!("{challenge:?}") };
     assert_eq!(version.unwrap_or(later.hello.protocol), newest, "the highest that both speak");
-    stranger.prove(&later.hello, &later.secret, &challenge);
-    stranger.hear_until(|said| matches!(said, ToAgent::Welcome { .. }).then_some(()));
-    stranger.send(&later.batch(3));
-    stranger.hear_ack(1);
+    misbehaving_peer.prove(&later.hello, &later.secret, &challenge);
+    misbehaving_peer.receive_until(|said| matches!(said, ToAgent::Welcome { .. }).then_some(()));
+    misbehaving_peer.send(&later.batch(3));
+    misbehaving_peer.wait_for_ack(1);
 
-    let mut too_new = Introduced::new("too-new", &mut chance);
+    let mut too_new = InventedHost::new("too-new", &mut rng);
     too_new.hello.protocol = newest + 3;
     too_new.hello.extension = Some(HelloExtension { newest: Some(newest + 4), since });
-    let reason = too_new.is_refused(&stranger);
+    let reason = too_new.expect_refusal(&misbehaving_peer);
     assert!(reason.ends_with("update the aggregator to at least PEERNet 0.9.0"), "{reason}");
-    let mut too_old = Introduced::new("too-old", &mut chance);
+    let mut too_old = InventedHost::new("too-old", &mut rng);
     too_old.hello.protocol = STREAM_VERSIONS.oldest() - 1;
-    let reason = too_old.is_refused(&stranger);
+    let reason = too_old.expect_refusal(&misbehaving_peer);
     assert!(reason.contains("update the agent on too-old to at least PEERNet"), "{reason}");
 
     until("both are shown with what to do", || {
@@ -55,6 +55,6 @@ fn later_agent_is_served_and_unknown_versions_are_refused() {
             |host: &str| reasons.iter().flatten().any(|reason| reason.contains(&format!("update {host}")));
         (has("the aggregator") && has("the agent on too-old")).then_some(())
     });
-    let ledger = fleet.stop();
-    assert_eq!(ledger.hosts["later"].quarantined, 0, "{ledger:?}");
+    let stored_events = fleet.stop();
+    assert_eq!(stored_events.hosts["later"].quarantined, 0, "{stored_events:?}");
 }

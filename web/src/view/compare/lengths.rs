@@ -79,7 +79,7 @@ pub(crate) struct Answers {
 
 /// Whether a number is in the statistics, and so has a place on an axis.
 fn counts(value: f64) -> bool {
-    Summary::takes(value)
+    Summary::accepts(value)
 }
 
 /// Reads a sample of the iterations of each configuration that is drawn, of each of its runs as large a share.

@@ -1,4 +1,4 @@
-//! Real programs: most of them a few lines of shell.
+//! Tests with real programs, most of them a few lines of shell.
 
 use std::num::NonZeroU64;
 use std::os::unix::fs::PermissionsExt;
@@ -20,7 +20,7 @@ fn start(role: Role, script: &str, timeout_ms: u64) -> Program {
     Program::start(&config, role, "the program of a test", &clock()).expect("sh is there")
 }
 
-/// Long enough for a busy machine.
+/// Timeout that is long enough on a busy machine, milliseconds.
 const PATIENT: u64 = 60_000;
 
 fn echo() -> Sample {
@@ -35,32 +35,39 @@ fn a_shell_echoes_samples() {
     let mut program = start(Role::Model, ECHO, PATIENT);
     for _ in 0..3 {
         let exchange = program.ask(Request::Sample(&echo())).expect("replies");
-        assert_eq!(exchange.said, Said::Parts(echo().parts));
+        assert_eq!(exchange.outcome, ReplyOutcome::Parts(echo().parts));
         assert_eq!(exchange.notes.stages[0].0, "inference");
         assert!(exchange.ended > exchange.began);
     }
 }
 
 #[test]
-fn a_sample_larger_than_any_pipe_passes_both_ways() {
+fn sample_larger_than_pipe_passes_both_ways() {
     let mut program = start(Role::Model, ECHO, PATIENT);
     let large = Sample::of(Description::bytes(), vec![7; 5 << 20].into());
-    assert_eq!(program.ask(Request::Sample(&large)).expect("replies").said, Said::Parts(large.parts));
+    assert_eq!(
+        program.ask(Request::Sample(&large)).expect("replies").outcome,
+        ReplyOutcome::Parts(large.parts)
+    );
 }
 
 #[test]
-fn it_knows_its_role_and_the_version_of_the_framing() {
+fn program_receives_role_and_framing_version() {
     let script = "read -r word; echo \"source $PEERNET_ROLE $PEERNET_EXEC $word\"; echo answer 0; read -r word; echo end";
     let mut program = start(Role::Sensor, script, PATIENT);
     let first = program.ask(Request::Next).expect("replies");
     assert_eq!(first.notes.source.as_deref(), Some("sensor 1 next"));
     for _ in 0..3 {
-        assert_eq!(program.ask(Request::Next).expect("has ended").said, Said::End, "and is not asked again");
+        assert_eq!(
+            program.ask(Request::Next).expect("has ended").outcome,
+            ReplyOutcome::End,
+            "and is not asked again"
+        );
     }
 }
 
 #[test]
-fn what_it_says_went_wrong_is_passed_on_and_it_goes_on() {
+fn error_reply_is_returned_and_program_continues() {
     let mut program = start(
         Role::Actuator,
         "n=0; while read -r line; do n=$((n+1)); echo \"error number $n\"; done",
@@ -74,7 +81,7 @@ fn what_it_says_went_wrong_is_passed_on_and_it_goes_on() {
 }
 
 #[test]
-fn after_its_end_it_is_started_anew() {
+fn ended_program_is_restarted() {
     let folder = tempfile::tempdir().expect("a folder");
     let mark = folder.path().join("mark");
     let script = format!(
@@ -90,7 +97,7 @@ fn after_its_end_it_is_started_anew() {
     assert!(program.ask(Request::Next).is_ok(), "the second one knows what to do");
 }
 
-/// A program and a request for each role.
+/// Returns a program and a request for each role.
 fn of_each_role<T>(script: &str, mut ask: impl FnMut(Program, Request<'_>) -> T) -> [T; 3] {
     let sample = echo();
     let requests = [
@@ -101,7 +108,7 @@ fn of_each_role<T>(script: &str, mut ask: impl FnMut(Program, Request<'_>) -> T)
     requests.map(|(role, request)| ask(start(role, script, PATIENT), request))
 }
 
-/// What is said of the first request in each role.
+/// Returns the error of the first request in each role.
 fn failures(script: &str) -> [String; 3] {
     of_each_role(script, |mut program, request| {
         program.ask(request).expect_err("nothing can come").to_string()
@@ -109,7 +116,7 @@ fn failures(script: &str) -> [String; 3] {
 }
 
 #[test]
-fn one_that_closes_its_output_is_told_so() {
+fn closed_output_is_reported() {
     for error in failures("read -r line; echo enough >&2; exec >&-; sleep 600") {
         assert!(
             error.contains("closed its standard output and was killed; its last words: enough"),
@@ -120,14 +127,14 @@ fn one_that_closes_its_output_is_told_so() {
     for error in failures("read -r line; exec >&-; cat > /dev/null; exit 3") {
         assert!(error.contains("closed its standard output and ended with exit status 3"), "{error}");
     }
-    // Part of a reply was there.
+    // The program had written part of its reply.
     for error in failures("read -r line; printf 'value x'; exit 3") {
         assert!(error.contains("the process ended with exit status 3"), "{error}");
     }
 }
 
 #[test]
-fn the_shell_of_a_single_program_hides_nothing_of_it() {
+fn single_program_end_is_visible_through_shell() {
     let folder = tempfile::tempdir().expect("a folder");
     let program = folder.path().join("program");
     let line = format!("{} --flag \"a word\"", program.display());
@@ -150,7 +157,7 @@ fn the_shell_of_a_single_program_hides_nothing_of_it() {
 }
 
 #[test]
-fn one_that_is_too_slow_is_shown_with_its_last_words() {
+fn slow_program_error_contains_its_last_lines() {
     let script = "echo 'out of paper' >&2; read -r line; \
                   case $PEERNET_ROLE in actuator) echo done;; *) echo answer 0;; esac; sleep 600";
     let errors = of_each_role(script, |mut program, request| {
@@ -164,7 +171,7 @@ fn one_that_is_too_slow_is_shown_with_its_last_words() {
 }
 
 #[test]
-fn a_prompt_without_an_end_of_line_is_shown_at_once() {
+fn prompt_without_line_end_is_shown_immediately() {
     let mut program = start(Role::Sensor, "read -r line; printf 'answer 0\\nReady> '; sleep 600", PATIENT);
     program.ask(Request::Next).expect("replies");
     let error = program.ask(Request::Next).expect_err("it was not asked").to_string();
@@ -172,7 +179,7 @@ fn a_prompt_without_an_end_of_line_is_shown_at_once() {
 }
 
 #[test]
-fn what_it_says_does_not_control_a_terminal() {
+fn control_characters_of_program_are_replaced() {
     let script =
         "read -r line; printf 'error \\033[31mred\\n'; read -r line; printf '\\033[31mred\\n' >&2; exit 3";
     let mut program = start(Role::Sensor, script, PATIENT);
@@ -194,34 +201,34 @@ fn garbage_is_quoted_and_ends_it() {
 }
 
 #[test]
-fn a_reply_too_many_does_not_shift_the_others() {
+fn extra_reply_does_not_shift_later_ones() {
     let mut program =
         start(Role::Sensor, "while read -r line; do printf 'answer 1\\naanswer 1\\nb'; done", PATIENT);
     assert!(program.ask(Request::Next).is_ok());
     let error = program.ask(Request::Next).expect_err("one too many");
-    assert!(matches!(error, ExchangeError::Unasked(_)), "{error}");
+    assert!(matches!(error, ExchangeError::UnsolicitedOutput(_)), "{error}");
 }
 
 #[test]
-fn a_huge_length_is_refused_before_memory_is_taken() {
+fn huge_length_is_refused_before_allocation() {
     let mut program = start(Role::Sensor, "read -r line; echo answer 99999999999999; cat", PATIENT);
     let error = program.ask(Request::Next).expect_err("too large").to_string();
     assert!(error.contains("99999999999999") && error.contains("at most"), "{error}");
 }
 
 #[test]
-fn one_that_hangs_is_killed_and_one_that_dies_again_and_again_is_left_alone_for_a_while() {
+fn hanging_program_is_killed_and_restarts_are_delayed() {
     let mut program = start(Role::Sensor, "sleep 600", 50);
     let error = program.ask(Request::Next).expect_err("it hangs");
     assert!(matches!(error, ExchangeError::TooSlow { .. }), "{error}");
     let mut errors = (0..6).map(|_| program.ask(Request::Next).expect_err("it hangs"));
     let pausing =
-        errors.find(|error| matches!(error, ExchangeError::Pausing { .. })).expect("it is left alone");
+        errors.find(|error| matches!(error, ExchangeError::RestartDelayed { .. })).expect("it is left alone");
     assert!(pausing.to_string().contains("no whole reply within 50ms"), "{pausing}");
 }
 
 #[test]
-fn a_command_that_is_not_there_is_said_at_once() {
+fn missing_command_is_reported_at_start() {
     let config = ExecConfig::of(CommandLine::Words(vec!["/no/such/program".to_owned()]));
     let error = Program::start(&config, Role::Model, "m", &clock()).expect_err("is not there");
     assert!(error.to_string().contains("/no/such/program"), "{error}");

@@ -6,10 +6,10 @@ use proptest::prelude::*;
 use super::*;
 use crate::exec::{MAX_LINE, Request};
 
-/// Feeds all that a program wrote; `None` when it ended before its reply was whole.
+/// Feeds the whole output of a program; returns `None` if the output ends before the reply is complete.
 fn feed(role: Role, written: &[u8]) -> Result<Option<(Reply, usize)>, FramingError> {
     let mut from = Cursor::new(written);
-    let mut assembler = Assembler::new(role);
+    let mut assembler = ReplyAssembler::new(role);
     let mut next = Next::Line;
     loop {
         next = match next {
@@ -47,19 +47,21 @@ fn error(role: Role, written: &str) -> String {
 #[test]
 fn an_answer_is_one_line_and_its_bytes() {
     let answer = reply(Role::Model, "answer 13 application/json\n{\"label\":\"a\"}");
-    let Said::Parts(parts) = answer.said else { panic!("is an answer") };
+    let ReplyOutcome::Parts(parts) = answer.outcome else { panic!("is an answer") };
     assert_eq!(
         (&parts[0].description.media, parts[0].bytes.as_ref()),
         (&MediaType::Json, &b"{\"label\":\"a\"}"[..])
     );
-    let Said::Parts(parts) = reply(Role::Sensor, "answer 2\r\n\n\n").said else { panic!("is an answer") };
+    let ReplyOutcome::Parts(parts) = reply(Role::Sensor, "answer 2\r\n\n\n").outcome else {
+        panic!("is an answer")
+    };
     assert_eq!((&parts[0].description, parts[0].bytes.as_ref()), (&Description::bytes(), &b"\n\n"[..]));
 }
 
 #[test]
 fn parts_and_shapes() {
     let written = "part 3 image/x-rgb8 1x1x3:u8\nrgbanswer 8 application/x-tensor 2:f32\n12345678";
-    let Said::Parts(parts) = reply(Role::Sensor, written).said else { panic!("is an answer") };
+    let ReplyOutcome::Parts(parts) = reply(Role::Sensor, written).outcome else { panic!("is an answer") };
     assert_eq!(parts.len(), 2);
     assert_eq!(
         (parts[1].description.shape.as_slice(), parts[1].description.element),
@@ -82,10 +84,10 @@ fn notes_come_before_the_reply() {
 }
 
 #[test]
-fn each_role_has_its_own_words() {
-    assert_eq!(reply(Role::Sensor, "end\n").said, Said::End);
-    assert_eq!(reply(Role::Actuator, "done\n").said, Said::Done);
-    assert_eq!(reply(Role::Model, "error too dark\n").said, Said::Error("too dark".to_owned()));
+fn roles_accept_different_words() {
+    assert_eq!(reply(Role::Sensor, "end\n").outcome, ReplyOutcome::End);
+    assert_eq!(reply(Role::Actuator, "done\n").outcome, ReplyOutcome::Done);
+    assert_eq!(reply(Role::Model, "error too dark\n").outcome, ReplyOutcome::Error("too dark".to_owned()));
     assert!(error(Role::Model, "end\n").contains("a model writes one of: answer"));
     assert!(
         error(Role::Actuator, "answer 3\nabc").contains("an actuator")
@@ -95,7 +97,7 @@ fn each_role_has_its_own_words() {
 }
 
 #[test]
-fn what_is_wrong_is_shown_with_the_right_form() {
+fn errors_show_the_expected_form() {
     for (written, part) in [
         ("hello\n", "standard error"),
         ("answer\n", "answer BYTES"),
@@ -128,22 +130,22 @@ fn lines_and_parts_are_bounded() {
         Err(FramingError::TooManyParts)
     );
     let long = format!("answer {MAX_BYTES}\n");
-    assert_eq!(Assembler::new(Role::Model).line(long.trim_end().as_bytes()), Ok(Next::Bytes(MAX_BYTES)));
-    let mut assembler = Assembler::new(Role::Model);
+    assert_eq!(ReplyAssembler::new(Role::Model).line(long.trim_end().as_bytes()), Ok(Next::Bytes(MAX_BYTES)));
+    let mut assembler = ReplyAssembler::new(Role::Model);
     assembler.line(b"part 1").expect("is small");
     assembler.bytes(Bytes::from_static(b"x"));
     assert_eq!(assembler.line(long.trim_end().as_bytes()), Err(FramingError::TooLarge(MAX_BYTES + 1)));
 }
 
 proptest! {
-    /// Whatever a program writes, there is a reply, an error, or more to be read.
+    /// Any output leads to a reply, an error, or a request for more input.
     #[test]
     fn garbage_never_panics(written in prop::collection::vec(any::<u8>(), 0..MAX_LINE), role in 0..3) {
         let role = [Role::Sensor, Role::Model, Role::Actuator][role as usize];
         let _ = feed(role, &written);
     }
 
-    /// The same for what looks like the framing.
+    /// Output that resembles the framing does not cause a panic either.
     #[test]
     fn nearly_right_words_never_panic(
         words in prop::collection::vec("(answer|part|stage|value|error|end|done|version|sequence|label) ?[0-9a-z.:x/-]{0,12} ?[0-9a-z.:x/-]{0,8}\n", 0..20),
@@ -155,9 +157,9 @@ proptest! {
         }
     }
 
-    /// What is sent to a model reads back as an answer: both directions write parts alike.
+    /// The request to a model can be read as an answer, because both directions encode parts in the same way.
     #[test]
-    fn what_we_write_reads_back(payloads in prop::collection::vec(prop::collection::vec(any::<u8>(), 0..200), 1..5)) {
+    fn written_requests_are_parsed_back(payloads in prop::collection::vec(prop::collection::vec(any::<u8>(), 0..200), 1..5)) {
         let parts: Vec<_> = payloads
             .into_iter()
             .map(|bytes| Part {
@@ -171,16 +173,16 @@ proptest! {
             .collect();
         let sample = Sample { parts, source: String::new(), label: None };
         let written = Request::Answer { answer: &sample, source: "" }.pieces().concat();
-        // A source of "-" is the only word more than in a reply.
+        // The source `-` is the only word that a reply does not have.
         let (lines, _) = feed_without_source(&written);
         prop_assert_eq!(lines, sample.parts);
     }
 }
 
-/// Reads what we write, leaving out the source at the end of each header.
+/// Parses a request after removing the source at the end of each header.
 fn feed_without_source(written: &[u8]) -> (Vec<Part>, usize) {
     let mut from = Cursor::new(written);
-    let mut assembler = Assembler::new(Role::Model);
+    let mut assembler = ReplyAssembler::new(Role::Model);
     loop {
         let mut line = Vec::new();
         from.read_until(b'\n', &mut line).expect("memory can be read");
@@ -188,7 +190,8 @@ fn feed_without_source(written: &[u8]) -> (Vec<Part>, usize) {
         let Ok(Next::Bytes(count)) = assembler.line(line) else { panic!("announces bytes") };
         let mut bytes = Vec::new();
         from.by_ref().take(count).read_to_end(&mut bytes).expect("memory can be read");
-        if let Next::Reply(Reply { said: Said::Parts(parts), .. }) = assembler.bytes(bytes.into()) {
+        if let Next::Reply(Reply { outcome: ReplyOutcome::Parts(parts), .. }) = assembler.bytes(bytes.into())
+        {
             return (parts, from.position() as usize);
         }
     }

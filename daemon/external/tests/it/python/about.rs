@@ -1,11 +1,11 @@
-//! What is told of an object, so that a run can be done again.
+//! Facts about an object, by which a run can be repeated.
 
 use std::fs;
 use std::path::Path;
 
 use super::Module;
 
-/// The files of a fact, each with its hash, which is checked, as paths below a folder.
+/// Returns the files of a fact as paths below a folder, after checking their hashes.
 fn files(facts: &[(String, String)], folder: &Path) -> Vec<String> {
     let folder = folder.canonicalize().expect("is there");
     let (_, told) = facts.iter().find(|(name, _)| name == "Model files").expect("they are told");
@@ -24,7 +24,7 @@ fn libraries(facts: &[(String, String)]) -> Vec<&str> {
 }
 
 #[test]
-fn the_file_and_the_libraries_of_an_object_are_told() {
+fn description_contains_file_and_libraries() {
     let source = "import json, numpy\nclass Own:\n    def infer(self, x): return x\n";
     let module = Module::new(source, "own::Own");
     let facts = module.model().about().facts("Model");
@@ -38,7 +38,7 @@ fn the_file_and_the_libraries_of_an_object_are_told() {
 }
 
 #[test]
-fn what_an_object_is_made_of_is_found_without_running_it() {
+fn object_files_are_found_without_running_code() {
     let source = "
 from rig import lens
 try:
@@ -57,7 +57,7 @@ class Own:
     let never = "raise SystemExit('nobody is to run this')\n";
     for (file, text) in [
         ("rig/__init__.py", ""),
-        // A cycle, and a part that is broken, imported by a function that nobody calls.
+        // A cycle of imports, and a broken file that is imported by a function that is never called.
         ("rig/lens.py", "from . import glass\ndef never():\n    from .broken import pieces\n"),
         ("rig/glass.py", "import rig.lens as whole\n"),
         ("rig/broken.py", "def (\n"),
@@ -88,7 +88,7 @@ class Own:
 }
 
 #[test]
-fn what_was_imported_by_a_name_made_up_at_run_time_and_what_was_installed_beside_it_are_told() {
+fn dynamic_imports_and_adjacent_packages_are_recorded() {
     let source = "
 import importlib
 driver = importlib.import_module('driv' + 'er')
@@ -105,7 +105,7 @@ class Own:
     };
     write("driver.py", "import gears\n");
     write("gears.py", "");
-    // As `pip install --target` leaves it.
+    // Layout of `pip install --target`.
     write("bought/__init__.py", "import bought.inside\n");
     write("bought/inside.py", "");
     write("Some_Name-2.5.dist-info/RECORD", "bought/__init__.py,sha256=x,20\nbought/inside.py,sha256=x,0\n");
@@ -130,7 +130,7 @@ fn a_sensor_that_imports_nothing_has_no_libraries() {
 }
 
 #[test]
-fn of_a_module_in_a_zipped_egg_the_egg_is_hashed() {
+fn module_in_zipped_egg_is_hashed_as_egg() {
     let source = "
 import sys, zipfile
 with zipfile.ZipFile('gear.egg', 'w') as egg:
@@ -168,7 +168,7 @@ fn there_is_an_end_to_what_is_told() {
 }
 
 #[test]
-fn an_object_that_misleads_about_itself_is_had_all_the_same() {
+fn object_with_misleading_attributes_is_described() {
     for own in [
         "__file__ = None",
         "del __file__",

@@ -1,4 +1,4 @@
-//! Processes that die, hang or spoil what they say: one call fails with a clear reason, and the next finds another
+//! Processes that die, hang or send invalid messages: one call fails with its reason, and the next call gets another
 //! process.
 
 use std::fs;
@@ -57,7 +57,7 @@ fn kill(number: i32) {
 }
 
 #[test]
-fn one_that_is_killed_in_a_call_or_between_calls_is_told_of_and_replaced() {
+fn killed_process_is_reported_and_restarted() {
     let module = Module::new(MODEL, "own::Own");
     let (mut model, mut other) = (module.model(), module.model());
     let first = number(&mut model);
@@ -71,7 +71,7 @@ fn one_that_is_killed_in_a_call_or_between_calls_is_told_of_and_replaced() {
     killer.join().expect("it was there to be killed");
     assert!(said.contains("signal 9 (SIGKILL") && said.contains("started anew"), "{said}");
 
-    // Two at once, between calls.
+    // Two processes die at once, between calls.
     let numbers = [number(&mut model), number(&mut other)];
     assert_ne!(numbers[0], first);
     numbers.into_iter().for_each(kill);
@@ -82,7 +82,7 @@ fn one_that_is_killed_in_a_call_or_between_calls_is_told_of_and_replaced() {
 }
 
 #[test]
-fn what_ends_the_process_says_so_and_what_does_not_fails_one_call() {
+fn process_end_is_reported_others_fail_one_call() {
     let module = Module::new(MODEL, "own::Own");
     let mut model = module.model();
     for (input, parts) in [
@@ -107,7 +107,7 @@ fn what_ends_the_process_says_so_and_what_does_not_fails_one_call() {
 }
 
 #[test]
-fn one_that_does_not_come_up_says_why() {
+fn failed_start_reports_reason() {
     for (source, part) in [
         ("import os\nos.kill(os.getpid(), 9)", "signal 9 (SIGKILL"),
         ("class Own:\n    def __init__(self): raise SystemExit('no camera')", "no camera"),
@@ -128,7 +128,7 @@ fn one_that_does_not_come_up_says_why() {
 }
 
 #[test]
-fn one_that_does_not_come_up_again_is_tried_later() {
+fn failed_restart_is_retried_later() {
     let source = "
 import os
 class Own:
@@ -172,7 +172,7 @@ class Own:
 }
 
 #[test]
-fn nothing_is_left_of_those_that_died() {
+fn dead_processes_leave_no_children() {
     let this = std::env::current_exe().expect("a test has a file");
     let test = "python::deaths::counts_what_is_left";
     let output = Command::new(this).args(["--exact", test, "--ignored", "--nocapture"]).output();
@@ -200,7 +200,8 @@ fn counts_what_is_left() {
     for _ in 0..5 {
         die(&mut model);
     }
-    // The thread at the standard error of the last one may need a moment on a busy machine, and tells nobody of its end.
+    // The thread that reads the standard error of the last process may need a moment on a busy machine, and does not
+    // report its end.
     let now = || (count("/proc/self/fd"), children());
     for _ in 0..600 {
         if now() != before {
@@ -212,7 +213,7 @@ fn counts_what_is_left() {
     assert_eq!(children(), 0);
 }
 
-/// Processes that this one started and that are still there, dead ones included.
+/// Returns the number of child processes of this process, including zombies.
 fn children() -> usize {
     let threads = fs::read_dir("/proc/self/task").expect("is Linux");
     let of_thread = |task: fs::DirEntry| fs::read_to_string(task.path().join("children")).unwrap_or_default();

@@ -1,4 +1,4 @@
-//! What users' code does wrong, and that the next call works all the same.
+//! Errors of users' code, after which the next call still succeeds.
 
 use std::num::NonZeroU64;
 
@@ -36,7 +36,7 @@ fn module() -> Module {
 }
 
 #[test]
-fn an_exception_fails_one_call_with_the_users_part_of_the_traceback() {
+fn exception_fails_one_call_with_user_traceback() {
     let mut model = module().model();
     let called = model.call(&[bytes(b"raise")]);
     assert_eq!(called.times.stages.iter().map(|stage| stage.0).collect::<Vec<_>>(), [Stage::Infer]);
@@ -49,7 +49,7 @@ fn an_exception_fails_one_call_with_the_users_part_of_the_traceback() {
 }
 
 #[test]
-fn an_exception_does_not_control_a_terminal() {
+fn control_characters_of_exception_are_replaced() {
     let source = r"
 class Own:
     def infer(self, x):
@@ -72,7 +72,7 @@ class Own:
 }
 
 #[test]
-fn a_value_that_cannot_cross_fails_one_call() {
+fn unsupported_value_fails_one_call() {
     let mut model = module().model();
     let said = failure(&mut model, &[bytes(b"object")]);
     assert!(said.contains("_thread.lock does not cross"), "{said}");
@@ -80,7 +80,7 @@ fn a_value_that_cannot_cross_fails_one_call() {
 }
 
 #[test]
-fn what_an_array_masks_does_not_become_a_value() {
+fn masked_array_values_are_refused() {
     let source = "
 import numpy
 class Own:
@@ -93,7 +93,7 @@ class Own:
 }
 
 #[test]
-fn a_module_that_is_being_imported_does_not_disturb() {
+fn module_during_import_is_ignored() {
     let source = "
 import sys, types
 class Own:
@@ -108,14 +108,14 @@ class Own:
 }
 
 #[test]
-fn what_is_printed_does_not_disturb() {
+fn printed_output_does_not_affect_calls() {
     let mut model = module().model();
     assert_eq!(value(&mut model, &[bytes(b"loud")])[0].bytes, "loud");
     assert_eq!(value(&mut model, &[bytes(b"on")])[0].bytes, "on");
 }
 
 #[test]
-fn a_process_that_dies_is_told_of_and_started_anew() {
+fn dead_process_is_reported_and_restarted() {
     let module = module();
     let mut model = module.model();
     let said = failure(&mut model, &[bytes(b"exit")]);
@@ -127,13 +127,13 @@ fn a_process_that_dies_is_told_of_and_started_anew() {
 }
 
 #[test]
-fn a_process_that_keeps_dying_rests_longer_and_longer() {
+fn restart_delay_grows_after_repeated_deaths() {
     let module = module();
     let mut model = module.model();
     let mut rested = 0;
     for _ in 0..6 {
         match model.call(&[bytes(b"exit")]).result.expect_err("it dies") {
-            PythonError::Resting { left, last, .. } => {
+            PythonError::RestartDelayed { left, last, .. } => {
                 assert!(last.contains("exit status 3"), "{last}");
                 std::thread::sleep(left.to_duration());
                 rested += 1;
@@ -145,7 +145,7 @@ fn a_process_that_keeps_dying_rests_longer_and_longer() {
 }
 
 #[test]
-fn a_call_that_hangs_ends_when_its_time_is_over() {
+fn hanging_call_ends_at_timeout() {
     let mut module = module();
     module.config.timeout_ms = NonZeroU64::new(500).expect("above 0");
     let mut model = module.model();
@@ -155,7 +155,7 @@ fn a_call_that_hangs_ends_when_its_time_is_over() {
 }
 
 #[test]
-fn a_fork_of_the_users_does_not_hide_that_the_process_died() {
+fn death_is_detected_despite_forked_child() {
     let source = "
 import multiprocessing, os, time
 class Own:

@@ -1,4 +1,4 @@
-//! What a peer may send, whatever it is, fails one call.
+//! Any invalid input from a peer fails one call only.
 
 use peernet_external::python::PICKLE;
 use peernet_sample::{Description, ElementType, MediaType, Part, PixelFormat};
@@ -10,7 +10,7 @@ fn part(media: MediaType, content: &'static [u8]) -> Part {
 }
 
 #[test]
-fn parts_that_make_no_sense_are_refused_and_the_next_call_works() {
+fn invalid_parts_fail_one_call() {
     let module = Module::new("class Own:\n    def infer(self, x): return x\n", "own::Own");
     let mut model = module.model();
     let tree = |content| part(MediaType::Other("application/x-python-tree".to_owned()), content);
@@ -42,6 +42,6 @@ fn parts_that_make_no_sense_are_refused_and_the_next_call_works() {
         assert_eq!(value(&mut model, &[bytes(b"on")])[0].bytes, "on", "after {hostile:?}: {said}");
     }
     assert!(!module.folder.path().join("hacked").exists());
-    // An array of no type is its bytes.
+    // An array without a type is returned as its bytes.
     assert_eq!(value(&mut model, &[shaped(&[], None)])[0].bytes, "12345678");
 }

@@ -1,12 +1,12 @@
-//! Objects in real Python processes.
+//! Tests with objects in real Python processes.
 
 mod about;
-mod border;
 mod deaths;
 mod failures;
 mod hostile;
 mod refusals;
 mod table;
+mod transfer;
 mod values;
 
 use std::fs;
@@ -23,7 +23,7 @@ fn clock() -> SharedClock {
     Arc::new(SystemClock::new(ClockIdentity::new("boot", "test")))
 }
 
-/// A Python that has numpy and PIL, which users have and these tests need.
+/// Returns a Python interpreter with numpy and PIL, which these tests need.
 fn python() -> PathBuf {
     static FOUND: OnceLock<PathBuf> = OnceLock::new();
     let has_both = |python: &PathBuf| {
@@ -40,7 +40,7 @@ fn python() -> PathBuf {
     FOUND.get_or_init(find).clone()
 }
 
-/// A folder with the module `own`, and the configuration of an object in it.
+/// Folder with the module `own`, and the configuration of an object in it.
 struct Module {
     folder: TempDir,
     config: PythonConfig,
@@ -68,7 +68,7 @@ impl Module {
         self.start(Role::Sensor).unwrap_or_else(|error| panic!("{error}"))
     }
 
-    /// Why it cannot be started.
+    /// Returns the error of a start that must fail.
     fn refusal(&self, role: Role) -> String {
         self.start(role).expect_err("it cannot be started").to_string()
     }

@@ -1,4 +1,4 @@
-//! What is refused at the start, or by a check that runs nothing of the user's.
+//! Objects that are refused at the start, or by a check that does not run users' code.
 
 use std::fs;
 use std::path::PathBuf;
@@ -24,7 +24,7 @@ fn said(object: &str, role: Role) -> String {
 }
 
 #[test]
-fn the_start_says_what_was_tried() {
+fn start_error_names_what_was_tried() {
     for (object, role, parts) in [
         ("nowhere::Model", Role::Model, &["no Python module nowhere", "nowhere.py", "folder"][..]),
         ("own::Nothing", Role::Model, &["own has no Nothing", "Model", "instance"]),
@@ -55,7 +55,7 @@ fn classes_instances_and_modules_are_used() {
 }
 
 #[test]
-fn a_module_that_does_not_load_says_why() {
+fn failed_import_reports_reason() {
     let said = Module::new("import nothing_of_this_name", "own::A").refusal(Role::Model);
     assert!(said.contains("ModuleNotFoundError: No module named 'nothing_of_this_name'"), "{said}");
     let said = Module::new("def broken(:", "own::A").refusal(Role::Model);
@@ -65,7 +65,7 @@ fn a_module_that_does_not_load_says_why() {
 }
 
 #[test]
-fn a_check_runs_nothing_of_the_users() {
+fn check_runs_no_user_code() {
     let mut module = Module::new("raise SystemExit(9)", "own::Model");
     let check =
         |module: &Module| PythonObject::check(&module.config, &clock()).map_err(|error| error.to_string());

@@ -1,10 +1,11 @@
-//! A table of values: what becomes of each between a sensor and a model, or why it does not cross.
+//! Table of values: the form in which each arrives at a model, or the reason that it is refused.
 
 use peernet_external::python::{PythonError, PythonObject};
 
 use super::Module;
 
-/// What `Crosses` and `Refused` are made of is evaluated there; what arrives is described by the model.
+/// Source of the sensor that evaluates the expressions of the table, and of the model that describes what it
+/// receives.
 const SOURCE: &str = "
 import array, collections, datetime, enum, numpy, threading
 import PIL.Image
@@ -40,7 +41,7 @@ class Model:
         return '%s %r' % (type(x).__name__, x)
 ";
 
-/// Takes each value from the sensor to the model; an expected text that begins with `!` is part of a refusal.
+/// Passes each value from the sensor to the model; an expected text that begins with `!` is part of a refusal.
 fn carried(table: &[(&str, &str)], pickle: bool) {
     let mut module = Module::new(SOURCE, "own::Sensor");
     module.config.pickle = pickle;
@@ -207,7 +208,7 @@ fn pictures_of_every_mode() {
 }
 
 #[test]
-fn with_pickle_everything_that_can_be_pickled_is_the_same() {
+fn pickle_returns_equal_objects() {
     carried(
         &[
             ("Local()", "Local [1, array([0, 1, 2]), b'raw']"),

@@ -1,11 +1,11 @@
-//! What crosses, and as what.
+//! Types and values that are transferred, and the form in which they arrive.
 
 use peernet_external::python::{Images, PICKLE};
 use peernet_sample::{Description, ElementType, MediaType, Part, PixelFormat};
 
 use super::{Module, bytes, failure, value};
 
-/// Yields one value after the other.
+/// Source of a sensor that yields one value after the other.
 const SENSOR: &str = "
 import numpy, PIL.Image
 class Own:
@@ -97,7 +97,7 @@ fn several_arrays_are_several_parts() {
 }
 
 #[test]
-fn what_one_object_yields_another_gets() {
+fn value_of_one_object_reaches_another() {
     let source = "
 import numpy
 VALUE = {'image': numpy.arange(6, dtype='f4').reshape(2, 3), 'pose': (1.0, float('inf')), 3: [b'raw', None, 'text']}
@@ -155,7 +155,7 @@ class Own:
 }
 
 #[test]
-fn objects_of_ones_own_cross_only_between_two_ends_that_both_say_so() {
+fn pickled_objects_need_consent_of_both_ends() {
     let source = "
 import numpy
 class State:

@@ -1,4 +1,5 @@
-//! The card of a model, `model.toml`: how a picture becomes its input, and its output an answer.
+//! The card of a model, `model.toml`: the conversion of a picture to the model's input and of its output to an
+//! answer.
 
 use std::fmt;
 use std::io::{self, Read};
@@ -10,10 +11,10 @@ use serde::Deserialize;
 use super::regular;
 use crate::LoadError;
 
-/// Longest card: a thousand labels take some ten kilobytes.
-const LONGEST: u64 = 1 << 20;
+/// Largest size of a card, bytes. A thousand labels take some ten kilobytes.
+const MAX_CARD_BYTES: u64 = 1 << 20;
 
-/// A model's card; a new model needs a card and no code.
+/// Card of a model. A new model needs a card and no code.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct Card {
@@ -26,7 +27,7 @@ pub(super) struct Card {
     pub(super) input: Input,
     pub(super) preprocessing: Preprocessing,
     pub(super) output: Output,
-    /// Where the model came from: for people, in any form.
+    /// Origin of the model, for people, in any form.
     #[serde(default)]
     pub(super) provenance: toml::Table,
 }
@@ -40,11 +41,11 @@ pub(super) enum Task {
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct Input {
-    /// The name of the model's input.
+    /// Name of the model's input.
     pub(super) name: String,
     dtype: Dtype,
     pub(super) layout: Layout,
-    /// Four lengths in the order of the layout; the first, the batch, is 1.
+    /// Four lengths in the order of the layout; the first one, the batch, is 1.
     pub(super) shape: [usize; 4],
     pub(super) colour: Colour,
 }
@@ -72,14 +73,15 @@ pub(super) enum Colour {
     Grey,
 }
 
-/// Applied in the order of the fields: resize, crop, then `(byte × scale − mean) / std` for each channel.
+/// Preprocessing steps, applied in the order of the fields: resize, crop, then `(byte × scale − mean) / std` for each
+/// channel.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct Preprocessing {
-    /// Without it pictures must come in the right size.
+    /// Resizing. Without it pictures must have the size of the input.
     #[serde(default)]
     pub(super) resize: Option<Resize>,
-    /// A rectangle in the centre.
+    /// Rectangle that is cut out of the centre.
     #[serde(default)]
     pub(super) crop: Option<Centre>,
     pub(super) scale: f64,
@@ -92,22 +94,22 @@ pub(super) struct Preprocessing {
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 #[serde(tag = "mode", rename_all = "lowercase", deny_unknown_fields)]
 pub(super) enum Resize {
-    /// To this size, whatever the picture's proportions.
+    /// Resizes to this size, without regard to the picture's proportions.
     Exact {
         width: u32,
         height: u32,
         #[serde(default)]
         filter: Filter,
-        /// Scaling down, whether all pixels that are merged count.
+        /// `true` to average over all source pixels when the picture becomes smaller.
         #[serde(default = "yes")]
         antialias: bool,
     },
-    /// The shorter side to this length, the other in proportion (rounded down).
+    /// Resizes the shorter side to this length, and the other one in proportion, rounded down. Pixels.
     Shortest {
         size: u32,
         #[serde(default)]
         filter: Filter,
-        /// Scaling down, whether all pixels that are merged count.
+        /// `true` to average over all source pixels when the picture becomes smaller.
         #[serde(default = "yes")]
         antialias: bool,
     },
@@ -118,24 +120,24 @@ pub(super) enum Resize {
 pub(super) struct Centre {
     pub(super) width: u32,
     pub(super) height: u32,
-    /// Where it lies when the margins cannot be equal.
+    /// Position of the rectangle if the margins cannot be equal.
     #[serde(default)]
     pub(super) rounding: Rounding,
 }
 
-/// What becomes of the half pixel of an odd margin, left and above.
+/// Rounding of the left and upper margins if half a pixel is left over.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub(super) enum Rounding {
-    /// It is dropped.
+    /// Rounds down.
     #[default]
     Down,
-    /// To the even number, as torchvision does (Python's `round`).
+    /// Rounds half to even, as torchvision does (Python's `round`).
     HalfEven,
 }
 
 impl Rounding {
-    /// Pixels before the crop when `margin` pixels are left over.
+    /// Returns the number of pixels before the crop if `margin` pixels are left over.
     pub(super) const fn before(self, margin: u32) -> u32 {
         match self {
             Self::HalfEven if margin % 4 == 3 => margin / 2 + 1,
@@ -147,55 +149,55 @@ impl Rounding {
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct Output {
-    /// The name of the model's output.
+    /// Name of the model's output.
     pub(super) name: String,
     #[serde(default)]
     pub(super) activation: Activation,
-    /// How many classes an answer lists, best first.
+    /// Number of classes in an answer, best first.
     #[serde(default = "five")]
     pub(super) top_k: usize,
     /// One label per number of the output.
     pub(super) labels: Vec<String>,
 }
 
-/// What turns the model's numbers into scores.
+/// Function that turns the model's numbers into scores.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub(super) enum Activation {
-    /// They are scores already.
+    /// No function: the numbers are scores already.
     #[default]
     None,
-    /// Scores that add up to 1: one class is right.
+    /// Softmax: the scores add up to 1, for exactly one right class.
     Softmax,
-    /// Each score on its own between 0 and 1: any number of classes are right.
+    /// Sigmoid: each score is between 0 and 1 on its own, for any number of right classes.
     Sigmoid,
 }
 
-/// What is wrong with the text of a card.
+/// Defect in the text of a card.
 #[derive(Debug, thiserror::Error)]
 pub(super) enum CardError {
-    /// It is no TOML, or a key is missing, unknown or of another type.
+    /// The text is not TOML, or a key is missing, unknown or of another type.
     #[error("{}", .0.to_string().trim_end())]
     Toml(#[from] toml::de::Error),
-    /// More than one picture at a time.
+    /// The batch is larger than 1.
     #[error("input.shape begins with a batch of {0}, only 1 is possible")]
     Batch(usize),
-    /// The shape contradicts the colours.
+    /// The number of channels contradicts the colours.
     #[error("input.shape has {channels} channels, {colour:?} has {expected}")]
     Channels { channels: usize, colour: Colour, expected: usize },
-    /// Not one number for each channel.
+    /// The list does not have one number for each channel.
     #[error("preprocessing.{key} has {count} numbers for {channels} channels")]
     Numbers { key: &'static str, count: usize, channels: usize },
-    /// A number that nothing can be computed with.
+    /// A number cannot be used in the computation.
     #[error("preprocessing needs finite numbers and no std of 0")]
     NotFinite,
-    /// A size that depends on the picture.
+    /// The size after preprocessing depends on the picture.
     #[error("preprocessing.resize to the shortest side needs a crop after it")]
     NoCrop,
-    /// Width and height that the preprocessing makes, and those of the input.
+    /// The size after preprocessing differs from that of the input; each is width and height, pixels.
     #[error("preprocessing makes {} × {} pixels, input.shape wants {} × {}", .made.0, .made.1, .wanted.0, .wanted.1)]
     Size { made: (u32, u32), wanted: (usize, usize) },
-    /// Nothing to answer.
+    /// There is no class to answer with.
     #[error("output needs at least one label and a top_k of at least 1")]
     NoLabels,
 }
@@ -203,8 +205,8 @@ pub(super) enum CardError {
 fn text(file: &Path) -> io::Result<String> {
     let mut file = regular::open(file)?;
     let length = file.metadata()?.len();
-    if length > LONGEST {
-        return Err(io::Error::other(format!("it has {length} bytes; a card has at most {LONGEST}")));
+    if length > MAX_CARD_BYTES {
+        return Err(io::Error::other(format!("it has {length} bytes; a card has at most {MAX_CARD_BYTES}")));
     }
     let mut text = String::new();
     file.read_to_string(&mut text)?;
@@ -225,7 +227,7 @@ impl Card {
         Ok(card)
     }
 
-    /// What the types alone do not rule out.
+    /// Checks the rules that the types do not express.
     fn check(&self) -> Result<(), CardError> {
         let Self { input, preprocessing, output, .. } = self;
         let (batch, channels, height, width) = input.dimensions();
@@ -266,7 +268,7 @@ impl Card {
 }
 
 impl Input {
-    /// Batch, channels, height, width.
+    /// Returns batch, channels, height and width.
     pub(super) fn dimensions(&self) -> (usize, usize, usize, usize) {
         let [batch, a, b, c] = self.shape;
         match self.layout {
@@ -306,7 +308,7 @@ const fn five() -> usize {
 pub(super) mod tests {
     use super::*;
 
-    /// A card for grey pictures of 2 × 1 pixels.
+    /// Card for grey pictures of 2 × 1 pixels.
     pub(in crate::model::onnx) const SMALL: &str = r#"
 name = "small"
 task = "classification"
@@ -344,15 +346,15 @@ labels = ["a", "b"]
     }
 
     #[test]
-    fn an_odd_margin_is_split_as_the_card_says() {
+    fn odd_margin_is_split_as_configured() {
         let before = |rounding: Rounding| [0, 1, 2, 3, 4, 5, 7].map(|margin| rounding.before(margin));
         assert_eq!(before(Rounding::Down), [0, 0, 1, 1, 2, 2, 3]);
-        // int(round(margin / 2.0)) in Python.
+        // As `int(round(margin / 2.0))` computes in Python.
         assert_eq!(before(Rounding::HalfEven), [0, 0, 1, 2, 2, 2, 4]);
     }
 
     #[test]
-    fn each_contradiction_is_named() {
+    fn contradictory_keys_are_named() {
         for (from, to, named) in [
             ("shape = [1, 1, 1, 2]", "shape = [2, 1, 1, 2]", "batch of 2"),
             ("colour = \"grey\"", "colour = \"rgb\"", "1 channels"),

@@ -1,15 +1,15 @@
-//! From the output of a classifier to its answer.
+//! Conversion of a classifier's output to its answer.
 
 use serde::Serialize;
 
 use super::card::{Activation, Output};
 
-/// The answer, as JSON: `{"label": "dented", "score": 0.98, "top": [{"label": "dented", "score": 0.98}, …]}`.
+/// Answer, as JSON: `{"label": "dented", "score": 0.98, "top": [{"label": "dented", "score": 0.98}, …]}`.
 #[derive(Debug, PartialEq, Serialize)]
 struct Answer<'a> {
     label: &'a str,
     score: f32,
-    /// The best classes, best first.
+    /// The classes with the highest scores, best first.
     top: Vec<Ranked<'a>>,
 }
 
@@ -19,24 +19,25 @@ struct Ranked<'a> {
     score: f32,
 }
 
-/// Why an output is no answer.
+/// Reason that an output cannot be converted to an answer.
 #[derive(Debug, thiserror::Error)]
 pub(super) enum OutputError {
-    /// A number that ranks nothing.
+    /// The output contains a number that is not finite.
     #[error("its output contains {0}")]
     NotFinite(f32),
-    /// A card without labels.
+    /// The card has no labels.
     #[error("it has no classes")]
     NoClasses,
-    /// The answer cannot be written.
+    /// The answer cannot be encoded.
     #[error(transparent)]
     Json(#[from] serde_json::Error),
 }
 
-/// Scores the model's numbers, one for each label, and writes the answer. The numbers become the scores.
+/// Computes the scores of the labels from the model's numbers, and returns the answer. The numbers are replaced by
+/// the scores.
 ///
 /// # Errors
-/// When a number is not finite: such an output ranks nothing.
+/// If a number is not finite, because such an output has no order.
 pub(super) fn classify<'a>(output: &'a Output, numbers: &mut [f32]) -> Result<Vec<u8>, OutputError> {
     if let Some(number) = numbers.iter().find(|number| !number.is_finite()) {
         return Err(OutputError::NotFinite(*number));
@@ -60,7 +61,7 @@ fn activate(activation: Activation, numbers: &mut [f32]) {
             }
         }
         Activation::Softmax => {
-            // Relative to the greatest, so that no exponential overflows.
+            // The largest number is subtracted first, so that no exponential overflows.
             let greatest = numbers.iter().copied().fold(f32::NEG_INFINITY, f32::max);
             for number in numbers.iter_mut() {
                 *number = (*number - greatest).exp();
@@ -85,7 +86,7 @@ mod tests {
     }
 
     #[test]
-    fn the_best_come_first() {
+    fn best_classes_come_first() {
         let json = classify(&output(Activation::None, 2), &mut [0.25, 0.125, 0.5]).expect("is finite");
         let expected =
             r#"{"label":"c","score":0.5,"top":[{"label":"c","score":0.5},{"label":"a","score":0.25}]}"#;
@@ -93,7 +94,7 @@ mod tests {
     }
 
     #[test]
-    fn an_output_that_is_not_finite_is_a_failure() {
+    fn non_finite_output_is_a_failure() {
         for bad in [f32::NAN, f32::INFINITY] {
             assert!(classify(&output(Activation::Softmax, 3), &mut [0.0, bad, 1.0]).is_err());
         }
@@ -101,7 +102,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn scores_are_probabilities_in_the_order_of_the_numbers(numbers: [i16; 3]) {
+        fn scores_are_probabilities_in_order_of_outputs(numbers: [i16; 3]) {
             let numbers = numbers.map(f32::from);
             for activation in [Activation::Softmax, Activation::Sigmoid] {
                 let mut scores = numbers;

@@ -1,4 +1,4 @@
-//! `kind = "onnx"` and `[onnxruntime]` in the configuration.
+//! The keys of `kind = "onnx"` and the table `[onnxruntime]` of the configuration.
 
 use std::num::NonZeroUsize;
 use std::path::PathBuf;
@@ -10,19 +10,19 @@ use super::Onnx;
 use crate::model::{LoadContext, ModelConfig, ModelKind, ModelTable, SharedKeys};
 use crate::{LoadError, Model};
 
-/// Most threads within or across the operators of a model.
+/// Largest number of threads within or across the operators of a model.
 const MAX_THREADS: usize = 1024;
 
-/// `kind = "onnx"`.
+/// Keys of a model of `kind = "onnx"`.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct OnnxConfig {
-    /// The folder with `model.onnx` and its card `model.toml`.
+    /// Folder with `model.onnx` and its card `model.toml`.
     pub path: PathBuf,
-    /// Threads of each worker within one operator of the model; the worker's own thread counts.
+    /// Threads of each worker within one operator of the model, including the worker's own thread.
     #[serde(default = "one")]
     pub intra_threads: NonZeroUsize,
-    /// Threads of each worker across independent operators; above 1 they run in parallel.
+    /// Threads of each worker across independent operators; above 1 these run in parallel.
     #[serde(default = "one")]
     pub inter_threads: NonZeroUsize,
 }
@@ -32,7 +32,7 @@ const fn one() -> NonZeroUsize {
 }
 
 impl ModelKind for OnnxConfig {
-    fn untold_keys(&self) -> &'static [&'static str] {
+    fn unpublished_keys(&self) -> &'static [&'static str] {
         &["path"]
     }
 
@@ -53,18 +53,19 @@ impl ModelKind for OnnxConfig {
 }
 
 impl ModelConfig {
-    /// The ONNX model in a folder, with these threads within an operator and across operators.
+    /// Returns the configuration of the ONNX model in a folder, with the numbers of threads within an operator and
+    /// across operators.
     pub(crate) fn onnx(shared: SharedKeys, path: PathBuf, threads: [NonZeroUsize; 2]) -> Self {
         let [intra_threads, inter_threads] = threads;
         ModelTable { shared, own: OnnxConfig { path, intra_threads, inter_threads } }.into()
     }
 }
 
-/// `[onnxruntime]`: which library runs the models of kind `onnx`.
+/// The table `[onnxruntime]`: the library that runs the models of kind `onnx`.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct OnnxRuntimeConfig {
-    /// The library file, or the folder that holds `libonnxruntime.so`. Without it `ORT_DYLIB_PATH`, the folder
+    /// The library file, or the folder that holds `libonnxruntime.so`. Without this key `ORT_DYLIB_PATH`, the folder
     /// `onnxruntime/lib` and the system's library path are searched, in this order.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub library: Option<PathBuf>,

@@ -1,4 +1,4 @@
-//! Where a model runs.
+//! Devices on which ONNX Runtime runs a model.
 
 use std::fmt;
 use std::path::Path;
@@ -9,13 +9,13 @@ use peernet_logger::Slug;
 
 use crate::LoadError;
 
-/// `device` of a model of kind `onnx`.
+/// Value of `device` of a model of kind `onnx`.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) enum Device {
     Cpu,
     Cuda(i32),
     TensorRt(i32),
-    /// OpenVINO's own name of a device, such as `CPU`, `GPU.0`, `NPU`.
+    /// OpenVINO's name of a device, such as `CPU`, `GPU.0`, `NPU`.
     OpenVino(String),
 }
 
@@ -50,7 +50,8 @@ impl fmt::Display for Device {
 }
 
 impl Device {
-    /// The execution provider that runs the whole model there; `None` for the CPU, which every build has.
+    /// Returns the execution provider of the device; `None` for the CPU, which every build has. An error of the
+    /// provider is an error of the session.
     pub(super) fn provider(&self) -> Option<ExecutionProviderDispatch> {
         let provider = match self {
             Self::Cpu => return None,
@@ -61,7 +62,7 @@ impl Device {
         Some(provider.error_on_failure())
     }
 
-    /// Refuses the device when the loaded library was built without it. The library must be loaded.
+    /// Checks that the loaded library was built for the device. The library must be loaded.
     pub(super) fn check(&self, model: &Slug, library: &Path) -> Result<(), LoadError> {
         let available = providers();
         let provider = match self {
@@ -83,7 +84,7 @@ impl Device {
     }
 }
 
-/// The execution providers of the loaded library, of those that a device can name.
+/// Returns the execution providers of the loaded library, of those that a device can name.
 fn providers() -> Vec<&'static str> {
     let known = [
         (ep::CPU::NAME, ep::CPU::is_available()),

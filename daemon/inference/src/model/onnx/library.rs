@@ -1,4 +1,4 @@
-//! Finding and loading ONNX Runtime's library.
+//! Search and loading of ONNX Runtime's library.
 
 use std::error::Error;
 use std::path::{Path, PathBuf};
@@ -9,10 +9,10 @@ use ort::environment::Environment;
 use ort::logging::LogLevel;
 
 use super::OnnxRuntimeConfig;
-use super::search::{Candidate, Surroundings};
+use super::search::{Candidate, SearchSettings};
 use crate::LibraryError;
 
-/// The loaded library: one per process, for as long as the process lives.
+/// The loaded library. A process can load one library, which stays loaded until the process ends.
 pub(super) struct Runtime {
     environment: Environment,
     library: PathBuf,
@@ -21,11 +21,11 @@ pub(super) struct Runtime {
 static LOADED: Mutex<Option<Arc<Runtime>>> = Mutex::new(None);
 
 impl Runtime {
-    /// The library that the configuration and the surroundings lead to, loaded on the first call.
+    /// Returns the library that the search finds; loads it on the first call.
     pub(super) fn get(config: &OnnxRuntimeConfig) -> Result<Arc<Self>, LibraryError> {
-        let surroundings = Surroundings::of_this_process(config.library.as_deref());
+        let search_settings = SearchSettings::of_this_process(config.library.as_deref());
         let mut loaded = LOADED.lock().unwrap_or_else(PoisonError::into_inner);
-        let (found, mut looked) = surroundings.search()?;
+        let (found, mut searched) = search_settings.search()?;
         if let Some(runtime) = loaded.as_ref() {
             return match found {
                 Some(Candidate { path: wanted, .. }) if wanted != runtime.library => {
@@ -36,7 +36,7 @@ impl Runtime {
         }
         let runtime = match found {
             Some(candidate) => Self::load(&candidate)?,
-            None => Self::load_from_system(&mut looked)?,
+            None => Self::load_from_system(&mut searched)?,
         };
         let runtime = Arc::new(runtime);
         *loaded = Some(Arc::clone(&runtime));
@@ -47,27 +47,27 @@ impl Runtime {
         &self.environment
     }
 
-    /// The file, or the name by which the system found it.
+    /// Returns the file, or the name under which the system found it.
     pub(super) fn library(&self) -> &Path {
         &self.library
     }
 
-    /// The file behind all links, whose name ends with the version, and of what it was built.
+    /// Describes the library: the file behind all links, whose name ends with the version, and the build.
     pub(super) fn describe(&self) -> String {
         let file = self.library.canonicalize().unwrap_or_else(|_| self.library.clone());
-        // How its compiler was called is long, and follows from the rest.
+        // The call of the compiler is left out: it is long and follows from the rest.
         let build = ort::info().trim_start_matches("ORT Build Info: ");
         let build = build.split_once(", cmake").map_or(build, |(build, _)| build);
         format!("{}, {build}", file.display())
     }
 
-    /// The names that the system's loader knows the library by: with and without the version of its interface.
-    fn load_from_system(looked: &mut Vec<String>) -> Result<Self, LibraryError> {
+    /// Loads the library by the names that the system's loader knows, with and without the version of its interface.
+    fn load_from_system(searched: &mut Vec<String>) -> Result<Self, LibraryError> {
         for name in ["libonnxruntime.so.1", "libonnxruntime.so"] {
             match ort::init_from(name) {
                 Ok(builder) => return Self::begin(builder, name.into(), "the system's library path"),
                 Err(LoadDynamicError::Dlopen { .. }) => {
-                    looked.push(format!("{name} in the system's library path: none"));
+                    searched.push(format!("{name} in the system's library path: none"));
                 }
                 Err(error) => {
                     let origin = "the system's library path";
@@ -79,7 +79,7 @@ impl Runtime {
                 }
             }
         }
-        Err(LibraryError::NotFound { looked: std::mem::take(looked) })
+        Err(LibraryError::NotFound { searched: std::mem::take(searched) })
     }
 
     fn load(candidate: &Candidate) -> Result<Self, LibraryError> {
@@ -111,7 +111,7 @@ impl Runtime {
     }
 }
 
-/// The library's own messages, into this program's log.
+/// Passes the library's messages on to this program's log.
 fn log(level: LogLevel, _category: &str, _id: &str, place: &str, message: &str) {
     match level {
         LogLevel::Verbose | LogLevel::Info => tracing::debug!(place, "onnxruntime: {message}"),
@@ -122,7 +122,7 @@ fn log(level: LogLevel, _category: &str, _id: &str, place: &str, message: &str) 
 
 fn reason(error: &LoadDynamicError) -> String {
     match error {
-        // The loader's own words are one level down.
+        // The loader's message is the source of the error.
         LoadDynamicError::Dlopen { error, .. } => {
             error.source().map_or(error.to_string(), ToString::to_string)
         }

@@ -1,8 +1,8 @@
-//! `onnx`: models in ONNX form, run by ONNX Runtime.
+//! Model kind `onnx`: models in ONNX form, run by ONNX Runtime.
 //!
-//! A model is a folder: `model.onnx` and its card `model.toml`, which says how a picture becomes its input and its
-//! output an answer ([`card`]). The library is found and loaded at run time ([`library`]), so that one binary serves
-//! hosts with and without GPUs.
+//! A model is a folder with `model.onnx` and its card `model.toml`, which defines the conversion of pictures to the
+//! input and of the output to an answer ([`card`]). The library is found and loaded at run time ([`library`]), so
+//! that one binary serves hosts with and without GPUs.
 
 mod card;
 mod classify;
@@ -36,43 +36,43 @@ use library::Runtime;
 use shared::Shared;
 use worker::OnnxWorker;
 
-/// The model in a model's folder.
+/// Name of the model's file in its folder.
 pub(crate) const MODEL: &str = "model.onnx";
 
-/// The card in a model's folder.
+/// Name of the card in a model's folder.
 pub(crate) const CARD: &str = "model.toml";
 
-/// The name of the fact that tells which file a model is: its SHA-256 in hexadecimal.
+/// Name of the fact with the SHA-256 of the model's file, in hexadecimal.
 pub const MODEL_HASH: &str = "Model SHA-256";
 
-/// The name of the fact that tells which card a model has: its SHA-256 in hexadecimal.
+/// Name of the fact with the SHA-256 of the model's card, in hexadecimal.
 const CARD_HASH: &str = "Card SHA-256";
 
-/// The name of the fact that tells how many classes a model has, and some of their names.
+/// Name of the fact with the number of classes and some of their names.
 const CLASSES: &str = "Classes";
 
-/// 1 where a sample's label is no class of the model, beside the stages: no answer could be right.
+/// Value 1 beside the stages of a sample whose label is not a class of the model, so that no answer could be right.
 pub const UNKNOWN_LABEL: Name = Name::from_static("unknown-label");
 
-/// Whether this is the name of a device.
+/// Checks the name of a device.
 ///
 /// # Errors
-/// When it is none.
+/// If it is not the name of a device.
 pub(crate) fn check_device(name: &str) -> Result<(), LoadError> {
     name.parse::<Device>().map(drop)
 }
 
-/// A loaded ONNX model.
+/// Loaded ONNX model.
 struct Onnx {
     plan: Arc<Plan>,
     hash: String,
     card_hash: String,
     runtime: Arc<Runtime>,
-    /// The model's weights in a form that several workers share; `None` when there is one worker only.
+    /// Optimised model whose weights several workers share; `None` if there is only one worker.
     shared: Option<Shared>,
 }
 
-/// All that is decided about a model before a session is made.
+/// Settings of a model that are known before a session is opened.
 struct Plan {
     name: Slug,
     file: PathBuf,
@@ -86,16 +86,16 @@ struct Plan {
 }
 
 impl Onnx {
-    /// Finds what is wrong without loading the model: the device, the files, the card, the library.
+    /// Checks everything that can be checked without loading the model: the device, the files, the card, the library.
     fn check(config: &OnnxConfig, shared: &SharedKeys, runtime: &OnnxRuntimeConfig) -> Result<(), LoadError> {
         Self::plan(config, shared, runtime).map(drop)
     }
 
-    /// Loads what all workers share.
+    /// Loads the part of the model that all workers share.
     fn load(config: &OnnxConfig, shared: &SharedKeys, context: &LoadContext<'_>) -> Result<Self, LoadError> {
         let (plan, runtime) = Self::plan(config, shared, context.runtime)?;
         let (hash, card_hash) = (hash(&config.path, MODEL)?, hash(&config.path, CARD)?);
-        let shared = Shared::prepare(&plan, &runtime, context.litter)?;
+        let shared = Shared::prepare(&plan, &runtime, context.temp_dirs)?;
         Ok(Self { plan: Arc::new(plan), hash, card_hash, runtime, shared })
     }
 
@@ -153,7 +153,7 @@ impl Model for Onnx {
     }
 }
 
-/// How many there are, and the first of them.
+/// Returns the number of classes and the first of their names.
 fn classes(labels: &[String]) -> String {
     format!("{}: {}", labels.len(), examples(labels.iter().map(String::as_str)))
 }

@@ -1,30 +1,30 @@
-//! From a sample to the model's input.
+//! Conversion of a sample to the model's input.
 
 use peernet_imaging::{Crop, ImageError, Picture, Resizer, Scaling, crop, read_part};
 use peernet_sample::{PixelFormat, Sample};
 
 use super::card::{Card, Centre, Colour, Layout, Preprocessing, Resize};
 
-/// Why a sample cannot become the model's input.
+/// Reason that a sample cannot be converted to the model's input.
 #[derive(Debug, thiserror::Error)]
 pub(super) enum InputError {
-    /// It has no part.
+    /// The sample has no part.
     #[error("it has no payload")]
     NoPayload,
-    /// Its first part is no picture, or one that cannot be decoded, resized or cropped.
+    /// The first part is not a picture, or one that cannot be decoded, resized or cropped.
     #[error(transparent)]
     Picture(#[from] ImageError),
-    /// The picture has another size, and nothing is said of resizing.
+    /// The picture has another size than the input, and the card does not resize.
     #[error("it has {} × {} pixels, the model wants {} × {} and its card has no resize", .has.0, .has.1, .wanted.0, .wanted.1)]
     Size {
-        /// Width and height of the picture, in pixels.
+        /// Width and height of the picture, pixels.
         has: (u32, u32),
-        /// Width and height of the input, in pixels.
+        /// Width and height of the input, pixels.
         wanted: (u32, u32),
     },
 }
 
-/// Decodes, resizes, crops and normalises as a card says; keeps all buffers from one sample to the next.
+/// Decodes, resizes, crops and normalises as the card defines; all buffers are reused for the next sample.
 pub(super) struct Preprocessor {
     geometry: Geometry,
     normalisation: Normalisation,
@@ -35,19 +35,19 @@ pub(super) struct Preprocessor {
     tensor: Vec<f32>,
 }
 
-/// What becomes of a picture's size.
+/// Changes of a picture's size.
 struct Geometry {
     resize: Option<Resize>,
     crop: Option<Centre>,
-    /// Width and height that the model wants, in pixels.
+    /// Width and height of the model's input, pixels.
     wanted: (u32, u32),
 }
 
-/// What becomes of a picture's bytes.
+/// Conversion of a picture's bytes to numbers.
 struct Normalisation {
     format: PixelFormat,
     layout: Layout,
-    /// For each channel of the tensor: the channel of the picture, and factor and offset of its bytes.
+    /// For each channel of the tensor: the channel of the picture, and factor and offset for its bytes.
     channels: Vec<Channel>,
 }
 
@@ -73,12 +73,12 @@ impl Preprocessor {
         }
     }
 
-    /// The model's input, in the shape of the card; zeros before the first sample.
+    /// Returns the model's input, in the shape of the card; zeros before the first sample.
     pub(super) fn tensor(&self) -> &[f32] {
         &self.tensor
     }
 
-    /// Makes the picture in a sample's first part the model's input.
+    /// Converts the picture in a sample's first part to the model's input.
     pub(super) fn fill(&mut self, sample: &Sample) -> Result<(), InputError> {
         let part = sample.parts.first().ok_or(InputError::NoPayload)?;
         let Geometry { resize, crop: centre, wanted } = self.geometry;
@@ -104,13 +104,13 @@ impl Preprocessor {
     }
 }
 
-/// Where the centre of a picture lies; one that is too small is for the cropping to refuse.
+/// Returns the rectangle in the centre of a picture. A picture that is too small is refused by the cropping.
 fn rectangle(Centre { width, height, rounding }: Centre, picture: &Picture) -> Crop {
     let before = |whole: u32, part: u32| Some(rounding.before(whole.saturating_sub(part)));
     Crop { width, height, x: before(picture.width(), width), y: before(picture.height(), height) }
 }
 
-/// The size to scale to, and how.
+/// Returns the size to scale to, and the kind of scaling.
 fn target(resize: Resize, picture: &Picture) -> (u32, u32, Scaling) {
     match resize {
         Resize::Exact { width, height, filter, antialias } => (width, height, Scaling { filter, antialias }),
@@ -129,7 +129,7 @@ impl Normalisation {
         let preprocessing = &card.preprocessing;
         let channel = |(to, (mean, std)): (usize, (&f64, &f64))| Channel {
             from: if card.input.colour == Colour::Bgr { count - 1 - to } else { to },
-            // (byte × scale − mean) / std as one multiplication and one addition.
+            // `(byte × scale − mean) / std` as one multiplication and one addition.
             factor: (preprocessing.scale / std) as f32,
             offset: (-mean / std) as f32,
         };
@@ -140,8 +140,8 @@ impl Normalisation {
         }
     }
 
-    /// Bytes of interleaved channels to normalised numbers, in one pass for each channel (which vectorises) or, where the
-    /// layout stays interleaved, in one pass over all.
+    /// Converts bytes of interleaved channels to normalised numbers: one pass for each channel (which the compiler
+    /// vectorises) or, if the layout stays interleaved, one pass over all.
     fn apply(&self, pixels: &[u8], tensor: &mut [f32]) {
         let channels = &self.channels[..];
         let count = channels.len();
@@ -205,7 +205,7 @@ mod tests {
     }
 
     #[test]
-    fn the_shortest_side_is_scaled_and_the_centre_cut_out() {
+    fn shortest_side_is_scaled_and_centre_cropped() {
         let card = changed(
             "resize = { mode = \"exact\", width = 2, height = 1 }",
             "resize = { mode = \"shortest\", size = 2 }\ncrop = { width = 2, height = 1 }",
@@ -218,7 +218,7 @@ mod tests {
     }
 
     #[test]
-    fn without_a_resize_the_size_must_be_right() {
+    fn wrong_size_without_resize_is_refused() {
         let card = changed("resize = { mode = \"exact\", width = 2, height = 1 }", "");
         let mut preprocessor = Preprocessor::new(&card.expect("is right"));
         assert!(preprocessor.fill(&pixels(PixelFormat::Grey8, 2, 1, &[1, 2])).is_ok());
@@ -228,7 +228,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_picture_is_named() {
+    fn payload_without_picture_is_refused() {
         let mut preprocessor = Preprocessor::new(&changed("", "").expect("is right"));
         let fill = |preprocessor: &mut Preprocessor, sample: &Sample| {
             preprocessor.fill(sample).expect_err("wrong").to_string()

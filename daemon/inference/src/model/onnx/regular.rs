@@ -1,15 +1,17 @@
-//! Files that are found in a folder of models.
+//! Opening of files in a model's folder.
 
 use std::fs::File;
 use std::io;
 use std::path::Path;
 
-/// Opens a regular file. Anything else may never end or never begin, and would hold up who lists a folder of models.
+/// Opens a regular file.
+///
+/// Other files may block for ever when they are opened or read, and would block the listing of a folder of models.
 ///
 /// # Errors
-/// When it is none or cannot be opened.
+/// If it is not a regular file or cannot be opened.
 pub(super) fn open(file: &Path) -> io::Result<File> {
-    // Before it is opened: to open a pipe waits for its writer.
+    // The type is checked before opening, because opening a named pipe waits for its writer.
     if !file.metadata()?.is_file() {
         return Err(io::Error::other("it is not a regular file"));
     }

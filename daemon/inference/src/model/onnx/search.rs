@@ -1,29 +1,29 @@
-//! Where ONNX Runtime's library may be.
+//! Search for ONNX Runtime's library.
 
 use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 
 use crate::LibraryError;
 
-/// What the search depends on.
+/// Settings on which the search depends.
 #[derive(Clone, Debug, Default)]
-pub(super) struct Surroundings {
-    /// `[onnxruntime] library`.
+pub(super) struct SearchSettings {
+    /// The key `library` of `[onnxruntime]`.
     pub(super) configured: Option<PathBuf>,
-    /// `ORT_DYLIB_PATH`.
+    /// The variable `ORT_DYLIB_PATH`.
     pub(super) variable: Option<OsString>,
     /// The current directory.
     pub(super) current: PathBuf,
-    /// This program's file.
+    /// The file of this program.
     pub(super) executable: PathBuf,
 }
 
-/// A file that was found.
+/// Library file that was found.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) struct Candidate {
-    /// The file, links resolved.
+    /// The file, with links resolved.
     pub(super) path: PathBuf,
-    /// Which step of the search led to it.
+    /// Step of the search that led to it.
     pub(super) origin: &'static str,
 }
 
@@ -31,7 +31,7 @@ const FOLDER: &str = "onnxruntime/lib";
 const INSTALLED: &str = "/usr/lib/peernet";
 const NAMES: [&str; 2] = ["libonnxruntime.so", "libonnxruntime.so.1"];
 
-impl Surroundings {
+impl SearchSettings {
     pub(super) fn of_this_process(configured: Option<&Path>) -> Self {
         Self {
             configured: configured.map(Path::to_owned),
@@ -41,23 +41,23 @@ impl Surroundings {
         }
     }
 
-    /// The first file in the order of the search, and where it was looked for before; the system's library path,
-    /// the last step, is the loader's business.
+    /// Returns the first file in the order of the search, and the places that were searched before it. The last step,
+    /// the system's library path, is left to the loader.
     ///
-    /// What was named explicitly is taken or is an error: nothing else is quietly used in its place.
+    /// A library that is named explicitly is used or is an error: it is never replaced by another one.
     pub(super) fn search(&self) -> Result<(Option<Candidate>, Vec<String>), LibraryError> {
-        let mut looked = Vec::new();
+        let mut searched = Vec::new();
         let variable = self.variable.as_ref().map(PathBuf::from);
         let named =
             [("[onnxruntime] library", self.configured.as_ref()), ("ORT_DYLIB_PATH", variable.as_ref())];
         for (origin, path) in named {
             let Some(path) = path else {
-                looked.push(format!("{origin}: not set"));
+                searched.push(format!("{origin}: not set"));
                 continue;
             };
             let library = self.current.join(path);
             return match file_at(&library) {
-                Some(path) => Ok((Some(Candidate { path, origin }), looked)),
+                Some(path) => Ok((Some(Candidate { path, origin }), searched)),
                 None if library.is_dir() => {
                     let reason = format!("the folder holds no {}", NAMES.join(" or "));
                     Err(LibraryError::Unusable { library, origin, reason })
@@ -71,14 +71,15 @@ impl Surroundings {
         }
         for folder in self.folders() {
             if let Some(path) = file_at(&folder) {
-                return Ok((Some(Candidate { path, origin: "found in a folder" }), looked));
+                return Ok((Some(Candidate { path, origin: "found in a folder" }), searched));
             }
-            looked.push(format!("{}: none", folder.display()));
+            searched.push(format!("{}: none", folder.display()));
         }
-        Ok((None, looked))
+        Ok((None, searched))
     }
 
-    /// Beside the current directory, beside the program and all folders above it, and where the package puts it.
+    /// Returns the folders to search: below the current directory, below the program's folder and all folders above
+    /// it, and where the package installs the library.
     fn folders(&self) -> Vec<PathBuf> {
         let mut folders = vec![self.current.join(FOLDER)];
         folders.extend(self.executable.ancestors().skip(1).map(|ancestor| ancestor.join(FOLDER)));
@@ -89,7 +90,7 @@ impl Surroundings {
     }
 }
 
-/// The library at a path: the file itself, or the one in the folder.
+/// Returns the library at a path: the file itself, or the one in the folder.
 fn file_at(path: &Path) -> Option<PathBuf> {
     let resolved = |path: &Path| path.canonicalize().ok().filter(|path| path.is_file());
     resolved(path).or_else(|| NAMES.iter().find_map(|name| resolved(&path.join(name))))
@@ -107,54 +108,54 @@ mod tests {
         folder.join(name).canonicalize().expect("exists")
     }
 
-    fn found(surroundings: &Surroundings) -> Option<PathBuf> {
-        surroundings.search().expect("nothing wrong is named").0.map(|candidate| candidate.path)
+    fn found(search_settings: &SearchSettings) -> Option<PathBuf> {
+        search_settings.search().expect("nothing wrong is named").0.map(|candidate| candidate.path)
     }
 
     #[test]
     fn the_order_is_configuration_variable_folders() {
         let root = tempfile::tempdir().expect("can be made");
         let at = |path: &str| root.path().join(path);
-        let mut surroundings = Surroundings {
+        let mut search_settings = SearchSettings {
             current: at("current"),
             executable: at("tree/target/debug/program"),
             ..Default::default()
         };
-        assert_eq!(found(&surroundings), None);
+        assert_eq!(found(&search_settings), None);
 
         let above = put(&at("tree/onnxruntime/lib"), "libonnxruntime.so.1");
-        assert_eq!(found(&surroundings), Some(above));
+        assert_eq!(found(&search_settings), Some(above));
         let current = put(&at("current/onnxruntime/lib"), "libonnxruntime.so");
-        assert_eq!(found(&surroundings), Some(current));
+        assert_eq!(found(&search_settings), Some(current));
         let variable = put(&at("own"), "mine.so");
-        surroundings.variable = Some(variable.clone().into());
-        assert_eq!(found(&surroundings), Some(variable));
+        search_settings.variable = Some(variable.clone().into());
+        assert_eq!(found(&search_settings), Some(variable));
         let configured = put(&at("current/built"), "libonnxruntime.so");
-        surroundings.configured = Some("built".into());
-        assert_eq!(found(&surroundings), Some(configured));
+        search_settings.configured = Some("built".into());
+        assert_eq!(found(&search_settings), Some(configured));
     }
 
     #[test]
-    fn a_named_library_that_is_not_there_is_not_replaced_by_another() {
+    fn missing_configured_library_has_no_fallback() {
         let root = tempfile::tempdir().expect("can be made");
         put(&root.path().join(FOLDER), "libonnxruntime.so");
-        let mut surroundings = Surroundings { current: root.path().to_owned(), ..Default::default() };
-        surroundings.variable = Some("nowhere.so".into());
-        let error = surroundings.search().expect_err("is named").to_string();
+        let mut search_settings = SearchSettings { current: root.path().to_owned(), ..Default::default() };
+        search_settings.variable = Some("nowhere.so".into());
+        let error = search_settings.search().expect_err("is named").to_string();
         assert!(error.contains("nowhere.so (ORT_DYLIB_PATH)") && error.contains("make setup"), "{error}");
-        surroundings.configured = Some(root.path().to_owned());
-        let error = surroundings.search().expect_err("is empty").to_string();
+        search_settings.configured = Some(root.path().to_owned());
+        let error = search_settings.search().expect_err("is empty").to_string();
         assert!(error.contains("holds no libonnxruntime.so"), "{error}");
     }
 
     #[test]
-    fn every_place_is_listed() {
-        let surroundings = Surroundings {
+    fn search_error_lists_all_places() {
+        let search_settings = SearchSettings {
             current: "/nowhere/current".into(),
             executable: "/nowhere/bin/program".into(),
             ..Default::default()
         };
-        let (_, looked) = surroundings.search().expect("nothing is named");
+        let (_, searched) = search_settings.search().expect("nothing is named");
         for place in [
             "[onnxruntime] library",
             "ORT_DYLIB_PATH",
@@ -162,9 +163,9 @@ mod tests {
             "/nowhere/bin/onnxruntime/lib",
             INSTALLED,
         ] {
-            assert!(looked.iter().any(|line| line.starts_with(place)), "{place}: {looked:?}");
+            assert!(searched.iter().any(|line| line.starts_with(place)), "{place}: {searched:?}");
         }
-        let error = LibraryError::NotFound { looked }.to_string();
+        let error = LibraryError::NotFound { searched }.to_string();
         assert!(error.contains(INSTALLED) && error.contains("make setup"), "{error}");
     }
 }

@@ -1,7 +1,7 @@
-//! A session of ONNX Runtime: one per worker.
+//! A session of ONNX Runtime, one per worker.
 //!
-//! `ort` takes a session by `&mut` to run it, since parts of the library are not safe under concurrent runs; so each
-//! worker has a session of its own, and [`Shared`] lets them share the weights.
+//! `ort` runs a session by `&mut`, because parts of the library are not safe under concurrent runs. Each worker
+//! therefore has its own session, and [`Shared`] lets them share the weights.
 
 use ort::session::Session;
 use ort::session::builder::{GraphOptimizationLevel, SessionBuilder};
@@ -12,14 +12,14 @@ use super::library::Runtime;
 use super::shared::Shared;
 use crate::LoadError;
 
-/// Opens a session and checks that it is the model that the card describes.
+/// Opens a session and checks that the model is the one that the card describes.
 pub(super) fn open(plan: &Plan, runtime: &Runtime, shared: Option<&Shared>) -> Result<Session, LoadError> {
     let session = build(plan, runtime, shared).map_err(|error| refused(plan, &error))?;
     let input = &plan.card.input;
     let output = &plan.card.output;
     let classes = output.labels.len();
     check(plan, "input", session.inputs(), &input.name, &input.shape)?;
-    // A batch of one, or no batch at all.
+    // The output has a batch dimension of 1 or none.
     check(plan, "output", session.outputs(), &output.name, &[1, classes]).or_else(|error| {
         check(plan, "output", session.outputs(), &output.name, &[classes]).map_err(|_| error)
     })?;
@@ -34,24 +34,24 @@ pub(super) fn open(plan: &Plan, runtime: &Runtime, shared: Option<&Shared>) -> R
 
 fn build(plan: &Plan, runtime: &Runtime, shared: Option<&Shared>) -> ort::Result<Session> {
     let builder = builder(plan, runtime)?;
-    // Temporary folders are cleaned up by others as well; a worker that is rebuilt later can do without.
+    // Other programs may delete temporary folders; a worker that is rebuilt later works without the shared file.
     match shared.filter(|shared| shared.file().exists()) {
         Some(shared) => {
-            let level = GraphOptimizationLevel::Disable; // it is optimised already
+            let level = GraphOptimizationLevel::Disable; // the shared model is already optimised
             builder.with_optimization_level(level)?.commit_from_file(shared.file())
         }
         None => builder.with_optimization_level(GraphOptimizationLevel::All)?.commit_from_file(&plan.file),
     }
 }
 
-/// What all sessions of a model have in common.
+/// Returns the settings that all sessions of a model have in common.
 pub(super) fn builder(plan: &Plan, runtime: &Runtime) -> ort::Result<SessionBuilder> {
     let mut builder = SessionBuilder::new(runtime.environment())?.with_intra_threads(plan.intra_threads)?;
     if plan.inter_threads > 1 {
         builder = builder.with_parallel_execution(true)?.with_inter_threads(plan.inter_threads)?;
     }
     if let Some(provider) = plan.device.provider() {
-        // Both together: the whole model runs there or the session is refused.
+        // With both settings either the whole model runs on the device or the session is refused.
         builder = builder.with_execution_providers([provider])?.with_disable_cpu_fallback()?;
     }
     Ok(builder)
@@ -65,9 +65,11 @@ pub(super) fn refused(plan: &Plan, error: &ort::Error) -> LoadError {
     }
 }
 
-/// The message of ONNX Runtime in one line, without the place in its source, and with the next step where a library did not load.
+/// Returns the message of ONNX Runtime in one line, without the position in its source code, and with the next step
+/// if a library was not loaded.
 fn reason(text: &str) -> String {
-    // As in "…/info.cc:63 static … [ONNXRuntimeError] : 1 : FAIL : options.h:187 Parse Failed to parse …: Invalid device ID: 7".
+    // As in "…/info.cc:63 static … [ONNXRuntimeError] : 1 : FAIL : options.h:187 Parse Failed to parse …: Invalid
+    // device ID: 7".
     let said = text.rsplit_once("[ONNXRuntimeError] : ").map_or(text, |(_, said)| said);
     let said =
         said.split_once(" : ").filter(|(code, _)| code.parse::<u32>().is_ok()).map_or(said, |(_, it)| it);
@@ -88,7 +90,7 @@ fn check(plan: &Plan, what: &str, outlets: &[Outlet], name: &str, shape: &[usize
         ));
     };
     let fits = |own: &[i64]| {
-        // A length of -1 is left open by the model.
+        // The model leaves a length of -1 open.
         own.len() == shape.len() && own.iter().zip(shape).all(|(own, card)| *own < 0 || *own == *card as i64)
     };
     let dtype = outlet.dtype();
@@ -109,7 +111,7 @@ mod tests {
     use super::reason;
 
     #[test]
-    fn refusal_is_one_line_without_the_source_of_the_library() {
+    fn refusal_is_one_line_without_source_location() {
         let said = "/onnxruntime_src/cuda_execution_provider_info.cc:63 static onnxruntime::Info [ONNXRuntimeError] : 1 : FAIL : \
                     options.h:187 Parse Failed to parse provider option \"device_id\": Invalid device ID: 7, must be between 0 \
                     (inclusive) and 1 (exclusive).\n";

@@ -1,9 +1,10 @@
 //! One copy of a model's weights for several workers.
 //!
-//! Optimising a model rearranges its weights, so that every session which does it ends with a copy of its own:
-//! measured with a ResNet-50 of 94 MB, each further worker took another 120 MB. So the model is optimised once and
-//! written to a temporary folder with its weights in a file of their own; each session maps that file, and the kernel
-//! keeps one copy for all: a further worker takes 10 MB and is ready in 55 ms instead of 350.
+//! Optimising a model rearranges its weights, so that each session that optimises has its own copy; prepacked
+//! weights do not avoid that. With a ResNet-50 of 94 MB each further worker took another 120 MB. Therefore the model
+//! is optimised once and written to a temporary folder, with its weights in a separate file. Each session maps that
+//! file, and the kernel keeps one copy for all: a further worker takes 10 MB and is ready after 55 ms instead of 350
+//! ms.
 
 use std::path::PathBuf;
 
@@ -13,31 +14,31 @@ use ort::session::builder::GraphOptimizationLevel;
 use super::device::Device;
 use super::library::Runtime;
 use super::{MODEL, Plan, session};
-use crate::litter::Litter;
+use crate::temp_dirs::TempDirs;
 use crate::{LoadError, Scratch};
 
-/// Initialisers below this many bytes stay in the model itself.
-const SMALLEST: &str = "1024";
+/// Initialisers shorter than this number of bytes stay in the model's file.
+const MIN_SHARED_BYTES: &str = "1024";
 
-/// An optimised model on disk; gone when this is dropped.
+/// Optimised model on disk; dropping it deletes the files.
 pub(super) struct Shared {
     folder: Scratch,
-    litter: Litter,
+    temp_dirs: TempDirs,
 }
 
 impl Drop for Shared {
     fn drop(&mut self) {
-        self.litter.removed(self.folder.path());
+        self.temp_dirs.deregister(self.folder.path());
     }
 }
 
 impl Shared {
-    /// Optimises the model for this machine. `None` when nothing would be shared: with one worker, and on devices
-    /// other than the CPU, to whose memory each session copies the weights anyway.
+    /// Optimises the model for this machine. Returns `None` if nothing would be shared: with one worker, and on
+    /// devices other than the CPU, whose memory holds a copy for each session anyway.
     pub(super) fn prepare(
         plan: &Plan,
         runtime: &Runtime,
-        litter: &Litter,
+        temp_dirs: &TempDirs,
     ) -> Result<Option<Self>, LoadError> {
         if plan.workers < 2 || plan.device != Device::Cpu {
             return Ok(None);
@@ -48,13 +49,13 @@ impl Shared {
                 "{error}; several workers share a model through a temporary folder: set TMPDIR or workers = 1"
             ),
         })?;
-        litter.made(folder.path());
-        let shared = Self { folder, litter: litter.clone() };
+        temp_dirs.register(folder.path());
+        let shared = Self { folder, temp_dirs: temp_dirs.clone() };
         shared.write(plan, runtime).map_err(|error| session::refused(plan, &error))?;
         Ok(Some(shared))
     }
 
-    /// The optimised model.
+    /// Returns the path of the optimised model.
     pub(super) fn file(&self) -> PathBuf {
         self.folder.path().join(MODEL)
     }
@@ -64,8 +65,11 @@ impl Shared {
             .with_optimization_level(GraphOptimizationLevel::All)?
             .with_optimized_model_path(self.file())?
             .with_config_entry("session.optimized_model_external_initializers_file_name", "weights.bin")?
-            .with_config_entry("session.optimized_model_external_initializers_min_size_in_bytes", SMALLEST)?
-            // It warns that the result suits this machine only, which is what is wanted.
+            .with_config_entry(
+                "session.optimized_model_external_initializers_min_size_in_bytes",
+                MIN_SHARED_BYTES,
+            )?
+            // The library would warn that the result suits this machine only, which is intended.
             .with_log_level(LogLevel::Error)?
             .commit_from_file(&plan.file)
             .map(drop)

@@ -1,4 +1,4 @@
-//! What a model on disk is, without loading it.
+//! Description of a model on disk, without loading it.
 
 use std::path::Path;
 
@@ -9,33 +9,33 @@ use super::card::{Activation, Card, Centre, Resize, Rounding};
 use super::{CARD, MODEL, regular};
 use crate::LoadError;
 
-/// A model's card in words.
+/// Card of a model as text.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct CardSummary {
-    /// The model's own name, which need not be that of its folder.
+    /// Name of the model, which may differ from that of its folder.
     pub name: String,
-    /// May be empty.
+    /// Version; may be empty.
     pub version: String,
-    /// `classification`.
+    /// Task: `classification`.
     pub task: String,
-    /// May be empty.
+    /// Description; may be empty.
     pub description: String,
     /// Shape, element type and order of dimensions: `1 × 3 × 384 × 384 float32 nchw`.
     pub input: String,
     /// Colours, resize, crop and normalisation, in the order in which they are applied.
     pub preprocessing: Vec<String>,
-    /// How many numbers the answer has and what becomes of them.
+    /// Number of classes, scoring, and number of listed classes.
     pub output: String,
     /// The classes, in the order of the output.
     pub labels: Vec<String>,
-    /// Where the model came from, as pairs.
+    /// Origin of the model, as pairs.
     pub provenance: Vec<(String, String)>,
 }
 
-/// The card of the model in a folder.
+/// Returns the card of the model in a folder.
 ///
 /// # Errors
-/// When it is wrong, or `model.onnx` is not beside it.
+/// If the card is invalid, or `model.onnx` is missing.
 pub(crate) fn summarise(folder: &Path) -> Result<CardSummary, LoadError> {
     let card = Card::read(&folder.join(CARD))?;
     let file = folder.join(MODEL);
@@ -45,10 +45,10 @@ pub(crate) fn summarise(folder: &Path) -> Result<CardSummary, LoadError> {
     }
 }
 
-/// SHA-256 of a file of the model in a folder, in hexadecimal.
+/// Returns the SHA-256 of a file in a model's folder, in hexadecimal.
 ///
 /// # Errors
-/// When it cannot be read.
+/// If the file cannot be read.
 pub(crate) fn hash(folder: &Path, file: &str) -> Result<String, LoadError> {
     let file = folder.join(file);
     let hash = regular::open(&file).and_then(sha256);
@@ -56,7 +56,7 @@ pub(crate) fn hash(folder: &Path, file: &str) -> Result<String, LoadError> {
 }
 
 impl Card {
-    /// In words.
+    /// Returns the card as text.
     pub(super) fn summary(&self) -> CardSummary {
         let Self { input, preprocessing, output, .. } = self;
         let shape: Vec<_> = input.shape.iter().map(usize::to_string).collect();
@@ -106,7 +106,7 @@ fn crop(Centre { width, height, rounding }: Centre) -> String {
     format!("centre crop {width} × {height}{rounding}")
 }
 
-/// A value without the quotes of a text.
+/// Returns a value as text; a string without its quotes.
 fn plain(value: &toml::Value) -> String {
     value.as_str().map_or_else(|| value.to_string(), str::to_owned)
 }
@@ -119,7 +119,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn every_step_is_told() {
+    fn plan_describes_every_step() {
         let card = changed(
             "resize = { mode = \"exact\", width = 2, height = 1 }",
             "resize = { mode = \"shortest\", size = 3, filter = \"bicubic\" }\n\
@@ -140,7 +140,7 @@ mod tests {
     }
 
     #[test]
-    fn a_pipe_in_a_models_place_is_refused_and_not_waited_for() {
+    fn named_pipe_as_model_file_is_refused() {
         let folder = tempfile::tempdir().expect("a folder");
         std::fs::write(folder.path().join(CARD), SMALL).expect("written");
         let model = folder.path().join(MODEL);
@@ -158,7 +158,7 @@ mod tests {
     fn the_hash_is_that_of_sha256sum() {
         let folder = tempfile::tempdir().expect("a folder");
         std::fs::write(folder.path().join(MODEL), "abc").expect("written");
-        // FIPS 180-4's own example.
+        // Example in FIPS 180-4.
         let known = "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad";
         assert_eq!(hash(folder.path(), MODEL).expect("is read"), known);
     }

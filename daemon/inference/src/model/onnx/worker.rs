@@ -1,4 +1,4 @@
-//! One thread's use of an ONNX model.
+//! A worker of an ONNX model.
 
 use std::sync::Arc;
 
@@ -14,13 +14,13 @@ use super::preprocess::Preprocessor;
 use super::{Plan, UNKNOWN_LABEL};
 use crate::{InferenceError, LoadError, Worker};
 
-/// Why a run of the session gave no output that fits the card.
+/// Reason that a run of the session gave no output that fits the card.
 #[derive(Debug, thiserror::Error)]
 enum RunError {
-    /// What ONNX Runtime said.
+    /// Error of ONNX Runtime.
     #[error(transparent)]
     Runtime(#[from] ort::Error),
-    /// Another number of outputs than of labels.
+    /// The number of outputs differs from the number of labels.
     #[error("it gave {actual} numbers for {expected} labels")]
     Length { actual: usize, expected: usize },
 }
@@ -34,8 +34,8 @@ pub(super) struct OnnxWorker {
 }
 
 impl OnnxWorker {
-    /// A worker that has run once, on an input of zeros: the first run of a session is slow, and what is wrong with
-    /// the model shows before a sample waits for it.
+    /// Creates a worker and runs it once, on zeros: the first run of a session is slow, and a card that does not fit
+    /// the model is noticed before a sample arrives.
     pub(super) fn warm(plan: Arc<Plan>, session: Session) -> Result<Self, LoadError> {
         let preprocessor = Preprocessor::new(&plan.card);
         let mut worker = Self { session, preprocessor, numbers: Vec::new(), plan };
@@ -47,7 +47,7 @@ impl OnnxWorker {
         Ok(worker)
     }
 
-    /// From the preprocessor's tensor to `numbers`.
+    /// Runs the model on the preprocessor's tensor; the result is in `numbers`.
     fn run(&mut self) -> Result<(), RunError> {
         let Self { plan, session, preprocessor, numbers } = self;
         compute(&plan.card, session, preprocessor.tensor(), numbers)?;
@@ -59,8 +59,8 @@ impl OnnxWorker {
     }
 }
 
-/// Runs the model. Its output lies in the host's memory when the session returns: a model on a GPU has been waited for
-/// and its output copied by then.
+/// Runs the model. The output is in the host's memory when the session returns: `run` waits for a GPU and copies its
+/// output.
 fn compute(card: &Card, session: &mut Session, tensor: &[f32], numbers: &mut Vec<f32>) -> ort::Result<()> {
     let tensor = TensorRef::from_array_view((card.input.shape, tensor))?;
     let outputs = session.run(ort::inputs![tensor])?;

@@ -1,4 +1,4 @@
-//! `peernetd doctor`
+//! The command `peernetd doctor`.
 
 mod print;
 mod repair;
@@ -15,8 +15,8 @@ use peernet_store::maintenance::{Examination, Finding, Report, Severity, examine
 use serde::Serialize;
 
 use self::spool::SpoolReport;
-use super::place::wrong_configuration;
-use crate::configuration::{Places, places};
+use super::database_argument::wrong_configuration;
+use crate::configuration::{DataFiles, data_files};
 use crate::log;
 
 /// What `peernetd doctor` can be told.
@@ -45,7 +45,7 @@ pub(crate) struct Arguments {
     json: bool,
 }
 
-/// All that was looked at.
+/// Results of the examination.
 #[derive(Debug, Default, Serialize)]
 struct Examined {
     healthy: bool,
@@ -53,48 +53,48 @@ struct Examined {
     database: Option<Report>,
     #[serde(skip_serializing_if = "Option::is_none")]
     spool: Option<SpoolReport>,
-    /// What could not be looked at, and why.
+    /// Errors of files that could not be examined.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     unavailable: Vec<String>,
 }
 
-/// Looks at what is stored, and tells by the exit code whether something is wrong.
+/// Examines stored data; the exit code tells whether something is wrong.
 pub(crate) fn doctor(arguments: Arguments) -> Exit {
     let _log = log::temporary();
     let (full, json, repair) = (arguments.full, arguments.json, arguments.repair);
-    let looked = arguments.places().and_then(|places| {
+    let result = arguments.data_files().and_then(|data_files| {
         let unavailable = |error: std::io::Error| Failure::new(Exit::Unavailable, error);
         let now = clock::system(ClockIdentity::SYSTEM).map_err(unavailable)?.wall();
         let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build();
         let runtime = runtime.map_err(unavailable)?;
         if repair {
-            let database = places.database.ok_or_else(no_database)?;
+            let database = data_files.database.ok_or_else(no_database)?;
             return runtime.block_on(repair::repair_database(&database, now));
         }
-        let examined = runtime.block_on(Examined::look(places, Examination { full, now }));
-        tell(&examined, now, json)?;
+        let examined = runtime.block_on(Examined::examine_files(data_files, Examination { full, now }));
+        print_result(&examined, now, json)?;
         Ok(examined.exit())
     });
-    looked.unwrap_or_else(|failure| {
+    result.unwrap_or_else(|failure| {
         complain(&failure);
         failure.exit
     })
 }
 
 impl Arguments {
-    fn places(self) -> Result<Places, Failure> {
+    fn data_files(self) -> Result<DataFiles, Failure> {
         let Some(config) = self.config else {
-            return Ok(Places { database: self.database, spool: self.spool });
+            return Ok(DataFiles { database: self.database, spool: self.spool });
         };
-        let places = places(&config).map_err(|problems| wrong_configuration(&problems))?;
-        if places.database.is_none() && places.spool.is_none() {
+        let data_files = data_files(&config).map_err(|problems| wrong_configuration(&problems))?;
+        if data_files.database.is_none() && data_files.spool.is_none() {
             let error = anyhow::anyhow!(
                 "{} names neither a database nor a spool: it has no table [aggregator], and no [agent] aggregator",
                 config.display()
             );
             return Err(Failure::new(Exit::Configuration, error));
         }
-        Ok(places)
+        Ok(data_files)
     }
 }
 
@@ -104,7 +104,7 @@ fn no_database() -> Failure {
     Failure::new(Exit::Configuration, error)
 }
 
-fn tell(examined: &Examined, now: WallTime, json: bool) -> Result<(), Failure> {
+fn print_result(examined: &Examined, now: WallTime, json: bool) -> Result<(), Failure> {
     if json {
         let text = serde_json::to_string_pretty(examined);
         say(text.map_err(|error| Failure::new(Exit::Software, error))?);
@@ -116,15 +116,15 @@ fn tell(examined: &Examined, now: WallTime, json: bool) -> Result<(), Failure> {
 }
 
 impl Examined {
-    async fn look(places: Places, how: Examination) -> Self {
+    async fn examine_files(data_files: DataFiles, how: Examination) -> Self {
         let mut all = Self::default();
-        if let Some(path) = &places.database {
+        if let Some(path) = &data_files.database {
             match examine(path, how).await {
                 Ok(report) => all.database = Some(report),
                 Err(error) => all.unavailable.push(error.to_string()),
             }
         }
-        if let Some(path) = &places.spool {
+        if let Some(path) = &data_files.spool {
             match spool::examine(path).await {
                 Ok(report) => all.spool = Some(report),
                 Err(error) => all.unavailable.push(in_one_line(&error)),

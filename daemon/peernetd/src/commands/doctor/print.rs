@@ -1,4 +1,4 @@
-//! What was found, for people.
+//! Text form of an examination.
 
 use peernet_analysis::table::text;
 use peernet_cli::output::say;
@@ -9,10 +9,10 @@ use peernet_store::maintenance::{Report, Severity};
 use super::Examined;
 use super::spool::SpoolReport;
 
-/// Lines of one table; all stand in the JSON form.
-const LINES: usize = 20;
-/// Of what SQLite finds broken, and of findings.
-const FEW: usize = 10;
+/// Largest number of lines of a table; the JSON form has all.
+const MAX_TABLE_LINES: usize = 20;
+/// Largest number of problems that SQLite reports, and of findings.
+const MAX_FINDINGS: usize = 10;
 
 pub(super) fn print(examined: &Examined, now: WallTime) {
     if let Some(report) = &examined.database {
@@ -21,14 +21,14 @@ pub(super) fn print(examined: &Examined, now: WallTime) {
     if let Some(report) = &examined.spool {
         spool(report, now);
     }
-    for finding in examined.findings().take(FEW) {
+    for finding in examined.findings().take(MAX_FINDINGS) {
         let severity = match finding.severity {
             Severity::Problem => "PROBLEM",
             Severity::Notice => "notice",
         };
         say(format_args!("{severity}: {}\n  → {}", finding.what, finding.advice));
     }
-    if let Some(more) = examined.findings().count().checked_sub(FEW + 1) {
+    if let Some(more) = examined.findings().count().checked_sub(MAX_FINDINGS + 1) {
         say(format_args!("… and {} more (--json shows all)", more + 1));
     }
     let problems = examined.findings().filter(|finding| finding.severity == Severity::Problem).count();
@@ -59,9 +59,9 @@ fn database(report: &Report, now: WallTime) {
     let said = match report.integrity.problems.as_slice() {
         [] if report.is_healthy() => "ok".to_owned(),
         [] => "nothing found, but see below".to_owned(),
-        problems if problems.len() > FEW => {
-            let more = problems.len() - FEW;
-            format!("{}\n    … and {more} more (--json shows all)", problems[..FEW].join("\n    "))
+        problems if problems.len() > MAX_FINDINGS => {
+            let more = problems.len() - MAX_FINDINGS;
+            format!("{}\n    … and {more} more (--json shows all)", problems[..MAX_FINDINGS].join("\n    "))
         }
         problems => problems.join("\n    "),
     };
@@ -131,10 +131,10 @@ fn spool(report: &SpoolReport, now: WallTime) {
     }
 }
 
-/// A table with an empty line after it; nothing for no rows.
+/// Prints a table with an empty line after it; prints nothing if there are no rows.
 fn section(header: &[&str], rows: impl Iterator<Item = Vec<String>>) {
     let rows: Vec<Vec<String>> = rows.collect();
-    let Some(more) = (!rows.is_empty()).then(|| rows.len().saturating_sub(LINES)) else { return };
+    let Some(more) = (!rows.is_empty()).then(|| rows.len().saturating_sub(MAX_TABLE_LINES)) else { return };
     say(text(header, &rows[..rows.len() - more]));
     if more > 0 {
         say(format_args!("… and {more} more (--json shows all)"));
@@ -146,7 +146,7 @@ fn size(length: u64) -> String {
     bytes(length as f64).plain()
 }
 
-/// `3 min ago`, to the largest unit that fits.
+/// Formats an age in the largest unit that fits: `3 min ago`.
 fn ago(nanos: i64, now: WallTime) -> String {
     let seconds = (now - WallTime::from_unix_nanos(nanos)).seconds();
     let (value, unit) = match seconds.abs() {
@@ -155,7 +155,7 @@ fn ago(nanos: i64, now: WallTime) -> String {
         s if s < 172_800.0 => (s / 3_600.0, "h"),
         s => (s / 86_400.0, "days"),
     };
-    // Hosts' clocks may be ahead of this machine's.
+    // The clock of another host may be ahead of this machine's.
     let when = if seconds < -1.0 { "ahead" } else { "ago" };
     format!("{value:.0} {unit} {when}")
 }

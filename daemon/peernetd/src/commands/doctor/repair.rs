@@ -1,4 +1,4 @@
-//! `peernetd doctor --repair`
+//! The option `peernetd doctor --repair`.
 
 use std::io::IsTerminal;
 use std::path::Path;
@@ -11,7 +11,7 @@ use peernet_clock::WallTime;
 use peernet_statistics::number::fixed;
 use peernet_store::maintenance::{RepairError, Repaired, repair};
 
-/// Repairs a database and says what became of each table.
+/// Repairs a database and prints the result for each table.
 pub(super) async fn repair_database(database: &Path, now: WallTime) -> Result<Exit, Failure> {
     let stamp = DateTime::<Utc>::from_timestamp_nanos(now.unix_nanos()).format("%Y%m%dT%H%M%SZ").to_string();
     let progress = |what: &str| {

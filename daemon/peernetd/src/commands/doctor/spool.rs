@@ -1,4 +1,4 @@
-//! An agent's spool: what waits in it, whether each batch is what it was, and how much room is left.
+//! Examination of an agent's spool: waiting batches, their integrity, and free disk space.
 
 use std::path::{Path, PathBuf};
 
@@ -7,29 +7,29 @@ use peernet_agent::spool::{InspectError, Inspection, SpoolDamage, inspect};
 use peernet_store::maintenance::{Finding, Severity, free_bytes};
 use serde::Serialize;
 
-/// A disk with less room is as good as full.
-const LITTLE_ROOM: u64 = 16 << 20;
-/// What to do about a damaged spool.
-const RENEW: &str = "stop the agent, move the file with its -wal to another folder and keep it, start the agent again: it \
+/// A disk with less free space counts as full, bytes.
+const MIN_FREE_BYTES: u64 = 16 << 20;
+/// Advice about a damaged spool.
+const RENEW_ADVICE: &str = "stop the agent, move the file with its -wal to another folder and keep it, start the agent again: it \
                      makes a new one, and the aggregator records what was lost as a gap";
-/// What to do about a disk without room.
-const MAKE_ROOM: &str = "make room: what is measured while the aggregator is away and does not fit into the agent's \
+/// Advice about a full disk.
+const FREE_SPACE_ADVICE: &str = "make room: what is measured while the aggregator is away and does not fit into the agent's \
                          memory is lost, and counted";
 
-/// The state of a spool.
+/// State of a spool.
 #[derive(Clone, Debug, Default, Serialize)]
 pub(super) struct SpoolReport {
     pub(super) spool: PathBuf,
     #[serde(flatten)]
     pub(super) inspection: Inspection,
-    /// Size of the file and its log.
+    /// Size of the file and its log, bytes.
     pub(super) file_bytes: u64,
-    /// Room that is left on its disk, beside what the agent holds there for deleting.
+    /// Free space on its disk, bytes, without the agent's own reserve for deleting.
     pub(super) disk_free_bytes: u64,
     pub(super) findings: Vec<Finding>,
 }
 
-/// Reads the whole spool at one moment, beside a running agent if there is one.
+/// Reads the whole spool in one transaction; an agent may be running.
 pub(super) async fn examine(path: &Path) -> anyhow::Result<SpoolReport> {
     if !path.is_file() {
         bail!(
@@ -42,12 +42,12 @@ pub(super) async fn examine(path: &Path) -> anyhow::Result<SpoolReport> {
     let mut log = path.as_os_str().to_owned();
     log.push("-wal");
     report.file_bytes = length(path) + length(Path::new(&log));
-    report.room(path);
+    report.check_free_space(path);
     match inspect(path).await {
-        Ok(inspection) => report.take(inspection),
-        // SQLite needs some room even to read.
-        Err(InspectError::Read(error)) if report.disk_free_bytes < LITTLE_ROOM => {
-            report.problem(format!("the spool cannot be read: {error}"), MAKE_ROOM);
+        Ok(inspection) => report.add_inspection(inspection),
+        // SQLite needs some disk space even for reading.
+        Err(InspectError::Read(error)) if report.disk_free_bytes < MIN_FREE_BYTES => {
+            report.problem(format!("the spool cannot be read: {error}"), FREE_SPACE_ADVICE);
         }
         Err(InspectError::Read(error)) => {
             return Err(error).with_context(|| format!("cannot read the spool {}", path.display()));
@@ -65,21 +65,21 @@ pub(super) async fn examine(path: &Path) -> anyhow::Result<SpoolReport> {
 }
 
 impl SpoolReport {
-    fn room(&mut self, path: &Path) {
+    fn check_free_space(&mut self, path: &Path) {
         match free_bytes(path) {
             Ok(bytes) => {
                 self.disk_free_bytes = bytes;
-                if bytes < LITTLE_ROOM {
-                    self.problem(format!("its disk has only {} KiB of room", bytes >> 10), MAKE_ROOM);
+                if bytes < MIN_FREE_BYTES {
+                    self.problem(format!("its disk has only {} KiB of room", bytes >> 10), FREE_SPACE_ADVICE);
                 }
             }
             Err(error) => self.problem(format!("cannot tell how full its disk is: {error}"), "look at `df`"),
         }
     }
 
-    fn take(&mut self, inspection: Inspection) {
+    fn add_inspection(&mut self, inspection: Inspection) {
         for what in inspection.damages.iter().map(SpoolDamage::to_string) {
-            self.problem(what, RENEW);
+            self.problem(what, RENEW_ADVICE);
         }
         self.findings.extend(losses(inspection.dropped, inspection.lost_when_killed));
         self.inspection = inspection;
@@ -90,7 +90,8 @@ impl SpoolReport {
     }
 }
 
-/// What is said of events that were lost: for want of room, or with an agent that was killed.
+/// Returns the findings about lost events: those that were dropped for lack of space, and those that were lost with a
+/// killed agent.
 fn losses(dropped: i64, lost_when_killed: Option<i64>) -> Vec<Finding> {
     let finding = |events: i64, how: &str, advice: &str| {
         (events > 0).then(|| Finding {

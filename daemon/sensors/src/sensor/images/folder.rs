@@ -1,4 +1,4 @@
-//! Finding the pictures of a folder.
+//! Search for the pictures in a folder.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -7,7 +7,7 @@ use peernet_sample::MediaType;
 
 use crate::SensorError;
 
-/// What a file is by the ending of its name.
+/// Returns the media type of a file by the extension of its name.
 pub(super) fn media(file: &Path) -> Option<MediaType> {
     let ending = file.extension()?.to_str()?.to_ascii_lowercase();
     match ending.as_str() {
@@ -17,13 +17,13 @@ pub(super) fn media(file: &Path) -> Option<MediaType> {
     }
 }
 
-/// Whether it is a file, or a link to one: reading from anything else may wait for ever.
+/// Returns whether the path is a file or a link to one. Reading from anything else may block for ever.
 pub(super) fn is_file(path: &Path) -> bool {
     fs::metadata(path).is_ok_and(|about| about.is_file())
 }
 
-/// All pictures in `folder` and the folders below it, sorted by path. Hidden ones are left out, and folders that
-/// are links are not entered, so that the search ends.
+/// Returns all pictures in `folder` and the folders below it, sorted by path. Hidden files and folders are left out.
+/// Folders that are links are not entered, so that the search ends.
 pub(super) fn pictures(folder: &Path) -> Result<Vec<PathBuf>, SensorError> {
     let mut found = Vec::new();
     let mut pending = vec![folder.to_owned()];

@@ -1,4 +1,4 @@
-//! The right answers of a folder of pictures.
+//! Labels of a folder of pictures: the expected answers.
 
 use std::collections::HashMap;
 use std::io;
@@ -9,10 +9,10 @@ use serde::Deserialize;
 use super::folder::is_file;
 use crate::SensorError;
 
-/// The file of labels in a folder of pictures: comma-separated, with the columns `file` and `label`.
+/// Name of the file of labels in a folder of pictures: comma-separated, with the columns `file` and `label`.
 pub(super) const FILE: &str = "labels.csv";
 
-/// Labels by the file's path below the folder.
+/// Labels by the path of the picture below the folder.
 pub(super) type Labels = HashMap<String, String>;
 
 #[derive(Deserialize)]
@@ -21,11 +21,11 @@ struct Row {
     label: String,
 }
 
-/// Reads the labels of `folder`, from the `given` file or its own, which is told as well; `None` when neither is there to be
-/// read. A picture without a label is as good as one that is not listed.
+/// Reads the labels of `folder`, from the `given` file or from the one in the folder, and returns them with the path
+/// of that file. Returns `None` if no file is given and the folder has none. A row without a label is ignored.
 ///
 /// # Errors
-/// When a file is there and cannot be used or holds no label, or the given one is not there.
+/// If the file cannot be used or contains no label, or if the given file does not exist.
 pub(super) fn read(folder: &Path, given: Option<&Path>) -> Result<Option<(Labels, PathBuf)>, SensorError> {
     let file = given.map_or_else(|| folder.join(FILE), Path::to_owned);
     if given.is_none() && file.exists() && !is_file(&file) {

@@ -1,4 +1,4 @@
-//! `images`: pictures from files, as they are.
+//! Sensor kind `images`: pictures from files, without any change.
 
 mod data_set;
 mod folder;
@@ -11,7 +11,7 @@ use std::path::{Path, PathBuf};
 
 use bytes::Bytes;
 use peernet_clock::SharedClock;
-use peernet_external::identified;
+use peernet_external::describe_with_hash;
 use peernet_logger::Recorder;
 use peernet_sample::{Description, MediaType, Sample, examples};
 use rand::SeedableRng;
@@ -22,26 +22,26 @@ use serde::{Deserialize, Serialize};
 use super::{SensorConfig, SensorKind, default_seed};
 use crate::{Sensor, SensorError};
 
-/// `{ kind = "images", … }`
+/// Configuration of the sensor: `{ kind = "images", … }`.
 ///
-/// The labels of pictures come from the file `labels`, otherwise from `labels.csv` in the folder where there is one, otherwise
-/// from the name of the folder below `path` that a picture lies in.
+/// Labels come from the file `labels`, otherwise from `labels.csv` in the folder if it exists, otherwise from the
+/// name of the folder below `path` that contains the picture.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ImagesConfig {
-    /// A picture, or a folder that is searched with all folders below it for `.jpg`, `.jpeg` and `.png`.
+    /// A picture, or a folder that is searched for `.jpg`, `.jpeg` and `.png` files with all folders below it.
     pub path: PathBuf,
-    /// In which order.
+    /// Order of the pictures. Default: `name`.
     #[serde(default)]
     pub order: Order,
-    /// What the order `shuffled` follows from.
+    /// Seed of the order `shuffled`. Default: 1.
     #[serde(default = "default_seed")]
     pub seed: u64,
-    /// Begin again after the last picture; when shuffled, in a new order.
+    /// `true` to begin again after the last picture, if shuffled in a new order. Default: `true`.
     #[serde(default = "yes")]
     pub repeat: bool,
-    /// A file of labels, wherever it lies: comma-separated, with the columns `file` (below `path`) and `label`. It may
-    /// hold more files than there are.
+    /// File of labels, at any place: comma-separated, with the columns `file` (path below `path`) and `label`. It may
+    /// list files that are not in the folder.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub labels: Option<PathBuf>,
 }
@@ -53,7 +53,7 @@ pub enum Order {
     /// By path, as bytes.
     #[default]
     Name,
-    /// As the seed decides, anew each round.
+    /// In a random order that depends on the seed and changes with each round.
     Shuffled,
 }
 
@@ -62,7 +62,7 @@ const fn yes() -> bool {
 }
 
 impl ImagesConfig {
-    /// Pictures with all defaults.
+    /// Returns the configuration of pictures with all defaults.
     fn of(path: PathBuf) -> Self {
         Self { path, order: Order::default(), seed: default_seed(), repeat: yes(), labels: None }
     }
@@ -75,25 +75,25 @@ impl SensorKind for ImagesConfig {
 }
 
 impl SensorConfig {
-    /// The picture, or the pictures of the folder by name, over and over.
+    /// Returns the configuration of a picture, or of a folder's pictures by name, repeated.
     pub fn pictures(path: PathBuf) -> Self {
         ImagesConfig::of(path).into()
     }
 
-    /// The picture, or each picture of the folder once, by name.
+    /// Returns the configuration of a picture, or of a folder's pictures by name, each once.
     pub fn pictures_once(path: PathBuf) -> Self {
         ImagesConfig { repeat: false, ..ImagesConfig::of(path) }.into()
     }
 }
 
-/// A list of pictures, read one by one when they are asked for.
+/// List of pictures, each of which is read when its turn comes.
 struct Images {
     path: PathBuf,
     pictures: Vec<Picture>,
-    /// The file that their labels were read from.
+    /// File from which the labels were read.
     labels: Option<PathBuf>,
     next: usize,
-    /// Shuffles before every round; `None` keeps the order of names.
+    /// Random numbers for shuffling before every round; `None` keeps the order of names.
     shuffle: Option<StdRng>,
     repeat: bool,
 }
@@ -111,7 +111,7 @@ impl Images {
         let (path, labels) = (config.path.as_path(), config.labels.as_deref());
         let about = fs::metadata(path).map_err(|error| SensorError::Read { path: path.to_owned(), error })?;
         let (pictures, labels) =
-            if about.is_dir() { of_folder(path, labels)? } else { single(path, labels)? };
+            if about.is_dir() { read_folder(path, labels)? } else { read_single(path, labels)? };
         let mut images = Self {
             path: path.to_owned(),
             pictures,
@@ -130,13 +130,13 @@ impl Images {
         }
     }
 
-    /// The path below the folder, as its bytes; of a single picture its name.
+    /// Returns the path below the folder, as bytes; for a single picture its name.
     fn name<'a>(&self, file: &'a Path) -> &'a OsStr {
         let below = file.strip_prefix(&self.path).ok().filter(|below| *below != Path::new(""));
         below.map_or_else(|| file.file_name().unwrap_or_default(), Path::as_os_str)
     }
 
-    /// How many pictures have one, and some of those there are: `100 of 100: dented, good`.
+    /// Returns the number of pictures with a label, and some of the labels: `100 of 100: dented, good`.
     fn labels(&self) -> String {
         let all: Vec<&str> = self.pictures.iter().filter_map(|picture| picture.label.as_deref()).collect();
         let of = format!("{} of {}", all.len(), self.pictures.len());
@@ -155,7 +155,7 @@ impl Sensor for Images {
             self.shuffle();
         }
         let picture = &self.pictures[self.next];
-        // Counted before reading: a picture that cannot be read is not asked for again in this round.
+        // Incremented before reading: a picture that cannot be read is not tried again in this round.
         self.next += 1;
         let bytes = fs::read(&picture.file)
             .map_err(|error| SensorError::Read { path: picture.file.clone(), error })?;
@@ -176,15 +176,15 @@ impl Sensor for Images {
             ("Data set".to_owned(), data_set::describe_files(files)),
             ("Labels".to_owned(), self.labels()),
         ];
-        facts.extend(self.labels.as_deref().map(|file| ("Labels file".to_owned(), identified(file))));
+        facts.extend(self.labels.as_deref().map(|file| ("Labels file".to_owned(), describe_with_hash(file))));
         facts
     }
 }
 
 /// Pictures, and the file of their labels.
-type Found = (Vec<Picture>, Option<PathBuf>);
+type LabelledPictures = (Vec<Picture>, Option<PathBuf>);
 
-fn of_folder(path: &Path, file: Option<&Path>) -> Result<Found, SensorError> {
+fn read_folder(path: &Path, file: Option<&Path>) -> Result<LabelledPictures, SensorError> {
     let files = folder::pictures(path)?;
     if files.is_empty() {
         return Err(SensorError::Empty(path.to_owned()));
@@ -205,7 +205,7 @@ fn of_folder(path: &Path, file: Option<&Path>) -> Result<Found, SensorError> {
         .collect();
     let labelled = pictures.iter().any(|picture| picture.label.is_some());
     match (labels.and_then(|left| left.into_keys().min()), file) {
-        // A file of the user's own may well be that of a larger set.
+        // A file that the user names may belong to a larger data set.
         (Some(missing), None) => Err(SensorError::Labels {
             file: path.join(labels::FILE),
             reason: format!("it labels {missing}, which is not among the pictures of the folder"),
@@ -221,7 +221,7 @@ fn of_folder(path: &Path, file: Option<&Path>) -> Result<Found, SensorError> {
     }
 }
 
-fn single(file: &Path, labels: Option<&Path>) -> Result<Found, SensorError> {
+fn read_single(file: &Path, labels: Option<&Path>) -> Result<LabelledPictures, SensorError> {
     let media = folder::media(file).filter(|_| folder::is_file(file));
     let media = media.ok_or_else(|| SensorError::NotAPicture(file.to_owned()))?;
     let source = file.file_name().unwrap_or_default().to_string_lossy().into_owned();

@@ -4,15 +4,15 @@ use bytes::Bytes;
 use peernet_ros::messages::Image;
 use peernet_sample::{Description, ElementType, MediaType, Part, PixelFormat};
 
-/// A picture whose bytes do not fit its own description.
+/// Defect of a picture's own description.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub(super) enum PictureError {
-    /// An encoding that is not known.
+    /// The encoding is not known.
     #[error(
         "the encoding {0:?} is not known; publish rgb8, bgr8, mono8, mono16 or an OpenCV type such as 32FC1"
     )]
     Encoding(String),
-    /// Rows that overlap, or more of them than there are bytes.
+    /// The rows overlap, or are longer than the data.
     #[error("{height} rows of {row_bytes} bytes, one every {step} bytes, are not in {available} bytes")]
     Rows { height: u32, row_bytes: u64, step: u32, available: usize },
 }
@@ -27,14 +27,14 @@ struct Pixel {
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Rows {
     pub(super) height: u32,
-    /// Bytes of a row without padding.
+    /// Number of bytes of a row without padding.
     pub(super) row_bytes: u64,
-    /// Bytes from the start of a row to that of the next one.
+    /// Number of bytes from the start of a row to the start of the next one.
     pub(super) step: u32,
 }
 
 impl Rows {
-    /// Returns the rows without padding. Copies them only if there is some.
+    /// Returns the rows without padding. Copies them only if there is padding.
     pub(super) fn joined(self, data: &Bytes) -> Result<Bytes, PictureError> {
         let Self { height, row_bytes, step } = self;
         let error = PictureError::Rows { height, row_bytes, step, available: data.len() };
@@ -62,11 +62,11 @@ impl Rows {
     }
 }
 
-/// Returns a picture as a part: `rgb8`, `bgr8` and `mono8` as decoded pixels, every other encoding as a tensor of height,
-/// width and channels with little-endian elements.
+/// Converts a picture to a part: `rgb8`, `bgr8` and `mono8` to decoded pixels, every other encoding to a tensor of
+/// height, width and channels with little-endian elements.
 ///
 /// # Errors
-/// The encoding is not known, or there are fewer bytes than the picture says.
+/// If the encoding is not known, or if there are fewer bytes than the description requires.
 pub(super) fn part(image: Image) -> Result<Part, PictureError> {
     let Image { height, width, encoding, is_bigendian, step, data, .. } = image;
     let (pixels, description) = match encoding.as_str() {
@@ -103,7 +103,7 @@ fn reversed(bytes: &Bytes, size: usize) -> Bytes {
 }
 
 impl Pixel {
-    /// Reads the name of an encoding, as `sensor_msgs/image_encodings.h` has them.
+    /// Parses the name of an encoding of `sensor_msgs/image_encodings.h`.
     fn of(encoding: &str) -> Option<Self> {
         let of = |channels, element| Some(Self { channels, element });
         match encoding {
@@ -116,7 +116,7 @@ impl Pixel {
             bayer if bayer.starts_with("bayer_") && bayer.ends_with('8') => return of(1, ElementType::U8),
             _ => {}
         }
-        // OpenCV's types, such as 32FC1; the number of channels may be left out.
+        // OpenCV's types, such as 32FC1; the number of channels may be missing.
         let (depth, channels) = encoding.split_once('C')?;
         let element = match depth {
             "8U" => ElementType::U8,

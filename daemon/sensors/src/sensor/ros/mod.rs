@@ -1,4 +1,4 @@
-//! `ros`: the messages of a topic of ROS 1 or ROS 2.
+//! Sensor kind `ros`: the messages of a topic of ROS 1 or ROS 2.
 
 mod image;
 mod payload;
@@ -20,45 +20,47 @@ use self::payload::Payload;
 use super::{DROPPED_SAMPLES, SensorKind};
 use crate::{Sensor, SensorError};
 
-/// From `header.stamp` of the message to its arrival at this host, with both stamps.
+/// Transit from `header.stamp` of the message to its arrival at this host, with both stamps. It has no clock
+/// relation, because ROS does not tell whose clock a stamp is of.
 const CAPTURE_DELAY: Name = Name::from_static("capture-delay");
 
-/// `{ kind = "ros", … }`: each sample is a message of the topic.
+/// Configuration of the sensor: `{ kind = "ros", … }`. Each sample is a message of the topic.
 ///
-/// The master of ROS 1 and the domain of ROS 2 are those of the environment, as of every ROS node.
+/// The master of ROS 1 and the domain of ROS 2 are those of the environment, as for every ROS node.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct RosSensorConfig {
-    /// Name of the topic; a relative one is below `ROS_NAMESPACE` in ROS 1.
+    /// Name of the topic; a relative name is below `ROS_NAMESPACE` in ROS 1.
     pub topic: String,
-    /// Type of its messages. ROS 2 needs it; ROS 1 takes what is published without it.
+    /// Type of the messages. ROS 2 needs it; without it ROS 1 accepts the published type.
     #[serde(default, rename = "type", skip_serializing_if = "Option::is_none")]
     pub message_type: Option<MessageType>,
-    /// 1 or 2. Default: that of `ROS_VERSION`, else that of `ROS_DISTRO`.
+    /// ROS version, 1 or 2. Default: that of `ROS_VERSION`, else that of `ROS_DISTRO`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub ros_version: Option<RosVersion>,
-    /// Messages that wait while the pipeline is busy, 1 to 8192. Beyond it the oldest is dropped and counted.
+    /// Largest number of messages that wait while the pipeline is busy, 1 to 8192. If more arrive, the oldest is
+    /// dropped and counted, because a robot needs the newest. Default: 1.
     #[serde(default = "one_message")]
     pub queue: NonZeroU32,
-    /// How long to wait for a message; milliseconds.
+    /// Longest wait for a message, milliseconds. Default: 5000.
     #[serde(default = "five_seconds")]
     pub timeout_ms: NonZeroU64,
-    /// Of ROS 2: whether lost messages are sent again. Default: `reliable`.
+    /// QoS policy of a ROS 2 subscription for lost messages. Default: `reliable`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub reliability: Option<Reliability>,
-    /// The clock that `header.stamp` is of.
+    /// Clock of `header.stamp`. Default: `unknown`.
     #[serde(default)]
     pub stamp_clock: StampClock,
 }
 
-/// The clock of `header.stamp`, which ROS does not name.
+/// Clock of `header.stamp`, which ROS does not name.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum StampClock {
-    /// A clock that is not known: of another host, of a device, or simulated. No delay follows from it.
+    /// An unknown clock: of another host, of a device, or simulated. No delay is derived from it.
     #[default]
     Unknown,
-    /// The wall clock of this host: what publishes the topic runs here, and stamps with the time of day.
+    /// The wall clock of this host: the publisher runs on this host and stamps with the time of day.
     Host,
 }
 
@@ -85,7 +87,8 @@ impl RosSensorConfig {
 }
 
 impl SensorKind for RosSensorConfig {
-    /// Subscribes to nothing yet: the master may come later, and is looked for with each sample.
+    /// Does not subscribe yet: the first sample does. So a master that starts later fails iterations, which are tried
+    /// again, and not the pipeline.
     fn open(&self, clock: &SharedClock) -> Result<Box<dyn Sensor>, SensorError> {
         let version = self.checked()?;
         let options =
@@ -94,6 +97,8 @@ impl SensorKind for RosSensorConfig {
         Ok(Box::new(Ros { config, version, options, clock, reader: None }))
     }
 
+    // An agent that is started at boot, before the master, must not be refused. So these conditions, which may become right
+    // by themselves, are no errors.
     fn remarks(&self) -> Vec<String> {
         let Ok(version) = self.checked() else { return Vec::new() };
         match survey_topic(version, &self.topic, self.message_type.as_ref(), TopicUse::Read) {
@@ -103,13 +108,13 @@ impl SensorKind for RosSensorConfig {
     }
 }
 
-/// A topic that is subscribed to when the first sample is asked for.
+/// Topic to which the first call of `sample` subscribes.
 struct Ros {
     config: RosSensorConfig,
     version: RosVersion,
     options: ReaderOptions,
     clock: SharedClock,
-    /// `None` before the first sample, and after the node has ended.
+    /// The subscriber; `None` before the first sample, and after its node has ended.
     reader: Option<TopicReader>,
 }
 
@@ -135,8 +140,8 @@ impl Ros {
         read
     }
 
-    /// Records the capture time and the arrival, and what lies between them where both are of one clock.
-    fn note_stamp(&self, stamp: WallTime, received: WallTime, log: &mut Recorder) {
+    /// Records capture time and arrival, and the delay between them if both stamps are of one clock.
+    fn record_stamp(&self, stamp: WallTime, received: WallTime, log: &mut Recorder) {
         let raw = received - stamp;
         let delay = match self.config.stamp_clock {
             StampClock::Host => OneWayDelay::same_clock(raw),
@@ -161,7 +166,7 @@ impl Sensor for Ros {
             reason: error.to_string(),
         })?;
         if let Some(stamp) = payload.stamp {
-            self.note_stamp(stamp, message.received, log);
+            self.record_stamp(stamp, message.received, log);
         }
         Ok(Some(Sample { parts: payload.parts, source: self.config.topic.clone(), label: None }))
     }

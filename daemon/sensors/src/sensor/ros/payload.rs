@@ -1,4 +1,4 @@
-//! What a message becomes as a sample.
+//! Conversion of a ROS message to the parts of a sample.
 
 use peernet_clock::WallTime;
 use peernet_ros::messages::{
@@ -10,15 +10,15 @@ use serde_json::json;
 
 use super::image::{self, PictureError};
 
-/// The parts of a sample, and its capture time.
+/// Parts of a sample, and its capture time.
 #[derive(Debug)]
 pub(super) struct Payload {
     pub(super) parts: Vec<Part>,
-    /// `header.stamp`; `None` where the type has no header or the publisher set no time.
+    /// The stamp `header.stamp`; `None` if the type has no header or the publisher set no time.
     pub(super) stamp: Option<WallTime>,
 }
 
-/// Why a message is no sample.
+/// Reason that a message cannot be converted to a sample.
 #[derive(Debug, thiserror::Error)]
 pub(super) enum PayloadError {
     #[error(transparent)]
@@ -28,7 +28,8 @@ pub(super) enum PayloadError {
 }
 
 impl Payload {
-    /// Reads a message by the type that its publisher names; one of another type is handed on as it was serialised.
+    /// Reads a message by the type that its publisher names. A message of an unknown type becomes its serialised
+    /// bytes.
     pub(super) fn decode(message: &TopicMessage) -> Result<Self, PayloadError> {
         let of = &*message.of;
         if of == Image::DEFINITION.name {
@@ -64,12 +65,13 @@ fn read<M: Message>(message: &TopicMessage) -> Result<M, DecodeError> {
     M::decode(message.form, message.bytes.clone())
 }
 
-/// A stamp of zero means in ROS that there is none.
+/// Converts a stamp; zero means in ROS that no time was set.
 fn stamp(time: Time) -> Option<WallTime> {
     (time != Time::default()).then(|| WallTime::from_unix_nanos(time.as_nanos()))
 }
 
-/// `format` is `jpeg` or `png`, or what image_transport writes: `rgb8; jpeg compressed bgr8`.
+/// Returns the media type for `format`, which is `jpeg` or `png`, or the text that image_transport writes:
+/// `rgb8; jpeg compressed bgr8`.
 fn file(format: &str) -> MediaType {
     let format = format.to_ascii_lowercase();
     if format.contains("jpeg") || format.contains("jpg") {
@@ -81,7 +83,8 @@ fn file(format: &str) -> MediaType {
     }
 }
 
-/// The points, `height × width × point_step` bytes without padding, and a JSON document that says what their bytes are.
+/// Returns the points, `height × width × point_step` bytes without padding, and a JSON document that describes the
+/// bytes.
 fn points(cloud: &PointCloud2) -> Result<Vec<Part>, PictureError> {
     let shape = vec![cloud.height, cloud.width, cloud.point_step];
     let rows = image::Rows {
@@ -104,8 +107,8 @@ fn field(field: &PointField) -> serde_json::Value {
     json!({ "name": field.name, "offset": field.offset, "type": of, "count": field.count })
 }
 
-/// All 37 numbers in the order of the message: orientation (x, y, z, w) and its covariance, angular velocity and its
-/// covariance, linear acceleration and its covariance.
+/// Returns all 37 numbers in the order of the message: orientation (x, y, z, w) and its covariance, angular velocity
+/// and its covariance, linear acceleration and its covariance.
 fn readings(imu: &Imu) -> Part {
     let (q, v, a) = (imu.orientation, imu.angular_velocity, imu.linear_acceleration);
     let numbers = [q.x, q.y, q.z, q.w]
@@ -183,19 +186,19 @@ mod tests {
         assert_eq!(payload.parts[0].description.shape, [2, 2, 4]);
         let about: serde_json::Value = serde_json::from_slice(&payload.parts[1].bytes).expect("is JSON");
         assert_eq!((&about["fields"][0]["type"], &about["big_endian"]), (&"float32".into(), &false.into()));
-        // Nobody set the time.
+        // The publisher set no time.
         assert_eq!(payload.stamp, None);
     }
 
     #[test]
-    fn message_of_another_type_is_handed_on_as_bytes() {
+    fn message_of_other_type_is_passed_as_bytes() {
         let (form, bytes) = (WireForm::Ros1, Bytes::from_static(&[1, 2, 3]));
         let of: Arc<str> = "nav_msgs/Odometry".into();
         let received = WallTime::from_unix_nanos(0);
         let message = TopicMessage { form, of, bytes: bytes.clone(), received, dropped: 0 };
         let payload = Payload::decode(&message).expect("is a sample");
         assert_eq!((&payload.parts[0].description, &payload.parts[0].bytes), (&Description::bytes(), &bytes));
-        // As a picture the same bytes are an error.
+        // The same bytes are not a valid picture.
         let message = TopicMessage { of: "sensor_msgs/Image".into(), ..message };
         assert!(matches!(Payload::decode(&message), Err(PayloadError::Decode(_))));
     }

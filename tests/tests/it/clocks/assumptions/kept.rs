@@ -1,31 +1,37 @@
-//! Clocks that drift as they may, on paths of all kinds: every interval contains the truth.
+//! Tests with clocks that drift within the limits, on paths of all kinds: every interval contains the truth.
 
 use peernet_clock::Span;
 use peernet_tests::ClockShim;
-use peernet_tests::network::Way;
+use peernet_tests::network::WireProperties;
 
 use super::{Scene, way, wire};
 
-/// For so long after the window is full.
-fn hold(what: &'static str, [up, down]: [Way; 2], for_s: i64, prepare: impl FnOnce([&ClockShim; 2])) {
+/// Runs a case for this time after the window is full, and checks every interval.
+fn check_case(
+    what: &'static str,
+    [up, down]: [WireProperties; 2],
+    for_s: i64,
+    prepare: impl FnOnce([&ClockShim; 2]),
+) {
     let scene = Scene::new(what, wire(up, down), "", prepare);
     let settled = scene.settle();
     scene.reach(settled + Span::from_seconds(for_s));
     let outcome = scene.end();
-    outcome.is_never_wrong();
-    outcome.is_good_at_the_end();
+    outcome.assert_never_wrong();
+    outcome.assert_good_at_the_end();
 }
 
-/// A constant drift between the two hosts.
+/// Returns the preparation of a constant drift between the two hosts.
 fn steady(ppm: f64) -> impl FnOnce([&ClockShim; 2]) {
     move |[edge, cloud]| {
         edge.change(Span::from_seconds(-5), ppm / 2.0, 0.0);
-        // The rate of one clock by the other's time is not quite the difference of both by the true time.
+        // The rate of one clock by the other's time differs slightly from the difference of both rates by the true
+        // time.
         cloud.change(Span::from_seconds(9), -ppm / 2.0 * 0.9997, 0.0);
     }
 }
 
-/// A crystal that is warmed and cooled: its rate is within `ppm` of nominal and changes by `ppm_per_s`.
+/// Simulates a crystal that is warmed and cooled: its rate stays within `ppm` of nominal and changes by `ppm_per_s`.
 fn warm_and_cool(shim: &ClockShim, ppm: f64, ppm_per_s: f64, for_s: f64) {
     let half = 2.0 * ppm / ppm_per_s;
     let mut begin = shim.change(Span::from_seconds(1_234), -ppm, ppm_per_s);
@@ -38,29 +44,29 @@ fn warm_and_cool(shim: &ClockShim, ppm: f64, ppm_per_s: f64, for_s: f64) {
 }
 
 #[test]
-fn clocks_200_ppm_apart_make_no_interval_wrong() {
-    hold("+200 ppm, 1/1 ms", [way(1, 0, 0); 2], 10, steady(200.0));
+fn intervals_are_right_at_200_ppm() {
+    check_case("+200 ppm, 1/1 ms", [way(1, 0, 0); 2], 10, steady(200.0));
 }
 
 #[test]
-fn clocks_200_ppm_apart_on_a_bad_path_make_no_interval_wrong() {
+fn intervals_hold_at_200_ppm_on_bad_path() {
     let ways = [way(5, 3, 2), way(40, 3, 2)];
-    hold("-200 ppm, 5/40 ms, 3 ms of jitter, 2 % lost", ways, 10, steady(-200.0));
+    check_case("-200 ppm, 5/40 ms, 3 ms of jitter, 2 % lost", ways, 10, steady(-200.0));
 }
 
 #[test]
-fn crystal_that_is_warmed_and_cooled_makes_no_interval_wrong() {
-    // A degree a second at 1 ppm/°C: at the limit of the change.
+fn intervals_are_right_with_temperature_changes() {
+    // A degree per second at 1 ppm/°C: the limit of the rate's change.
     let waves = |[edge, _]: [&ClockShim; 2]| warm_and_cool(edge, 4.0, 0.999, 120.0);
-    hold("rate changes by 1 ppm/s, 2/2 ms", [way(2, 0, 0); 2], 20, waves);
+    check_case("rate changes by 1 ppm/s, 2/2 ms", [way(2, 0, 0); 2], 20, waves);
 }
 
 #[test]
 #[ignore = "takes half an hour; for make soak"]
-fn crystals_of_all_temperatures_on_all_paths_make_no_interval_wrong() {
+fn intervals_are_right_for_all_crystals_and_paths() {
     let paths = [("1/1 ms", 1, 1), ("5/40 ms", 5, 40), ("20/20 ms", 20, 20), ("5/300 ms", 5, 300)];
     for (what, up, down) in paths {
         let ways = [way(up, up / 2, 1), way(down, down / 4, 1)];
-        hold(what, ways, 420, |[edge, _]| warm_and_cool(edge, 199.0, 0.999, 1_000.0));
+        check_case(what, ways, 420, |[edge, _]| warm_and_cool(edge, 199.0, 0.999, 1_000.0));
     }
 }

@@ -1,29 +1,29 @@
-//! What a case reported, against the truth.
+//! Comparison of a case's reported delays with the truth.
 
 use peernet_clock::{RawTime, Span};
 use peernet_tests::measured;
 use peernet_tests::truth::{Delay, HostClock, Iteration, true_times};
 
-/// The inverse of both clocks' drift rounds, and so does what is stored.
+/// Error of the computed truth: the inverse of both clocks' drift is rounded, and so are stored values.
 const INEXACT: Span = Span::from_nanos(3);
 
-/// Delays of so much time at the end of a case show what it came to.
+/// Length of the time at the end of a case whose delays show its result.
 const END: Span = Span::from_seconds(3);
 
-/// A delay that was believed or not.
+/// Delay with its judgement.
 #[derive(Debug)]
-struct Judged {
+struct JudgedDelay {
     sent: RawTime,
     received: RawTime,
     #[expect(dead_code, reason = "for messages of failed assertions")]
     verdict: String,
-    /// With the verdict `ok` or `limited`.
+    /// `true` if the verdict is `ok` or `limited`.
     is_good: bool,
-    /// Good, and its interval misses the truth by so much.
+    /// Distance between the interval and the truth, for a good delay.
     missed: Span,
 }
 
-impl Judged {
+impl JudgedDelay {
     fn new(delay: &Delay, sender: &HostClock, receiver: &HostClock) -> Self {
         let (sent, received) = true_times(delay, sender, receiver);
         let truth = received - sent;
@@ -43,11 +43,11 @@ impl Judged {
     }
 }
 
-/// What came of a case.
+/// Result of a case.
 pub(super) struct Outcome {
     what: &'static str,
-    /// In the order of time, by the kernel's clock.
-    delays: Vec<Judged>,
+    /// Delays in the order of time, by the kernel's clock.
+    delays: Vec<JudgedDelay>,
     incidents: String,
 }
 
@@ -58,19 +58,19 @@ impl Outcome {
         [edge, cloud]: [&HostClock; 2],
         incidents: String,
     ) -> Self {
-        let delays = iterations
-            .iter()
-            .flat_map(|both| [Judged::new(&both.up, edge, cloud), Judged::new(&both.down, cloud, edge)]);
-        let mut delays: Vec<Judged> = delays.collect();
+        let delays = iterations.iter().flat_map(|both| {
+            [JudgedDelay::new(&both.up, edge, cloud), JudgedDelay::new(&both.down, cloud, edge)]
+        });
+        let mut delays: Vec<JudgedDelay> = delays.collect();
         delays.sort_by_key(|delay| delay.sent);
         Self { what, delays, incidents }
     }
 
-    /// Says how often and how long intervals were wrong. None may be of a message that arrived before `violated`, or was sent later than
-    /// `allowed` after it.
-    pub(super) fn wrong_for_at_most(&self, allowed: Span, violated: RawTime) {
-        let wrong: Vec<&Judged> = self.delays.iter().filter(|delay| delay.missed > INEXACT).collect();
-        let since = |delay: &Judged| delay.sent - violated;
+    /// Prints how often and for how long intervals were wrong. None of a message that arrived before `violated`, or
+    /// was sent later than `allowed` after it, may be wrong.
+    pub(super) fn assert_wrong_for_at_most(&self, allowed: Span, violated: RawTime) {
+        let wrong: Vec<&JudgedDelay> = self.delays.iter().filter(|delay| delay.missed > INEXACT).collect();
+        let since = |delay: &JudgedDelay| delay.sent - violated;
         let longest = wrong.last().map_or(Span::ZERO, |last| since(last));
         let most = wrong.iter().map(|delay| delay.missed).max().unwrap_or_default();
         let good = self.delays.iter().filter(|delay| delay.is_good).count();
@@ -87,19 +87,19 @@ impl Outcome {
         }
     }
 
-    /// No interval misses the truth.
-    pub(super) fn is_never_wrong(&self) {
-        self.wrong_for_at_most(Span::ZERO, self.delays[0].sent - Span::from_seconds(1));
+    /// Checks that no interval misses the truth.
+    pub(super) fn assert_never_wrong(&self) {
+        self.assert_wrong_for_at_most(Span::ZERO, self.delays[0].sent - Span::from_seconds(1));
     }
 
-    fn last(&self) -> impl Iterator<Item = &Judged> {
+    fn last(&self) -> impl Iterator<Item = &JudgedDelay> {
         let last = self.delays[self.delays.len() - 1].sent;
         self.delays.iter().filter(move |delay| last - delay.sent < END)
     }
 
-    /// At the end all delays are good.
-    pub(super) fn is_good_at_the_end(&self) {
-        let bad: Vec<&Judged> = self.last().filter(|delay| !delay.is_good).collect();
+    /// Checks that all delays at the end are good.
+    pub(super) fn assert_good_at_the_end(&self) {
+        let bad: Vec<&JudgedDelay> = self.last().filter(|delay| !delay.is_good).collect();
         assert!(
             bad.is_empty(),
             "{}: {} of the last, the first of them {:?}; incidents: {}",
@@ -110,14 +110,14 @@ impl Outcome {
         );
     }
 
-    /// At the end no delay is believed.
-    pub(super) fn is_withdrawn_at_the_end(&self) {
-        let believed: Vec<&Judged> = self.last().filter(|delay| delay.is_good).collect();
+    /// Checks that no delay at the end is good.
+    pub(super) fn assert_withdrawn_at_the_end(&self) {
+        let believed: Vec<&JudgedDelay> = self.last().filter(|delay| delay.is_good).collect();
         assert!(believed.is_empty(), "{}: {believed:?}", self.what);
     }
 
-    /// Such words are in an incident.
-    pub(super) fn tells(&self, words: &str) {
+    /// Checks that an incident contains these words.
+    pub(super) fn assert_incidents_contain(&self, words: &str) {
         assert!(self.incidents.contains(words), "{}: {words} is not in {}", self.what, self.incidents);
     }
 }

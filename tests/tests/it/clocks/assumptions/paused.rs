@@ -1,11 +1,12 @@
-//! Hosts that stand still for a while: the process alone, a whole virtual machine, or a cloud that is restarted.
+//! Tests with hosts that pause: only the process, a whole virtual machine, or a cloud that is restarted.
 
 use peernet_clock::{RawTime, Span};
 use rustix::process::Signal;
 
 use super::{Outcome, Process, Scene, WINDOW, way, wire};
 
-/// Stops a process for so long; `and` is done meanwhile. Returns what came of it, and when it stopped and went on.
+/// Stops a process for a while and calls `and` meanwhile. Returns the result, and the times at which the process was
+/// stopped and resumed.
 fn stop(
     what: &'static str,
     length: Span,
@@ -19,7 +20,7 @@ fn stop(
     of(&scene).signal(Signal::STOP);
     let stopped = scene.shim().now();
     and(&scene);
-    // Nothing tells that a pause is over but time.
+    // Nothing but time ends the pause.
     std::thread::sleep((stopped + length - scene.shim().now()).to_duration());
     let resumed = scene.shim().now();
     of(&scene).signal(Signal::CONT);
@@ -31,52 +32,52 @@ const fn edge(scene: &Scene) -> &Process {
     &scene.edge
 }
 
-/// The process alone is stopped; its clocks go on.
+/// Stops only the process; its clocks keep running.
 fn stopped_process(what: &'static str, length: Span, of: fn(&Scene) -> &Process) {
     let (outcome, ..) = stop(what, length, of, |_| ());
-    outcome.is_never_wrong();
-    outcome.is_good_at_the_end();
+    outcome.assert_never_wrong();
+    outcome.assert_good_at_the_end();
 }
 
-/// The clocks stand as well: when the process goes on they are behind by the pause.
+/// Stops process and clocks: when the process is resumed, its clocks are behind by the length of the pause.
 fn paused_machine(what: &'static str, length: Span) {
     let (outcome, stopped, resumed) = stop(what, length, edge, |scene| {
         let begin = scene.shim().now() + Span::from_millis(200);
         scene.shim().change_at(begin, -length, 150.0, 0.0);
     });
-    outcome.wrong_for_at_most(WINDOW + (resumed - stopped), stopped);
-    outcome.is_good_at_the_end();
+    outcome.assert_wrong_for_at_most(WINDOW + (resumed - stopped), stopped);
+    outcome.assert_good_at_the_end();
 }
 
 #[test]
-fn process_that_is_stopped_makes_no_interval_wrong() {
+fn intervals_are_right_after_process_stop() {
     stopped_process("the edge is stopped for 2 s, 2/2 ms", Span::from_seconds(2), edge);
 }
 
 #[test]
-fn cloud_process_that_is_stopped_makes_no_interval_wrong() {
+fn intervals_are_right_after_cloud_process_stop() {
     stopped_process("the cloud is stopped for 2 s, 2/2 ms", Span::from_seconds(2), Scene::cloud);
 }
 
 #[test]
 #[ignore = "takes eleven minutes; for make soak"]
-fn process_that_is_stopped_for_ten_minutes_makes_no_interval_wrong() {
+fn intervals_are_right_after_ten_minute_stop() {
     stopped_process("the edge is stopped for 600 s, 2/2 ms", Span::from_seconds(600), edge);
 }
 
 #[test]
-fn paused_virtual_machine_makes_intervals_wrong_for_a_window_at_most() {
+fn paused_vm_affects_one_window_at_most() {
     paused_machine("a virtual machine is paused for 0.5 s, 2/2 ms", Span::from_millis(500));
 }
 
 #[test]
 #[ignore = "takes eleven minutes; for make soak"]
-fn virtual_machine_paused_for_ten_minutes_makes_intervals_wrong_for_a_window_at_most() {
+fn long_vm_pause_affects_one_window_at_most() {
     paused_machine("a virtual machine is paused for 600 s, 2/2 ms", Span::from_seconds(600));
 }
 
 #[test]
-fn cloud_that_is_rebooted_makes_no_interval_wrong() {
+fn intervals_are_right_after_cloud_reboot() {
     let what = "the cloud is rebooted, 2/6 ms";
     let mut scene = Scene::new(what, wire(way(2, 0, 0), way(6, 0, 0)), "", |[edge, cloud]| {
         edge.change(Span::from_seconds(3), -50.0, 0.0);
@@ -87,6 +88,6 @@ fn cloud_that_is_rebooted_makes_no_interval_wrong() {
     let rebooted = scene.shim().now();
     scene.reach(rebooted + Span::from_seconds(8));
     let outcome = scene.end();
-    outcome.is_never_wrong();
-    outcome.is_good_at_the_end();
+    outcome.assert_never_wrong();
+    outcome.assert_good_at_the_end();
 }

@@ -1,16 +1,16 @@
-//! Clocks that drift beyond the limit, change their rate at once, or jump.
+//! Tests with clocks that drift beyond the limit, change their rate abruptly, or jump.
 
 use std::path::Path;
 
 use peernet_clock::Span;
-use peernet_tests::network::{Network, Way};
+use peernet_tests::network::{Network, WireProperties};
 
 use super::{Outcome, Scene, WINDOW, cable, way, wire};
 
-/// Clocks that run apart faster than the limit from the start on, on a path that hides it in its round trip.
+/// Runs a case whose clocks drift apart faster than the limit from the start on, on a path whose round trip hides it.
 fn drift_on_a_long_path(
     what: &'static str,
-    [up, down]: [Way; 2],
+    [up, down]: [WireProperties; 2],
     limit: f64,
     drift: f64,
     for_s: i64,
@@ -22,28 +22,29 @@ fn drift_on_a_long_path(
     let settled = scene.settle();
     scene.reach(settled + Span::from_seconds(for_s));
     let outcome = scene.end();
-    outcome.is_never_wrong();
+    outcome.assert_never_wrong();
     outcome
 }
 
-/// Within a window the clocks run apart by more than a fiftieth of the round trip, which looks like a jump again and again.
+/// Within a window the clocks drift apart by more than a fiftieth of the round trip, which repeatedly looks like a
+/// jump.
 #[test]
-fn drift_hidden_by_a_long_path_makes_no_interval_wrong() {
+fn intervals_are_right_with_hidden_drift() {
     let outcome =
         drift_on_a_long_path("drift of 750 ppm of 200, 6/6 ms", [way(6, 0, 0); 2], 200.0, 750.0, 30);
-    outcome.tells("either the path between them changed, or a clock jumped");
+    outcome.assert_incidents_contain("either the path between them changed, or a clock jumped");
 }
 
 #[test]
 #[ignore = "takes a quarter of an hour; for make soak"]
-fn drift_of_100_ppm_hidden_by_5_and_40_ms_is_proven() {
+fn drift_of_100_ppm_is_proven_despite_delays() {
     let ways = [way(5, 0, 0), way(40, 0, 0)];
     let outcome = drift_on_a_long_path("drift of 100 ppm of 50, 5/40 ms", ways, 50.0, 100.0, 1_100);
-    outcome.is_withdrawn_at_the_end();
-    outcome.tells("max_drift_ppm");
+    outcome.assert_withdrawn_at_the_end();
+    outcome.assert_incidents_contain("max_drift_ppm");
 }
 
-/// The edge's clocks change once, in mid-run.
+/// Runs a case in which the edge's clocks change once during the run.
 fn change(
     what: &'static str,
     network: impl FnOnce(&Path) -> Network,
@@ -55,44 +56,44 @@ fn change(
     let violated = scene.shim().change(Span::from_millis(step_ms), ppm, 0.0);
     scene.reach(violated + Span::from_seconds(for_s));
     let outcome = scene.end();
-    outcome.wrong_for_at_most(WINDOW, violated);
+    outcome.assert_wrong_for_at_most(WINDOW, violated);
     outcome
 }
 
 #[test]
-fn drift_far_beyond_the_limit_withdraws_all_delays() {
+fn drift_beyond_limit_invalidates_all_delays() {
     let outcome = change("drift of 1,000 ppm of 200 begins, a cable", cable, (0, 1_000.0), 15);
-    outcome.is_withdrawn_at_the_end();
-    outcome.tells("max_drift");
+    outcome.assert_withdrawn_at_the_end();
+    outcome.assert_incidents_contain("max_drift");
 }
 
 #[test]
-fn rate_that_changes_at_once_makes_intervals_wrong_for_a_window_at_most() {
-    change("rate changes by 150 ppm, a cable", cable, (0, 150.0), 15).is_good_at_the_end();
+fn sudden_rate_change_affects_one_window_at_most() {
+    change("rate changes by 150 ppm, a cable", cable, (0, 150.0), 15).assert_good_at_the_end();
 }
 
 #[test]
-fn rate_that_changes_under_jitter_makes_intervals_wrong_for_a_window_at_most() {
+fn jittered_rate_change_affects_one_window_at_most() {
     let path = wire(way(2, 2, 1), way(2, 2, 1));
-    change("rate changes by 180 ppm, 2/2 ms, 2 ms of jitter", path, (0, 180.0), 15).is_good_at_the_end();
+    change("rate changes by 180 ppm, 2/2 ms, 2 ms of jitter", path, (0, 180.0), 15).assert_good_at_the_end();
 }
 
 #[test]
-fn gained_time_of_all_clocks_makes_intervals_wrong_for_a_window_at_most() {
+fn common_time_gain_affects_one_window_at_most() {
     let path = wire(way(20, 2, 1), way(20, 2, 1));
-    change("39 ms gained, 20/20 ms, 2 ms of jitter, 1 % lost", path, (39, 0.0), 15).is_good_at_the_end();
+    change("39 ms gained, 20/20 ms, 2 ms of jitter, 1 % lost", path, (39, 0.0), 15).assert_good_at_the_end();
 }
 
-/// Exchanges of a short path would narrow what those of a long one tell for ever, if the window did not end.
+/// Exchanges of a short path would narrow those of a longer path for ever, if the window did not end.
 #[test]
-fn exchange_that_nothing_replaces_bounds_no_delay_after_the_window() {
+fn expired_exchange_bounds_no_delay() {
     let what = "1/1 ms becomes 40/40 ms while a drift of 1,000 ppm of 200 begins";
     let scene = Scene::new(what, wire(way(1, 0, 0), way(1, 0, 0)), "", |_| ());
     scene.settle();
-    scene.plant.network.delay(way(40, 0, 0), way(40, 0, 0));
+    scene.testbed.network.delay(way(40, 0, 0), way(40, 0, 0));
     let violated = scene.shim().change(Span::ZERO, 1_000.0, 0.0);
     scene.reach(violated + WINDOW + Span::from_seconds(8));
     let outcome = scene.end();
-    outcome.wrong_for_at_most(WINDOW, violated);
-    outcome.is_good_at_the_end();
+    outcome.assert_wrong_for_at_most(WINDOW, violated);
+    outcome.assert_good_at_the_end();
 }

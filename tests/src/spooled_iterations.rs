@@ -1,35 +1,37 @@
-//! What an agent said is in its spool, read from its log: true even when the next moment killed it.
+//! Spooled batches, read from an agent's log. A logged batch is in the spool even if the agent is killed in the next
+//! moment.
 
 use std::collections::BTreeMap;
 
-/// One line: the iterations of one run in one batch.
+/// One log line: the iterations of one run in one batch.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub struct Spooled {
-    /// The run's id.
+pub struct SpooledIterations {
+    /// Id of the run.
     pub run: String,
-    /// The batch's number in its stream.
+    /// Number of the batch in its stream.
     pub batch: u64,
     /// Number of the first iteration.
     pub first: u64,
-    /// Number of the last.
+    /// Number of the last iteration.
     pub last: u64,
-    /// How many.
+    /// Number of iterations.
     pub count: u64,
 }
 
-/// `[log] level` of an agent that says what it spooled.
-pub(crate) const TELLS_SPOOLED: &str = "info,peernet_agent::outbox::spool=debug";
+/// Value of `[log] level` for an agent that logs its spooled batches.
+pub(crate) const SPOOL_LOG_LEVEL: &str = "info,peernet_agent::outbox::spool=debug";
 
-impl Spooled {
-    /// Reads `… spooled batch=7 run=UUID first=1 last=90 count=90`; `None` for any other line and for one that
-    /// was torn off when its writer was killed.
+impl SpooledIterations {
+    /// Parses `… spooled batch=7 run=UUID first=1 last=90 count=90`; returns `None` for any other line and for a
+    /// truncated one.
     pub fn parse(line: &str) -> Option<Self> {
         let (_, said) = line.split_once("spooled batch=")?;
         let said = format!("batch={said}");
         let fields: BTreeMap<&str, &str> =
             said.split_whitespace().filter_map(|field| field.split_once('=')).collect();
         let number = |key: &str| fields.get(key)?.parse().ok();
-        // It ends with the count: a torn one would lack it, or digits of it, which only the line's end rules out.
+        // The count is the last field: a truncated line lacks it, or some of its digits, which only the end of the
+        // line excludes.
         let run = fields.get("run").filter(|run| run.len() == 36)?;
         let spooled = Self {
             run: (*run).to_owned(),
@@ -42,7 +44,7 @@ impl Spooled {
             .then_some(spooled)
     }
 
-    /// All lines of a log. The last line counts only when something follows it: it may be torn.
+    /// Parses all lines of a log. The last line counts only if a line feed follows, because it may be truncated.
     pub fn all(log: &str) -> Vec<Self> {
         let whole = log.rsplit_once('\n').map_or("", |(whole, _)| whole);
         whole.lines().filter_map(Self::parse).collect()
@@ -60,18 +62,18 @@ mod tests {
     }
 
     #[test]
-    fn a_line_is_read_and_others_are_not() {
-        let read = Spooled { run: RUN.to_owned(), batch: 7, first: 1, last: 90, count: 90 };
-        assert_eq!(Spooled::parse(&line("90")), Some(read));
+    fn spool_line_is_parsed_others_are_ignored() {
+        let read = SpooledIterations { run: RUN.to_owned(), batch: 7, first: 1, last: 90, count: 90 };
+        assert_eq!(SpooledIterations::parse(&line("90")), Some(read));
         for other in ["ready", "spooled batch=7 run=x first=1 last=2 count=2", &line(""), &line("91")] {
-            assert_eq!(Spooled::parse(other), None, "{other}");
+            assert_eq!(SpooledIterations::parse(other), None, "{other}");
         }
     }
 
     #[test]
-    fn what_may_be_torn_does_not_count() {
+    fn truncated_last_line_is_ignored() {
         let log = format!("{}\n{}\n{}", line("90"), line("90"), line("9"));
-        assert_eq!(Spooled::all(&log).len(), 2);
-        assert_eq!(Spooled::all(&line("90")), []);
+        assert_eq!(SpooledIterations::all(&log).len(), 2);
+        assert_eq!(SpooledIterations::all(&line("90")), []);
     }
 }

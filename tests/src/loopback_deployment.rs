@@ -1,4 +1,4 @@
-//! A folder with configuration files and ports of its own: one test's little plant.
+//! A deployment on the loopback interface: a folder with configuration files, and ports.
 
 use std::path::{Path, PathBuf};
 
@@ -6,9 +6,9 @@ use tempfile::TempDir;
 
 use crate::{Api, Process, free_port, program};
 
-/// Where one test's hosts live.
+/// Folder and ports of one test's hosts.
 #[derive(Debug)]
-pub struct Site {
+pub struct LoopbackDeployment {
     folder: TempDir,
     /// Port of the aggregator's event stream.
     pub events: u16,
@@ -18,25 +18,25 @@ pub struct Site {
     pub data: u16,
 }
 
-impl Default for Site {
+impl Default for LoopbackDeployment {
     fn default() -> Self {
         Self::new()
     }
 }
 
-impl Site {
-    /// An empty site.
+impl LoopbackDeployment {
+    /// Creates an empty deployment.
     pub fn new() -> Self {
         let folder = tempfile::tempdir().expect("the temporary folder is writable");
         Self { folder, events: free_port(), http: free_port(), data: free_port() }
     }
 
-    /// The site's folder.
+    /// Returns the folder of the deployment.
     pub fn folder(&self) -> &Path {
         self.folder.path()
     }
 
-    /// Writes a file into the site's folder; `{events}`, `{http}`, `{data}`, `{folder}` and `{root}` are filled in.
+    /// Writes a file into the folder; `{events}`, `{http}`, `{data}`, `{folder}` and `{root}` are replaced.
     pub fn write(&self, name: &str, text: &str) -> PathBuf {
         let text = text
             .replace("{events}", &self.events.to_string())
@@ -49,17 +49,17 @@ impl Site {
         path
     }
 
-    /// Starts `peernetd run` on a configuration that was written under `name` before.
+    /// Starts `peernetd run` with a configuration that was written as `name`.
     pub fn start(&self, name: &str) -> Process {
         self.start_with(name, &[])
     }
 
-    /// The same with further environment variables.
+    /// Starts `peernetd run` with additional environment variables.
     pub fn start_with(&self, name: &str, environment: &[(&str, &str)]) -> Process {
         self.peernetd_with(&["run", name], environment)
     }
 
-    /// Starts `peernetd` with given arguments in the site's folder.
+    /// Starts `peernetd` with these arguments in the folder.
     pub fn peernetd(&self, arguments: &[&str]) -> Process {
         self.peernetd_with(arguments, &[])
     }
@@ -72,19 +72,20 @@ impl Site {
         Process::start(&program("peernetd"), arguments, self.folder(), &environment)
     }
 
-    /// Writes and starts an agent that reports to the site's aggregator; `tables` follow its table `[agent]`.
+    /// Writes the configuration of an agent that reports to the aggregator, and starts it; `tables` follow its table
+    /// `[agent]`.
     pub fn agent(&self, name: &str, tables: &str) -> Process {
         let file = format!("{name}.toml");
         self.write(&file, &(agent(name, "127.0.0.1") + tables));
         self.start(&file)
     }
 
-    /// Writes and starts an aggregator with its dashboard, and waits until it answers.
+    /// Starts an aggregator with its dashboard, and waits until it answers.
     pub fn aggregator(&self) -> (Process, Api) {
         self.aggregator_for("127.0.0.1")
     }
 
-    /// The same for agents that reach it at an address.
+    /// Starts an aggregator for agents that reach it at this address.
     pub(crate) fn aggregator_for(&self, address: &str) -> (Process, Api) {
         let events = "127.0.0.1:{events}";
         self.write("aggregator.toml", &AGGREGATOR.replace(events, &events.replace("127.0.0.1", address)));
@@ -95,7 +96,8 @@ impl Site {
     }
 }
 
-/// The table `[agent]` of an agent that reaches its aggregator at an address, as [`Site::write`] takes it.
+/// Returns the table `[agent]` of an agent that reaches its aggregator at an address, as a template for
+/// [`LoopbackDeployment::write`].
 pub(crate) fn agent(name: &str, aggregator: &str) -> String {
     format!(
         "[agent]\nname = \"{name}\"\nstate_dir = \"{{folder}}/{name}\"\n\
@@ -103,7 +105,7 @@ pub(crate) fn agent(name: &str, aggregator: &str) -> String {
     )
 }
 
-/// An aggregator with its dashboard, as [`Site::write`] takes it.
+/// Configuration of an aggregator with its dashboard, as a template for [`LoopbackDeployment::write`].
 pub const AGGREGATOR: &str = r#"
 [aggregator]
 name = "aggregator"

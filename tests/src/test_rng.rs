@@ -1,4 +1,4 @@
-//! Chance that can be repeated.
+//! Pseudo-random numbers for tests, which can be repeated.
 
 use std::time::Duration;
 
@@ -7,18 +7,18 @@ use peernet_statistics::SplitMix64;
 use crate::say;
 use crate::time::wall;
 
-/// The variable that repeats a run.
+/// Environment variable with the seed of an earlier test run.
 const SEED: &str = "PEERNET_SEED";
 
-/// Numbers that look random and follow from a seed.
+/// Generator of pseudo-random numbers that depend on a seed only.
 #[derive(Clone, Debug)]
-pub struct Chance(SplitMix64);
+pub struct TestRng(SplitMix64);
 
-impl Chance {
-    /// Seeded by `PEERNET_SEED`, or else anew; says with what, so that it can be repeated.
+impl TestRng {
+    /// Seeds the generator with `PEERNET_SEED`, or with the time; prints the seed, so that the test can be repeated.
     ///
     /// # Panics
-    /// When `PEERNET_SEED` is no number.
+    /// If `PEERNET_SEED` is not a number.
     pub fn new(what: &str) -> Self {
         let seed = match std::env::var(SEED) {
             Ok(text) => text.parse().unwrap_or_else(|_| panic!("{SEED}={text:?} is no number")),
@@ -28,23 +28,23 @@ impl Chance {
         Self(SplitMix64::new(seed))
     }
 
-    /// The next number, evenly spread over 64 bits.
+    /// Returns the next number, uniform over 64 bits.
     pub fn bits(&mut self) -> u64 {
         self.0.bits()
     }
 
-    /// A number below `end`, which is not 0.
+    /// Returns a number below `end`, which must not be 0.
     pub fn below(&mut self, end: usize) -> usize {
         (self.bits() % end as u64) as usize
     }
 
-    /// True once in so many times.
+    /// Returns `true` with probability 1 / `times`.
     pub fn once_in(&mut self, times: usize) -> bool {
         self.below(times) == 0
     }
 
-    /// Lets a random time pass, so that what follows meets any moment of what goes on elsewhere.
-    pub fn linger(&mut self, longest: Duration) {
+    /// Waits for a random time up to `longest`, so that the next step happens at any moment of a concurrent activity.
+    pub fn sleep_up_to(&mut self, longest: Duration) {
         std::thread::sleep(longest.mul_f64(self.below(1_000) as f64 / 1_000.0));
     }
 }

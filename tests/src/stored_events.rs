@@ -1,64 +1,64 @@
-//! What an aggregator's database holds, counted in every way it can be counted.
+//! Counts of everything that an aggregator's database stores.
 
 use std::collections::BTreeMap;
 use std::ops::RangeInclusive;
 use std::path::Path;
 
-use crate::Spooled;
+use crate::SpooledIterations;
 use crate::truth::ask;
 
-/// A database, read as people read it.
+/// Contents of a database, counted in several ways.
 #[derive(Clone, Debug)]
-pub struct Ledger {
+pub struct StoredEvents {
     /// Runs by id.
     pub runs: BTreeMap<String, StoredRun>,
     /// Hosts by name.
     pub hosts: BTreeMap<String, StoredHost>,
 }
 
-/// A run as it is stored.
+/// Stored counts of a run.
 #[derive(Clone, Debug, Default)]
 pub struct StoredRun {
-    /// Its host.
+    /// Name of its host.
     pub host: String,
-    /// Its pipeline.
+    /// Name of its pipeline.
     pub pipeline: String,
-    /// How it ended; empty while it goes on.
+    /// Reason of its end; empty while it is still running.
     pub reason: String,
-    /// Iterations that the run's own counters tell.
+    /// Number of iterations according to the counters in the run's row.
     pub counted: u64,
-    /// Successful ones without the warm-up, by those counters.
+    /// Number of successful iterations without warm-up, according to these counters.
     pub ok: u64,
-    /// Successful ones in the roll-up over the whole run, and in those of seconds.
+    /// Number of successful iterations in the roll-up of the whole run, and in those of seconds.
     pub rolled_up: (u64, u64),
     /// Numbers of the stored iterations.
     pub ranges: Vec<RangeInclusive<u64>>,
-    /// Iterations that have nodes.
+    /// Number of iterations that have nodes.
     pub with_nodes: u64,
-    /// Those of them whose nodes are not contiguous from 0.
+    /// Number of these whose nodes are not contiguous from 0.
     pub torn: u64,
-    /// All nodes.
+    /// Number of nodes.
     pub nodes: u64,
-    /// Events missing in the run's gaps.
+    /// Number of events that are missing in the run's gaps.
     pub missing: u64,
 }
 
-/// A host as it is stored.
+/// Stored counts of a host.
 #[derive(Clone, Debug, Default)]
 pub struct StoredHost {
-    /// Events.
+    /// Number of events.
     pub events: u64,
-    /// Nodes.
+    /// Number of nodes.
     pub nodes: u64,
-    /// Gaps, by the host's own counters.
+    /// Number of gaps, according to the host's counters.
     pub gaps: u64,
-    /// Events missing in them, by the host's own counters.
+    /// Number of events that are missing in them, according to the host's counters.
     pub missing: u64,
-    /// The same, by the gaps themselves.
+    /// Number of gaps and of missing events, according to the rows of the gaps.
     pub gap_rows: (u64, u64),
-    /// Batches put aside.
+    /// Number of quarantined batches.
     pub quarantined: u64,
-    /// Streams that it ever had.
+    /// Number of all its streams.
     pub streams: u64,
 }
 
@@ -88,7 +88,7 @@ SELECT coalesce(h.name, h.uuid), h.events, h.nodes, h.gaps, h.missing, h.quarant
        (SELECT count(*) FROM stream WHERE host = h.id)
 FROM host AS h";
 
-impl Ledger {
+impl StoredEvents {
     /// Reads a database.
     ///
     /// # Panics
@@ -134,21 +134,21 @@ impl Ledger {
         Self { runs, hosts: hosts.collect() }
     }
 
-    /// Iterations of all runs.
+    /// Returns the number of iterations of all runs.
     pub fn iterations(&self) -> u64 {
         self.runs.values().map(StoredRun::iterations).sum()
     }
 
-    /// Nodes of all runs.
+    /// Returns the number of nodes of all runs.
     pub fn nodes(&self) -> u64 {
         self.runs.values().map(|run| run.nodes).sum()
     }
 
-    /// Checks that everything is there once and whole, however it is counted: rows, counters, roll-ups, nodes.
+    /// Checks that rows, counters, roll-ups and nodes agree, so that everything is stored once and completely.
     ///
     /// # Panics
-    /// When the counts differ.
-    pub fn agrees(&self) {
+    /// If the counts differ.
+    pub fn assert_consistent(&self) {
         for (id, run) in &self.runs {
             let iterations = run.iterations();
             assert_eq!(run.counted, iterations, "counted against stored: run {id}: {run:?}");
@@ -162,11 +162,12 @@ impl Ledger {
         assert_eq!(told, self.nodes(), "nodes by the hosts' counters and in the table: {self:?}");
     }
 
-    /// How many iterations of what was spooled are not there; checks that no line's range holds more than it says.
+    /// Returns the number of spooled iterations that are not stored; checks that no line's range contains more than
+    /// the line reports.
     ///
     /// # Panics
-    /// When a run is unknown or holds too many.
-    pub fn lacks(&self, spooled: &[Spooled]) -> u64 {
+    /// If a run is unknown or contains too many iterations.
+    pub fn count_missing(&self, spooled: &[SpooledIterations]) -> u64 {
         let mut lost = 0;
         for line in spooled {
             let run = self.runs.get(&line.run).unwrap_or_else(|| panic!("the run of {line:?} is not stored"));
@@ -179,12 +180,12 @@ impl Ledger {
 }
 
 impl StoredRun {
-    /// How many iterations are stored.
+    /// Returns the number of stored iterations.
     pub fn iterations(&self) -> u64 {
         self.ranges.iter().map(|range| range.end() - range.start() + 1).sum()
     }
 
-    /// How many of those between two numbers are stored.
+    /// Returns the number of stored iterations between two numbers.
     pub fn within(&self, first: u64, last: u64) -> u64 {
         let shared = |range: &RangeInclusive<u64>| {
             let (first, last) = (first.max(*range.start()), last.min(*range.end()));
@@ -193,13 +194,13 @@ impl StoredRun {
         self.ranges.iter().map(shared).sum()
     }
 
-    /// How many are not there of those from 1 to the last that is.
-    pub fn holes(&self) -> u64 {
+    /// Returns the number of missing iterations between 1 and the last stored one.
+    pub fn missing_iterations(&self) -> u64 {
         self.ranges.last().map_or(0, |range| *range.end()) - self.iterations()
     }
 
-    /// Whether all from the first to the last are there.
-    pub fn is_whole(&self) -> bool {
+    /// Returns whether all iterations from the first to the last are stored.
+    pub fn is_contiguous(&self) -> bool {
         matches!(self.ranges.as_slice(), [range] if *range.start() == 1)
     }
 }
@@ -216,24 +217,25 @@ fn number(text: &str) -> u64 {
 mod tests {
     use super::*;
 
-    fn spooled(first: u64, last: u64) -> Spooled {
-        Spooled { run: "a".to_owned(), batch: 1, first, last, count: last - first + 1 }
+    fn spooled(first: u64, last: u64) -> SpooledIterations {
+        SpooledIterations { run: "a".to_owned(), batch: 1, first, last, count: last - first + 1 }
     }
 
     #[test]
-    fn what_is_not_there_is_missed() {
-        let mut ledger = Ledger { runs: BTreeMap::new(), hosts: BTreeMap::new() };
+    fn missing_spooled_iterations_are_counted() {
+        let mut stored_events = StoredEvents { runs: BTreeMap::new(), hosts: BTreeMap::new() };
         let run = StoredRun { ranges: vec![1..=10, 13..=20], ..StoredRun::default() };
-        assert_eq!((run.iterations(), run.holes(), run.is_whole()), (18, 2, false));
-        ledger.runs.insert("a".to_owned(), run);
-        assert_eq!(ledger.lacks(&[spooled(1, 10), spooled(14, 20)]), 0);
-        assert_eq!(ledger.lacks(&[spooled(9, 11), spooled(12, 13), spooled(30, 31)]), 4);
+        assert_eq!((run.iterations(), run.missing_iterations(), run.is_contiguous()), (18, 2, false));
+        stored_events.runs.insert("a".to_owned(), run);
+        assert_eq!(stored_events.count_missing(&[spooled(1, 10), spooled(14, 20)]), 0);
+        assert_eq!(stored_events.count_missing(&[spooled(9, 11), spooled(12, 13), spooled(30, 31)]), 4);
     }
 
     #[test]
     #[should_panic(expected = "counted against stored")]
-    fn counters_that_tell_of_more_than_there_is_are_noticed() {
+    fn counters_above_stored_rows_are_detected() {
         let run = StoredRun { ranges: vec![1..=10], counted: 11, ..StoredRun::default() };
-        Ledger { runs: BTreeMap::from([("a".to_owned(), run)]), hosts: BTreeMap::new() }.agrees();
+        StoredEvents { runs: BTreeMap::from([("a".to_owned(), run)]), hosts: BTreeMap::new() }
+            .assert_consistent();
     }
 }

@@ -1,4 +1,4 @@
-//! Somebody who speaks the event stream's protocol as he likes, over a real socket.
+//! A peer that sends any messages of the event stream's protocol over a real socket.
 
 use std::fmt::Debug;
 use std::sync::OnceLock;
@@ -14,17 +14,17 @@ use peernet_stream::{
 use tokio::runtime::{Builder, Runtime};
 use zeromq::{Message, Options, Socket, SocketType};
 
-use crate::{Chance, PATIENCE, Since, wall};
+use crate::{PATIENCE, Stopwatch, TestRng, wall};
 
-/// How long an agent waits before it says hello again.
-const AGAIN: Duration = Duration::from_secs(1);
+/// Time after which an agent repeats its hello.
+const HELLO_INTERVAL: Duration = Duration::from_secs(1);
 
-/// A connection to an aggregator.
-pub struct Stranger {
+/// Connection to an aggregator.
+pub struct MisbehavingPeer {
     socket: Socket,
 }
 
-/// Connections live on in threads of their own while the test does something else.
+/// Returns the runtime whose threads keep connections alive while the test does something else.
 fn runtime() -> &'static Runtime {
     static RUNTIME: OnceLock<Runtime> = OnceLock::new();
     RUNTIME.get_or_init(|| {
@@ -32,17 +32,17 @@ fn runtime() -> &'static Runtime {
     })
 }
 
-impl Debug for Stranger {
+impl Debug for MisbehavingPeer {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.write_str("Stranger")
+        f.write_str("MisbehavingPeer")
     }
 }
 
-impl Stranger {
+impl MisbehavingPeer {
     /// Connects to a port of this machine.
     ///
     /// # Panics
-    /// When that fails.
+    /// If that fails.
     pub fn at(port: u16) -> Self {
         let socket = runtime().block_on(async {
             let socket = Socket::new(SocketType::Dealer, Options::default());
@@ -55,7 +55,7 @@ impl Stranger {
     /// Sends a frame.
     ///
     /// # Panics
-    /// When the socket is closed.
+    /// If the socket is closed.
     pub fn send(&self, frame: &[u8]) {
         let message = Message::single(Bytes::copy_from_slice(frame));
         runtime().block_on(self.socket.send(message)).expect("sends");
@@ -66,21 +66,21 @@ impl Stranger {
         self.send(&codec::encode(message));
     }
 
-    /// The next message that comes.
+    /// Receives the next message.
     ///
     /// # Panics
-    /// When none comes within [`PATIENCE`].
-    pub fn hear(&self) -> ToAgent {
-        self.hear_within(PATIENCE).expect("an answer in time")
+    /// If none arrives within [`PATIENCE`].
+    pub fn receive(&self) -> ToAgent {
+        self.receive_within(PATIENCE).expect("an answer in time")
     }
 
-    fn hear_within(&self, patience: Duration) -> Option<ToAgent> {
+    fn receive_within(&self, patience: Duration) -> Option<ToAgent> {
         let received = runtime().block_on(async { tokio::time::timeout(patience, self.socket.recv()).await });
         let message = received.ok()?.expect("receives");
         Some(codec::decode(message.part_slice(0).expect("a frame")).expect("a message of the aggregator"))
     }
 
-    /// Answers a challenge with the proof of this hello; whether it was one.
+    /// Answers a challenge with the proof of this hello; returns whether `said` is a challenge.
     pub fn prove(&self, hello: &Hello, secret: &HostSecret, said: &ToAgent) -> bool {
         let ToAgent::Challenge { aggregator, stream, nonce, enrol, .. } = said else { return false };
         if *stream == hello.stream {
@@ -92,17 +92,17 @@ impl Stranger {
         true
     }
 
-    /// Says hello, and proves it, until what is answered is what `holds` looks for. As agents do: an aggregator that has no room for an
-    /// answer, or none for what follows from a hello, leaves it unanswered.
+    /// Sends a hello and its proof until an answer fulfils `holds`. The hello is repeated, as by agents: an
+    /// aggregator without room for an answer leaves a hello unanswered.
     ///
     /// # Panics
-    /// When it never is.
-    pub fn greet(&self, host: &Introduced, holds: impl Fn(&ToAgent) -> bool) {
+    /// If no answer does.
+    pub fn send_hello_until(&self, host: &InventedHost, holds: impl Fn(&ToAgent) -> bool) {
         let hello = &host.hello;
-        let began = Since::now();
+        let began = Stopwatch::now();
         while began.elapsed() < PATIENCE {
             self.say(&ToAggregator::Hello(hello.clone()));
-            while let Some(said) = self.hear_within(AGAIN) {
+            while let Some(said) = self.receive_within(HELLO_INTERVAL) {
                 if holds(&said) {
                     return;
                 }
@@ -112,45 +112,45 @@ impl Stranger {
         panic!("{} was not answered as it should be", hello.host.name);
     }
 
-    /// Hears until something is said that `holds` looks for.
-    pub fn hear_until<T>(&self, mut holds: impl FnMut(&ToAgent) -> Option<T>) -> T {
+    /// Receives messages until `holds` returns a value.
+    pub fn receive_until<T>(&self, mut holds: impl FnMut(&ToAgent) -> Option<T>) -> T {
         loop {
-            if let Some(found) = holds(&self.hear()) {
+            if let Some(found) = holds(&self.receive()) {
                 return found;
             }
         }
     }
 
     /// Waits until all batches up to a number are acknowledged.
-    pub fn hear_ack(&self, number: u64) {
-        self.hear_until(|said| {
+    pub fn wait_for_ack(&self, number: u64) {
+        self.receive_until(|said| {
             matches!(said, ToAgent::Ack { through, .. } if *through >= number).then_some(())
         });
     }
 
-    /// Waits for a refusal and returns its words.
-    pub fn hear_refusal(&self) -> String {
-        self.hear_until(|said| match said {
+    /// Waits for a refusal and returns its reason.
+    pub fn wait_for_refusal(&self) -> String {
+        self.receive_until(|said| match said {
             ToAgent::Refused { reason } => Some(reason.clone()),
             _ => None,
         })
     }
 }
 
-/// A host that the test makes up, with a stream of batches.
+/// Invented host with a stream of batches.
 #[derive(Clone, Debug)]
-pub struct Introduced {
-    /// The hello that it opens with.
+pub struct InventedHost {
+    /// The hello with which it opens the session.
     pub hello: Hello,
-    /// What it proves to be that host with.
+    /// The secret with which it proves its id.
     pub secret: HostSecret,
     newest: (u64, Chain),
     events: u64,
 }
 
-impl Introduced {
-    /// A host with a new stream.
-    pub fn new(name: &str, chance: &mut Chance) -> Self {
+impl InventedHost {
+    /// Creates a host with a new stream.
+    pub fn new(name: &str, rng: &mut TestRng) -> Self {
         let host = HostDescription {
             id: HostId::random(),
             name: name.parse().expect("a name"),
@@ -171,18 +171,18 @@ impl Introduced {
             events_before_oldest: 0,
             events_before_first: Some(0),
             batch_bytes: 128 << 10,
-            process: chance.bits(),
+            process: rng.bits(),
             extension: None,
         };
         Self { hello, secret: HostSecret::random(), newest: (0, Chain::START), events: 0 }
     }
 
-    /// Says hello and waits until it is taken in.
-    pub fn enter(&self, stranger: &Stranger) {
-        stranger.greet(self, |said| matches!(said, ToAgent::Welcome { .. }));
+    /// Sends the hello and waits until the host is welcomed.
+    pub fn open_session(&self, misbehaving_peer: &MisbehavingPeer) {
+        misbehaving_peer.send_hello_until(self, |said| matches!(said, ToAgent::Welcome { .. }));
     }
 
-    /// The next batch of the stream, with so many events.
+    /// Returns the next batch of the stream, with this number of events.
     pub fn batch(&mut self, events: u32) -> Vec<u8> {
         let text = |n: u32| format!("event {n} of batch {}", self.newest.0 + 1);
         let body: Vec<u8> = (0..events)
@@ -201,10 +201,10 @@ impl Introduced {
         self.batch_of(events, &body, false)
     }
 
-    /// Says hello until that is refused; returns the words.
-    pub fn is_refused(&self, stranger: &Stranger) -> String {
+    /// Sends the hello until it is refused; returns the reason.
+    pub fn expect_refusal(&self, misbehaving_peer: &MisbehavingPeer) -> String {
         let words = std::cell::RefCell::new(String::new());
-        stranger.greet(self, |said| match said {
+        misbehaving_peer.send_hello_until(self, |said| match said {
             ToAgent::Refused { reason } => {
                 words.borrow_mut().clone_from(reason);
                 true
@@ -214,17 +214,17 @@ impl Introduced {
         words.into_inner()
     }
 
-    /// The next batch of the stream, with these events.
+    /// Returns the next batch of the stream, with these events.
     ///
     /// # Panics
-    /// Never: plain data serialises.
+    /// Never: plain data can always be serialized.
     pub fn batch_with(&mut self, events: &[Event]) -> Vec<u8> {
         let encode = |event| rmp_serde::to_vec(event).expect("plain data serialises");
         let body: Vec<u8> = events.iter().flat_map(encode).collect();
         self.batch_of(events.len() as u32, &body, false)
     }
 
-    /// The next batch of the stream, of whatever bytes, correctly hashed.
+    /// Returns the next batch of the stream with any bytes, correctly hashed.
     pub fn batch_of(&mut self, events: u32, body: &[u8], compress: bool) -> Vec<u8> {
         let (newest, before) = self.newest;
         let (number, chain) = (newest + 1, before.then(events, body));

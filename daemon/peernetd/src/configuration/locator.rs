@@ -1,4 +1,4 @@
-//! From the path of a key to its line, so that a problem names file, line and key.
+//! Line numbers of keys, so that a problem names file, line and key.
 
 use toml::Spanned;
 use toml::de::{DeTable, DeValue};
@@ -10,13 +10,13 @@ pub(crate) struct Locator<'a> {
 }
 
 impl<'a> Locator<'a> {
-    /// A locator for the text of a file; finds nothing in a text that is not TOML.
+    /// Creates a locator for the text of a file. It finds nothing in a text that is not TOML.
     pub(crate) fn new(text: &'a str) -> Self {
         Self { text, root: DeTable::parse(text).ok() }
     }
 
-    /// The line, from 1, of a key such as `pipeline[1].sensor.path`, or of the nearest key above it that is
-    /// written in the file (a default value has no line of its own).
+    /// Returns the line, from 1, of a key such as `pipeline[1].sensor.path`, or of the nearest key above it in the
+    /// file: a default value has no line.
     pub(crate) fn line(&self, key: &str) -> Option<usize> {
         let root = self.root.as_ref()?;
         let mut table = root.get_ref();
@@ -48,7 +48,7 @@ impl<'a> Locator<'a> {
         line
     }
 
-    /// The line, from 1, of a byte of the text.
+    /// Returns the line, from 1, of a byte offset in the text.
     pub(crate) fn line_at(&self, offset: usize) -> usize {
         self.text.bytes().take(offset).filter(|byte| *byte == b'\n').count() + 1
     }
@@ -69,7 +69,7 @@ mod tests {
     }
 
     #[test]
-    fn a_key_that_is_not_written_leads_to_the_one_above() {
+    fn missing_key_is_located_at_its_parent() {
         let locator = Locator::new(TEXT);
         assert_eq!(locator.line("pipeline[1].timeout_ms"), locator.line("pipeline[1]"));
         assert_eq!(locator.line("agent.state_dir"), Some(1));

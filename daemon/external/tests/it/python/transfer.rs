@@ -1,9 +1,9 @@
-//! The border between two processes: sizes, times, ends.
+//! Transfer of values between the two processes: sizes, times and the end of the process.
 
 use std::fs;
 use std::path::Path;
 
-use peernet_external::python::{Stage, Times};
+use peernet_external::python::{CallTimes, Stage};
 use peernet_sample::{Description, ElementType, MediaType, Part};
 
 use super::{Module, bytes, value};
@@ -29,7 +29,7 @@ fn payloads_of_any_size_cross_unchanged() {
 }
 
 #[test]
-fn small_and_large_parts_cross_together_and_answers_outgrow_their_questions() {
+fn small_and_large_parts_are_transferred_together() {
     let source = "
 class Own:
     def infer(self, x): return [b'small', x * 3, bytearray(4096), x]
@@ -44,7 +44,7 @@ class Own:
 }
 
 #[test]
-fn what_a_user_keeps_does_not_change_with_the_next_call() {
+fn kept_values_are_unchanged_by_next_call() {
     let source = "
 class Own:
     def __init__(self): self.kept = []
@@ -68,8 +68,8 @@ class Own:
 }
 
 #[test]
-fn stages_lie_within_the_call_and_the_rest_is_the_border() {
-    let Times { begun, ended, stages, restarted } =
+fn stages_lie_within_call_and_remainder_is_overhead() {
+    let CallTimes { begun, ended, stages, restarted } =
         Module::new(ECHO, "own::Own").model().call(&[bytes(b"x")]).times;
     assert_eq!(
         stages.iter().map(|one| one.0).collect::<Vec<_>>(),
@@ -116,7 +116,7 @@ fn the_process_ends_with_its_object() {
 }
 
 #[test]
-fn the_environment_and_the_folder_are_the_users() {
+fn configured_environment_and_folder_are_used() {
     let source = "
 import os, pathlib
 class Own:

@@ -1,4 +1,4 @@
-//! Finding folders of results and making them ready.
+//! Search for result folders, and their preparation.
 
 use std::fs::{File, TryLockError};
 use std::io::ErrorKind;
@@ -11,27 +11,27 @@ use serde::{Deserialize, Serialize};
 use super::FolderError;
 use super::file_names::{DATA, RECORD, SUMMARIES};
 
-/// What to do when the folder holds something.
+/// Treatment of a folder that is not empty.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Overwrite {
-    /// Nothing: it is an error.
+    /// Refuses the folder with an error.
     #[default]
     Refuse,
-    /// Results in it are replaced; other files stay.
+    /// Replaces results in it; other files stay.
     Replace,
-    /// A new folder in it is taken: `run-2`, `run-3`, …
+    /// Uses a new folder in it: `run-2`, `run-3`, …
     Subfolder,
 }
 
-/// How deep below a folder results are looked for.
-const DEEPEST: usize = 8;
+/// Largest depth below a folder at which results are searched.
+const MAX_DEPTH: usize = 8;
 
-/// A folder that this program alone writes to: an open file of it that holds a lock.
-pub(crate) type Taken = (PathBuf, File);
+/// Folder with its open file, which holds the lock against other programs.
+pub(crate) type LockedFolder = (PathBuf, File);
 
-/// Finds the folder that `overwrite` allows and takes it for this program; nothing in it is touched.
-pub(crate) fn take(dir: &Path, overwrite: Overwrite) -> Result<Taken, FolderError> {
+/// Finds the folder that `overwrite` permits and locks it for this program; its contents are left unchanged.
+pub(crate) fn acquire(dir: &Path, overwrite: Overwrite) -> Result<LockedFolder, FolderError> {
     let failed = |path: &Path| {
         let path = path.to_owned();
         move |error: std::io::Error| FolderError::Make { path, reason: error.to_string() }
@@ -57,25 +57,26 @@ pub(crate) fn take(dir: &Path, overwrite: Overwrite) -> Result<Taken, FolderErro
     }
 }
 
-/// Locks a folder itself: nothing is put into it, and the lock is gone with the program, however that ends.
+/// Locks a folder itself: that needs no file in it, and the lock ends with the program, for whatever reason.
 fn lock(dir: &Path) -> Result<File, FolderError> {
-    let made = |error: std::io::Error| FolderError::Make { path: dir.to_owned(), reason: error.to_string() };
-    let folder = File::open(dir).map_err(made)?;
+    let make_error =
+        |error: std::io::Error| FolderError::Make { path: dir.to_owned(), reason: error.to_string() };
+    let folder = File::open(dir).map_err(make_error)?;
     match folder.try_lock() {
         Err(TryLockError::WouldBlock) => Err(FolderError::Busy(dir.to_owned())),
-        // Not every network's file system can lock a folder: results are worth more there than the caution.
+        // Not every network file system can lock a folder. Results are more important there than the protection.
         Ok(()) | Err(TryLockError::Error(_)) => Ok(folder),
     }
 }
 
-/// The files that an earlier run may have left in a folder: its results, and figures of any kind, which would show what
-/// is there no longer.
+/// Returns the names of the files that an earlier run may have left in a folder: its results, and figures of any
+/// kind, which would show results that no longer exist.
 pub(crate) fn replaced(dir: &Path) -> impl Iterator<Item = String> {
     let results = [DATA, RECORD].into_iter().chain(SUMMARIES).map(str::to_owned);
     results.chain(figure_files(dir))
 }
 
-/// Takes away what an earlier run left.
+/// Removes the files of an earlier run.
 pub(crate) fn clear(dir: &Path) -> Result<(), FolderError> {
     for path in replaced(dir).map(|name| dir.join(name)) {
         match std::fs::remove_file(&path) {
@@ -88,7 +89,7 @@ pub(crate) fn clear(dir: &Path) -> Result<(), FolderError> {
     Ok(())
 }
 
-/// The first that is not there, made at once: two programs never get the same.
+/// Creates the first subfolder that does not exist. Creation is atomic, so that two programs never get the same.
 fn subfolder(dir: &Path) -> std::io::Result<PathBuf> {
     let mut number = 2_u32;
     loop {
@@ -103,29 +104,31 @@ fn subfolder(dir: &Path) -> std::io::Result<PathBuf> {
 
 pub(crate) fn find(dir: &Path) -> Vec<PathBuf> {
     let mut found = Vec::new();
-    look(dir, DEEPEST, &mut found);
+    search(dir, MAX_DEPTH, &mut found);
     found
 }
 
-fn look(dir: &Path, levels: usize, found: &mut Vec<PathBuf>) {
+fn search(dir: &Path, levels: usize, found: &mut Vec<PathBuf>) {
     if dir.join(DATA).is_file() {
         found.push(dir.to_owned());
     }
     let Some(levels) = levels.checked_sub(1) else { return };
-    // A folder that cannot be looked into holds nothing that could be read.
+    // A folder that cannot be read contains nothing that could be read.
     let entries = std::fs::read_dir(dir).into_iter().flatten().filter_map(Result::ok);
     let mut folders: Vec<PathBuf> = entries
         .filter(|entry| entry.file_type().is_ok_and(|kind| kind.is_dir()))
-        // Hidden ones hold what a run has put aside, or what other programs keep.
+        // Hidden folders contain results that a run has set aside, or data of other programs.
         .filter(|entry| !entry.file_name().as_encoded_bytes().starts_with(b"."))
         .map(|entry| entry.path())
         .collect();
-    folders.sort_by_cached_key(|path| natural(&path.file_name().unwrap_or_default().to_string_lossy()));
-    folders.iter().for_each(|folder| look(folder, levels, found));
+    folders.sort_by_cached_key(|path| {
+        natural_order_key(&path.file_name().unwrap_or_default().to_string_lossy())
+    });
+    folders.iter().for_each(|folder| search(folder, levels, found));
 }
 
-/// A key by which `run-2` stands before `run-10`: text and the numbers in it by turns.
-fn natural(name: &str) -> Vec<(String, u128)> {
+/// Returns a sort key by which `run-2` precedes `run-10`: texts and numbers alternate.
+fn natural_order_key(name: &str) -> Vec<(String, u128)> {
     let mut key = Vec::new();
     let mut rest = name;
     while !rest.is_empty() {

@@ -1,4 +1,4 @@
-//! Two machines on which a test types the command lines of the documents, word for word.
+//! Two machines on which a test executes the commands of the documents, word for word.
 
 use std::cell::RefCell;
 use std::collections::BTreeSet;
@@ -10,14 +10,14 @@ use tempfile::TempDir;
 use crate::network::{DATA, Host};
 use crate::{Document, Network, Process, program, root};
 
-/// Where the shipped files, which are for one machine, have the one that serves, and where it is here.
+/// Address of the cloud in the shipped files, which are for one machine, and its address here.
 const SERVING: (&str, &str) = ("tcp://127.0.0.1:", "tcp://10.0.0.2:");
 
-/// Where a package keeps things; here each machine has such a folder of its own.
+/// Folders in which a package installs files; here they are below a folder for each machine.
 const PACKAGED: [&str; 5] =
     ["/etc/", "/usr/lib/peernet", "/usr/share/peernet/", "/var/lib/peernet/", "/backup/"];
 
-/// What of the checkout is there as it is.
+/// Files and folders of the checkout that are linked unchanged.
 const LINKED: [&str; 6] = [
     "deploy",
     "docs",
@@ -27,22 +27,22 @@ const LINKED: [&str; 6] = [
     "onnxruntime",
 ];
 
-/// An edge and a cloud at the two ends of a cable, and a folder that is the checkout's root for both: the programs stand on
-/// the path, models and examples are there, configurations are copied when a test asks for them.
+/// Edge and cloud at the two ends of a cable, and a folder that both see as the root of the checkout. The programs
+/// are on the path; models and examples are present; a test copies the configurations that it needs.
 #[derive(Debug)]
-pub struct Desk {
+pub struct DocumentedCommands {
     commands: &'static [&'static str],
-    typed: RefCell<BTreeSet<String>>,
+    executed: RefCell<BTreeSet<String>>,
     folder: TempDir,
     network: Network,
 }
 
-impl Desk {
-    /// The cloud's address, as the documents have it.
+impl DocumentedCommands {
+    /// Address of the cloud, as in the documents.
     pub const CLOUD: &str = "10.0.0.2";
     const EDGE: &str = "10.0.0.1";
 
-    /// For a test that types these commands of the documents, all of them.
+    /// Creates the machines for a test that executes these commands of the documents, all of them.
     ///
     /// # Panics
     /// As [`Network::direct`].
@@ -50,7 +50,8 @@ impl Desk {
         Self::on(Network::direct(), commands)
     }
 
-    /// For a test that types no command of the documents, with a third host on a cable of its own to the cloud.
+    /// Creates the machines for a test that executes no command of the documents, with a third host on a separate
+    /// cable to the cloud.
     ///
     /// # Panics
     /// As [`Network::direct`].
@@ -59,8 +60,8 @@ impl Desk {
     }
 
     fn on(network: Network, commands: &'static [&'static str]) -> Self {
-        network.edge().also(DATA, Self::EDGE);
-        network.cloud().also(DATA, Self::CLOUD);
+        network.edge().add_address(DATA, Self::EDGE);
+        network.cloud().add_address(DATA, Self::CLOUD);
         let folder = tempfile::tempdir().expect("the temporary folder is writable");
         let link = |name: &str, to: &Path| {
             let name = folder.path().join(name);
@@ -73,27 +74,28 @@ impl Desk {
         for name in ["peernet", "peernetd"] {
             link(&format!("bin/{name}"), &program(name));
             link(&format!("target/release/{name}"), &program(name));
+            link(&format!("target/demo/{name}"), &program(name));
         }
         link("bin/PEERNet", &program("peernet"));
-        Self { commands, typed: RefCell::default(), folder, network }
+        Self { commands, executed: RefCell::default(), folder, network }
     }
 
-    /// The folder of both machines.
+    /// Returns the folder that both machines share.
     pub fn folder(&self) -> &Path {
         self.folder.path()
     }
 
-    /// The machines and the cables between them.
+    /// Returns the machines and the cables between them.
     pub const fn network(&self) -> &Network {
         &self.network
     }
 
-    /// Where samples come from.
+    /// Returns the edge.
     pub const fn edge(&self) -> &Host {
         self.network.edge()
     }
 
-    /// Where they are computed on.
+    /// Returns the cloud.
     pub const fn cloud(&self) -> &Host {
         self.network.cloud()
     }
@@ -105,29 +107,29 @@ impl Desk {
         std::fs::write(path, text).expect("writable");
     }
 
-    /// Copies a file of the checkout, in which the cloud is another machine, with further changes.
+    /// Copies a file of the checkout with changes; the cloud's address is replaced.
     ///
     /// # Panics
-    /// When it is not there, or a change has nothing to change.
+    /// If the file does not exist, or if a change does not apply.
     pub fn copy(&self, name: &str, changes: &[(&str, &str)]) {
         let text = changed(&Document::read(name).text, changes);
         self.write(name, &replaced(&text, &[SERVING]));
     }
 
-    /// Writes a machine's file, as a package would have installed it; with changes.
+    /// Writes a file of one machine where a package would install it, with changes.
     ///
     /// # Panics
-    /// When a change has nothing to change.
+    /// If a change does not apply.
     pub fn install(&self, host: &Host, name: &str, text: &str, changes: &[(&str, &str)]) {
         self.write(&self.installed(host, name), &self.installed(host, &changed(text, changes)));
     }
 
-    /// The folder that stands for the root of a machine's files.
+    /// Returns the folder that stands for the root of a machine's files.
     pub fn root_of(&self, host: &Host) -> PathBuf {
         self.folder().join(if host.address == self.edge().address { "edge" } else { "cloud" })
     }
 
-    /// A text in which the folders of a package are those of a machine.
+    /// Replaces the folders of a package by those of a machine.
     fn installed(&self, host: &Host, text: &str) -> String {
         let root = self.root_of(host).display().to_string();
         PACKAGED.iter().fold(text.to_owned(), |text, place| {
@@ -141,50 +143,50 @@ impl Desk {
         })
     }
 
-    /// Types a command where samples come from; what has to be different is changed first.
+    /// Executes a command on the edge, after these changes.
     ///
     /// # Panics
-    /// When it is none of this test's commands, or a change has nothing to change.
+    /// If it is not one of this test's commands, or if a change does not apply.
     pub fn on_edge(&self, command: &str, changes: &[(&str, &str)]) -> Process {
-        self.type_on(self.edge(), command, changes)
+        self.execute_on(self.edge(), command, changes)
     }
 
-    /// Types a command where samples are computed on.
+    /// Executes a command on the cloud, after these changes.
     ///
     /// # Panics
     /// As [`on_edge`](Self::on_edge).
     pub fn on_cloud(&self, command: &str, changes: &[(&str, &str)]) -> Process {
-        self.type_on(self.cloud(), command, changes)
+        self.execute_on(self.cloud(), command, changes)
     }
 
-    /// Types a command on either.
+    /// Executes a command on a host, after these changes.
     ///
     /// # Panics
     /// As [`on_edge`](Self::on_edge).
-    pub fn type_on(&self, host: &Host, command: &str, changes: &[(&str, &str)]) -> Process {
+    pub fn execute_on(&self, host: &Host, command: &str, changes: &[(&str, &str)]) -> Process {
         assert!(self.commands.contains(&command), "{command} is none of this test's commands");
-        self.typed.borrow_mut().insert(command.to_owned());
+        self.executed.borrow_mut().insert(command.to_owned());
         self.run_on(host, &self.installed(host, &changed(command, changes)))
     }
 
-    /// Runs a line of a shell that no document shows.
+    /// Executes a shell command that is not in the documents.
     pub fn run_on(&self, host: &Host, line: &str) -> Process {
         let folder = self.folder().display();
         let path = format!("{folder}/bin:{}", std::env::var("PATH").unwrap_or_default());
         let state = format!("{folder}/state");
-        // The scripts of the checkout leave nothing beside themselves.
+        // The scripts of the checkout must not write byte code beside themselves.
         let environment = [("PATH", &*path), ("XDG_STATE_HOME", &state), ("PYTHONDONTWRITEBYTECODE", "1")];
-        // In the shell's place, so that a signal reaches the program.
+        // The program replaces the shell, so that a signal reaches the program.
         host.start(Path::new("sh"), &["-c", &format!("exec {line}")], self.folder(), &environment)
     }
 
     /// Ends the test.
     ///
     /// # Panics
-    /// When it did not type all its commands.
+    /// If a command of the test was not executed.
     pub fn finish(self) {
-        let typed = self.typed.borrow();
-        let missing: Vec<_> = self.commands.iter().filter(|command| !typed.contains(**command)).collect();
+        let executed = self.executed.borrow();
+        let missing: Vec<_> = self.commands.iter().filter(|command| !executed.contains(**command)).collect();
         assert!(missing.is_empty(), "never typed: {missing:#?}");
     }
 }
@@ -193,7 +195,7 @@ fn replaced(text: &str, changes: &[(&str, &str)]) -> String {
     changes.iter().fold(text.to_owned(), |text, (from, to)| text.replace(from, to))
 }
 
-/// The same, and each change must have something to change.
+/// Replaces texts, each of which must occur.
 fn changed(text: &str, changes: &[(&str, &str)]) -> String {
     for (from, _) in changes {
         assert!(text.contains(from), "there is no {from:?} in {text}");

@@ -1,4 +1,4 @@
-//! The place of one model.
+//! Cache entry of one model.
 
 use std::path::Path;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -7,41 +7,43 @@ use std::time::SystemTime;
 use crate::model::onnx::{CARD, MODEL};
 use crate::{LoadError, ModelConfig, Pool};
 
-/// One model on one device: the lock is held while it loads, so that it loads once and others are not held up.
-pub(super) struct Shelf {
+/// One model on one device. The lock is held while the model loads, so that it is loaded only once and other models
+/// are not delayed.
+pub(super) struct CacheEntry {
     pub(super) config: ModelConfig,
-    /// What its files looked like; `None` where that does not matter.
+    /// State of its files when the entry was created; `None` if changes of the files do not matter.
     pub(super) stamp: Option<Stamp>,
     pool: Mutex<Option<Arc<Pool>>>,
 }
 
-impl Shelf {
+impl CacheEntry {
     pub(super) fn new(config: ModelConfig, stamp: Option<Stamp>) -> Arc<Self> {
         Arc::new(Self { config, stamp, pool: Mutex::new(None) })
     }
 
-    /// The model, from `start` if nobody asked before; the second is whether it was started.
+    /// Returns the pool, and whether this call started it with `start`.
     pub(super) fn pool(
         &self,
         start: impl FnOnce() -> Result<Pool, LoadError>,
     ) -> Result<(Arc<Pool>, bool), LoadError> {
-        // A panic while loading leaves the shelf empty, which is a valid state.
-        let mut place = self.pool.lock().unwrap_or_else(PoisonError::into_inner);
-        if let Some(pool) = place.as_ref() {
+        // A panic during loading leaves the entry empty, which is a valid state.
+        let mut slot = self.pool.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(pool) = slot.as_ref() {
             return Ok((Arc::clone(pool), false));
         }
         let pool = Arc::new(start()?);
-        *place = Some(Arc::clone(&pool));
+        *slot = Some(Arc::clone(&pool));
         Ok((pool, true))
     }
 
-    /// Whether nobody has the model in hand. Nobody else may hold the shelf itself.
+    /// Returns whether the pool is not in use. The caller must be the only holder of the entry.
     pub(super) fn is_idle(&self) -> bool {
+        // The reference count of the pool tells that, so that no user has to give a model back, and none can forget to.
         let Ok(pool) = self.pool.try_lock() else { return false };
         pool.as_ref().is_none_or(|pool| Arc::strong_count(pool) == 1)
     }
 
-    /// Ends the threads of the model, if it was loaded. Blocks.
+    /// Ends the threads of the model, if it is loaded. Blocks.
     pub(super) fn clear(&self) {
         let pool = self.pool.lock().unwrap_or_else(PoisonError::into_inner).take();
         if let Some(pool) = pool {
@@ -50,7 +52,7 @@ impl Shelf {
     }
 }
 
-/// Size and time of change of a model's files: enough to notice that they were replaced.
+/// Sizes and modification times of a model's files, by which replaced files are noticed.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) struct Stamp([Option<(u64, SystemTime)>; 2]);
 

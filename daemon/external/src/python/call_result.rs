@@ -1,20 +1,20 @@
-//! What a call gave and how long it took.
+//! Result and timing of a call.
 
 use peernet_clock::{MonoTime, Span};
 use peernet_sample::Part;
 
 use super::PythonError;
 
-/// A call that was made.
+/// Result of a call, with its timing.
 #[derive(Debug)]
-pub struct Called {
-    /// The value it returned as parts; `None` when a sensor has no more.
+pub struct CallResult {
+    /// The returned value as parts; `None` if a sensor has no more samples.
     pub result: Result<Option<Vec<Part>>, PythonError>,
-    /// When what happened.
-    pub times: Times,
+    /// Timing of the call.
+    pub times: CallTimes,
 }
 
-/// A step of the user's own code.
+/// Step of the user's own code.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Stage {
@@ -28,22 +28,25 @@ pub enum Stage {
     Postprocess,
 }
 
-/// The user's code on our monotonic clock, and what the process border cost around it.
+/// Timing of a call on this process's monotonic clock.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Times {
-    /// When starting a new process for this call began, where the last one had died; it was ready at `begun`.
+pub struct CallTimes {
+    /// Start of a new process for this call, if the last one had died. It was ready at `begun`.
     pub restarted: Option<MonoTime>,
-    /// When the call was begun.
+    /// Beginning of the call.
     pub begun: MonoTime,
-    /// When its result was there.
+    /// Time at which the result was received.
     pub ended: MonoTime,
-    /// The steps that were run, in order. One that raised an exception is the last.
+    /// Steps that were run, in order. A step that raised an exception is the last one.
     pub stages: Vec<(Stage, MonoTime, MonoTime)>,
 }
 
-impl Times {
-    /// The worker stamps with `time.monotonic_ns()`, which reads the clock ours is. Where the times do not lie within the
-    /// call, because ours is a rehearsed one, they are laid end to end from its beginning.
+impl CallTimes {
+    /// Converts the worker's stamps.
+    ///
+    /// The worker stamps with `time.monotonic_ns()`, which reads the same clock as this process. Under clock fault
+    /// injection the stamps may lie outside of the call; then the steps are placed one after the other from the
+    /// beginning of the call.
     pub(super) fn new(begun: MonoTime, ended: MonoTime, stamps: &[(Stage, i64, i64)]) -> Self {
         let inside = stamps
             .iter()
@@ -62,8 +65,8 @@ impl Times {
         Self { restarted: None, begun, ended, stages: stamps.iter().map(place).collect() }
     }
 
-    /// What is not the user's code: both ways over the border, and both conversions.
-    pub fn border(&self) -> Span {
+    /// Returns the time that is not spent in the user's code: both transfers and both conversions.
+    pub fn overhead(&self) -> Span {
         let own: Span = self.stages.iter().map(|(_, from, to)| *to - *from).sum();
         (self.ended - self.begun - own).max(Span::ZERO)
     }
@@ -80,17 +83,17 @@ mod tests {
     #[test]
     fn stages_stand_where_they_were_stamped() {
         let stamps = [(Stage::Preprocess, 120, 130), (Stage::Infer, 131, 180)];
-        let times = Times::new(at(100), at(200), &stamps);
+        let times = CallTimes::new(at(100), at(200), &stamps);
         assert_eq!(times.stages, [(Stage::Preprocess, at(120), at(130)), (Stage::Infer, at(131), at(180))]);
-        assert_eq!(times.border(), Span::from_nanos(41));
+        assert_eq!(times.overhead(), Span::from_nanos(41));
     }
 
     #[test]
     fn stamps_of_another_clock_keep_their_lengths() {
         let stamps = [(Stage::Preprocess, 9120, 9130), (Stage::Infer, 9131, 9180)];
-        let times = Times::new(at(100), at(200), &stamps);
+        let times = CallTimes::new(at(100), at(200), &stamps);
         assert_eq!(times.stages, [(Stage::Preprocess, at(100), at(110)), (Stage::Infer, at(110), at(159))]);
-        assert_eq!(times.border(), Span::from_nanos(41));
-        assert_eq!(Times::new(at(0), at(5), &stamps).border(), Span::ZERO);
+        assert_eq!(times.overhead(), Span::from_nanos(41));
+        assert_eq!(CallTimes::new(at(0), at(5), &stamps).overhead(), Span::ZERO);
     }
 }

@@ -1,47 +1,46 @@
-//! What became of a host's events, as the API tells it.
+//! Event counts of a host, from the REST API.
 
 use chrono::{DateTime, Utc};
 use peernet_clock::WallTime;
 use serde_json::Value;
 
-use crate::process::patiently;
+use crate::process::poll;
 use crate::time::wall;
 use crate::{Api, PATIENCE};
 
-/// One host's account: the agent's own word, and what the aggregator stored of it.
+/// Event counts of one host: those that the agent reports, and those that the aggregator has stored.
 #[derive(Clone, Debug)]
-pub struct Account {
-    /// Whether it reports now.
+pub struct EventCounts {
+    /// `true` if the host reports now.
     pub connected: bool,
-    /// When it was last heard of.
+    /// Time of its last report.
     pub seen: WallTime,
-    /// Events that were handed in.
+    /// Number of events that were handed in.
     pub produced: u64,
-    /// Of those, in the spool or stored.
+    /// Number of these that are in the spool or stored.
     pub spooled: u64,
-    /// Acknowledged, by the agent's word.
+    /// Number of acknowledged events, according to the agent.
     pub stored: u64,
-    /// Waiting on the agent.
+    /// Number of events that wait on the agent.
     pub waiting: u64,
-    /// Dropped.
+    /// Number of dropped events.
     pub dropped: u64,
-    /// Gaps reported.
+    /// Number of reported gaps.
     pub gaps: u64,
-    /// Why the spool fails, while it does.
+    /// Reason that the spool fails; `None` while it works.
     pub trouble: Option<String>,
-    /// Stored, by the aggregator's word.
+    /// Number of stored events, according to the aggregator.
     pub events: u64,
-    /// Events missing in gaps, by the aggregator's word.
+    /// Number of events that are missing in gaps, according to the aggregator.
     pub missing: u64,
-    /// Batches that came again and were stored once, since the aggregator started.
+    /// Number of batches that arrived again and were stored once, since the aggregator started.
     pub duplicates: u64,
-    /// How far the live picture is behind the host, seconds: the age of the newest update, counted from the moment
-    /// it was made. For a host that reads this machine's clock.
+    /// Age of the newest live update since it was made, seconds, for a host that reads this machine's clock.
     pub live_lag_s: f64,
 }
 
-impl Account {
-    /// The account of a host; `None` when the aggregator does not answer or the host does not report.
+impl EventCounts {
+    /// Reads the counts of a host; returns `None` if the aggregator does not answer or the host does not report.
     pub fn of(api: &Api, host: &str) -> Option<Self> {
         let (status, text) = api.get(&format!("/api/v1/hosts/{host}"))?;
         let host: Value = (status == 200).then(|| serde_json::from_str(&text).ok())??;
@@ -74,48 +73,49 @@ impl Account {
         })
     }
 
-    /// Waits until the account of a connected host is as `holds` says.
+    /// Waits until the counts of a connected host fulfil `holds`.
     ///
     /// # Panics
-    /// When that takes longer than [`crate::PATIENCE`].
+    /// If that takes longer than [`crate::PATIENCE`].
     pub fn until(api: &Api, host: &str, what: &str, mut holds: impl FnMut(&Self) -> bool) -> Self {
         let mut last = None;
-        let account = patiently(|| {
+        let counts = poll(|| {
             last = Self::of(api, host);
-            last.clone().filter(|account| account.connected && holds(account))
+            last.clone().filter(|counts| counts.connected && holds(counts))
         });
-        account.unwrap_or_else(|| panic!("waited {PATIENCE:?} in vain for {host}: {what}; now {last:?}"))
+        counts.unwrap_or_else(|| panic!("waited {PATIENCE:?} in vain for {host}: {what}; now {last:?}"))
     }
 
-    /// Waits until nothing waits on a host that measures nothing, however long, as long as there is progress, and
-    /// until both ends say so. Only what the host told after `since` counts.
+    /// Waits until both ends agree that no event of a host waits. The host must measure nothing. Waits as long as
+    /// there is progress. Only reports after `since` count.
     ///
     /// # Panics
-    /// When nothing more was stored for [`crate::PATIENCE`].
+    /// If no more events are stored for [`crate::PATIENCE`].
     pub fn at_rest(api: &Api, host: &str, since: WallTime) -> Self {
         let mut before = None;
         loop {
-            let now = Self::until(api, host, "more is stored", |account| {
-                account.seen > since && (account.rests() || Some((account.stored, account.events)) != before)
+            let now = Self::until(api, host, "more is stored", |counts| {
+                counts.seen > since && (counts.is_at_rest() || Some((counts.stored, counts.events)) != before)
             });
-            if now.rests() {
+            if now.is_at_rest() {
                 return now;
             }
             before = Some((now.stored, now.events));
         }
     }
 
-    fn rests(&self) -> bool {
-        // What the agent delivered to another database, or to this one before it was restored, is missing here.
+    fn is_at_rest(&self) -> bool {
+        // Events that the agent delivered to another database, or to this one before it was restored, are missing
+        // here.
         let elsewhere = self.missing.saturating_sub(self.dropped);
         self.waiting == 0 && (self.events == self.stored || self.events + elsewhere == self.stored)
     }
 
-    /// Checks that nothing is unaccounted for.
+    /// Checks that every event is accounted for.
     ///
     /// # Panics
-    /// When the sum is not right.
-    pub fn balances(&self) {
+    /// If the counts do not add up.
+    pub fn assert_balanced(&self) {
         assert_eq!(self.produced, self.stored + self.waiting + self.dropped, "{self:?}");
     }
 }

@@ -1,4 +1,4 @@
-//! How a process ended.
+//! The end of a process: status, reason and last output.
 
 use std::fmt;
 use std::os::unix::process::ExitStatusExt;
@@ -6,30 +6,30 @@ use std::process::ExitStatus;
 
 use rustix::process::Signal;
 
-/// How a process ended, and the last that it said.
+/// End of a process, with the last lines that it wrote to its standard error.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Ended {
-    /// Exit status or signal; `None` when the system did not tell.
+pub struct ProcessEnd {
+    /// Exit status or signal; `None` if the system did not report it.
     pub status: Option<ExitStatus>,
-    /// What it did while it still ran, so that it had to end; `None` when it just ended.
+    /// Misbehaviour after which the process had to be ended; `None` if it just ended.
     pub fault: Option<Fault>,
-    /// Whether this program killed it.
+    /// `true` if this program killed it.
     pub killed: bool,
-    /// Whether this program had asked it to end (SIGTERM).
-    pub asked: bool,
-    /// The last lines of its standard error, oldest first.
+    /// `true` if this program had asked it to end (SIGTERM).
+    pub termination_requested: bool,
+    /// Last lines of its standard error, oldest first.
     pub last_lines: Vec<String>,
 }
 
-/// After what a process is of no more use.
+/// Misbehaviour that makes a running process unusable.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Fault {
-    /// It no longer reads what is written to it.
+    /// The process no longer reads what is written to it.
     ClosedInput,
-    /// Nothing more can be read from it.
+    /// The process closed its standard output.
     ClosedOutput,
-    /// It was asked to end and did not.
-    Stayed,
+    /// The process did not end after SIGTERM.
+    IgnoredTermination,
 }
 
 impl Fault {
@@ -37,30 +37,30 @@ impl Fault {
         match self {
             Self::ClosedInput => "closed its standard input",
             Self::ClosedOutput => "closed its standard output",
-            Self::Stayed => "did not end when it was asked to",
+            Self::IgnoredTermination => "did not end when it was asked to",
         }
     }
 }
 
-impl Ended {
-    /// Whether it ended by itself and well.
-    pub fn well(&self) -> bool {
+impl ProcessEnd {
+    /// Returns whether it ended by itself and with exit status 0.
+    pub fn is_success(&self) -> bool {
         self.status.is_some_and(|status| status.success())
     }
 
-    /// Whether it ended as it was to: well, or by the signal with which this program asked it to, whose number and 128 is
-    /// what a shell makes of it.
-    pub fn as_asked(&self) -> bool {
+    /// Returns whether it ended as requested: with exit status 0, by the SIGTERM that this program sent, or with the
+    /// exit status that a shell makes of that signal (128 + 15).
+    pub fn ended_as_requested(&self) -> bool {
         let term = Signal::TERM.as_raw();
         let by_term = |status: ExitStatus| status.signal() == Some(term) || status.code() == Some(128 + term);
-        self.well() || self.asked && self.status.is_some_and(by_term)
+        self.is_success() || self.termination_requested && self.status.is_some_and(by_term)
     }
 
-    /// The status in words: `exit status 3`, `signal 11 (SIGSEGV)`.
+    /// Returns the status as text: `exit status 3`, `signal 11 (SIGSEGV)`.
     pub fn in_words(&self) -> String {
         match self.status {
             Some(status) => match (status.code(), status.signal()) {
-                // 128 and the number of the signal: what a shell makes of a program that was killed.
+                // A shell reports a program that a signal ended as 128 + the number of the signal.
                 (Some(code), _) => match signal_name(code - 128) {
                     Some(name) => format!("exit status {code} (from a shell: signal {}, {name})", code - 128),
                     None => format!("exit status {code}"),
@@ -75,8 +75,8 @@ impl Ended {
         }
     }
 
-    /// The last that it said, to be put behind a message; empty when it said nothing.
-    pub fn last_words(&self) -> String {
+    /// Returns the last lines of its standard error as a suffix for a message; empty if there are none.
+    pub fn stderr_suffix(&self) -> String {
         match self.last_lines.as_slice() {
             [] => String::new(),
             lines => format!("; its last words: {}", lines.join(" / ")),
@@ -84,7 +84,7 @@ impl Ended {
     }
 }
 
-impl fmt::Display for Ended {
+impl fmt::Display for ProcessEnd {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str("the process ")?;
         match self.fault.map(Fault::in_words) {
@@ -92,11 +92,11 @@ impl fmt::Display for Ended {
             Some(fault) => write!(f, "{fault} and ended with {}", self.in_words())?,
             None => write!(f, "ended with {}", self.in_words())?,
         }
-        f.write_str(&self.last_words())
+        f.write_str(&self.stderr_suffix())
     }
 }
 
-/// The signals that end processes in practice.
+/// Returns the name of a signal that ends processes in practice.
 fn signal_name(signal: i32) -> Option<&'static str> {
     Some(match signal {
         2 => "SIGINT",

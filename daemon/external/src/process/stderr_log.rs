@@ -1,4 +1,4 @@
-//! What a process says on its standard error.
+//! The standard error of a process, passed on to the log.
 
 use std::collections::VecDeque;
 use std::io::{self, Read};
@@ -10,24 +10,24 @@ use std::time::Duration;
 
 use peernet_sample::printable_lines;
 
-/// Longest line in the log, in bytes; a longer one is cut into several.
+/// Longest line in the log, bytes; a longer one is split.
 const MAX_LINE: usize = 4096;
-/// Lines that are kept for the report of an end.
+/// Number of lines that are kept for the report of the process's end.
 const KEPT_LINES: usize = 12;
-/// Bytes of a line that are kept.
+/// Longest kept part of a line, bytes.
 const KEPT_BYTES: usize = 400;
 
-/// What a process is to the log.
+/// Log target of a process's standard error.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Voice {
+pub enum StderrLog {
     /// Target `peernet_external::python`.
     Python,
     /// Target `peernet_external::exec`.
     Exec,
 }
 
-impl Voice {
-    fn say(self, name: &str, line: &str) {
+impl StderrLog {
+    fn log_line(self, name: &str, line: &str) {
         match self {
             Self::Python => tracing::info!(target: "peernet_external::python", name, "{line}"),
             Self::Exec => tracing::info!(target: "peernet_external::exec", name, "{line}"),
@@ -35,37 +35,37 @@ impl Voice {
     }
 }
 
-/// The thread that passes lines on, and the last of them.
+/// The thread that logs the lines, and the last of them.
 #[derive(Debug)]
-pub(super) struct Listening {
+pub(super) struct StderrReader {
     last: Arc<Mutex<VecDeque<String>>>,
     over: Receiver<()>,
 }
 
-impl Listening {
-    pub(super) fn begin(stderr: ChildStderr, voice: Voice, name: String) -> io::Result<Self> {
+impl StderrReader {
+    pub(super) fn begin(stderr: ChildStderr, stderr_log: StderrLog, name: String) -> io::Result<Self> {
         let last = Arc::new(Mutex::new(VecDeque::with_capacity(KEPT_LINES)));
         let (end, over) = sync_channel(0);
         let keep = Arc::clone(&last);
         thread::Builder::new().name("stderr".to_owned()).spawn(move || {
-            // Its going tells that there is nothing more to come.
+            // Dropping the sender reports that the standard error is closed.
             let _end = end;
-            listen(stderr, |line| {
-                voice.say(&name, line);
-                remember(&keep, line);
+            read_lines(stderr, |line| {
+                stderr_log.log_line(&name, line);
+                keep_line(&keep, line);
             });
         })?;
         Ok(Self { last, over })
     }
 
-    /// The last lines, once all is read or `patience` is over.
+    /// Returns the last lines, after the standard error is closed or `patience` has passed.
     pub(super) fn last_lines(&self, patience: Duration) -> Vec<String> {
         let _ = self.over.recv_timeout(patience);
         self.last.lock().unwrap_or_else(PoisonError::into_inner).iter().cloned().collect()
     }
 }
 
-fn remember(last: &Mutex<VecDeque<String>>, line: &str) {
+fn keep_line(last: &Mutex<VecDeque<String>>, line: &str) {
     let mut last = last.lock().unwrap_or_else(PoisonError::into_inner);
     if last.len() == KEPT_LINES {
         last.pop_front();
@@ -73,14 +73,14 @@ fn remember(last: &Mutex<VecDeque<String>>, line: &str) {
     last.push_back(printable_lines(&line[..line.floor_char_boundary(KEPT_BYTES)]).into_owned());
 }
 
-/// Calls `say` with each line that is not blank.
-fn listen(mut from: impl Read, mut say: impl FnMut(&str)) {
+/// Calls `log_line` with each line that is not blank.
+fn read_lines(mut from: impl Read, mut log_line: impl FnMut(&str)) {
     let (mut line, mut chunk) = (Vec::new(), [0; MAX_LINE]);
     let mut tell = |line: &mut Vec<u8>| {
         let text = String::from_utf8_lossy(line);
         let text = text.trim_end();
         if !text.is_empty() {
-            say(text);
+            log_line(text);
         }
         line.clear();
     };
@@ -108,10 +108,10 @@ mod tests {
     use super::*;
 
     #[test]
-    fn lines_are_told_one_by_one_and_endless_ones_are_cut() {
+    fn lines_are_logged_separately_long_ones_cut() {
         let mut said = Vec::new();
         let text = format!("one\r\n\n{}\nlast", "x".repeat(MAX_LINE + 3));
-        listen(text.as_bytes(), |line| said.push(line.to_owned()));
+        read_lines(text.as_bytes(), |line| said.push(line.to_owned()));
         assert_eq!(said, ["one", &"x".repeat(MAX_LINE), "xxx", "last"]);
     }
 
@@ -119,7 +119,7 @@ mod tests {
     fn the_last_lines_are_kept_and_bounded() {
         let last = Mutex::new(VecDeque::new());
         for number in 0..100 {
-            remember(&last, &format!("{number} {}", "ä".repeat(KEPT_BYTES)));
+            keep_line(&last, &format!("{number} {}", "ä".repeat(KEPT_BYTES)));
         }
         let last = last.into_inner().expect("not poisoned");
         assert_eq!(last.len(), KEPT_LINES);

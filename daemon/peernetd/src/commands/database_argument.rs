@@ -1,11 +1,11 @@
-//! Which database a command is about.
+//! Selection of the database that a command works on.
 
 use std::path::PathBuf;
 
 use anyhow::anyhow;
 use peernet_cli::exit::{Exit, Failure};
 
-use crate::configuration::{Problem, places};
+use crate::configuration::{Problem, data_files};
 
 /// The aggregator's database, by itself or as a configuration names it.
 #[derive(Debug, clap::Args)]
@@ -20,14 +20,14 @@ pub(crate) struct Database {
 }
 
 impl Database {
-    /// The path of the database.
+    /// Returns the path of the database.
     ///
     /// # Errors
-    /// When the configuration cannot be read or has no aggregator.
+    /// If the configuration cannot be read or has no aggregator.
     pub(crate) fn path(self) -> Result<PathBuf, Failure> {
         match (self.database, self.config) {
             (Some(path), _) => Ok(path),
-            (None, Some(config)) => places(&config)
+            (None, Some(config)) => data_files(&config)
                 .map_err(|problems| wrong_configuration(&problems))?
                 .database
                 .ok_or_else(|| {
@@ -40,7 +40,7 @@ impl Database {
     }
 }
 
-/// All that is wrong with a configuration, a line each.
+/// Joins the problems of a configuration, one per line.
 pub(super) fn wrong_configuration(problems: &[Problem]) -> Failure {
     let lines: Vec<String> = problems.iter().map(ToString::to_string).collect();
     Failure::new(Exit::Configuration, anyhow!(lines.join("\n")))

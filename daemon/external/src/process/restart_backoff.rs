@@ -1,0 +1,63 @@
+//! Delays before restarts of a process that died. No I/O.
+
+use peernet_clock::{MonoTime, Span};
+
+/// Exponential backoff for restarts: no delay after a process that worked, growing delays while processes die without
+/// having worked.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct RestartBackoff {
+    /// Number of consecutive ends without a successful call in between.
+    consecutive_failures: u32,
+    /// Earliest time of the next start.
+    not_before: Option<MonoTime>,
+}
+
+impl RestartBackoff {
+    const FIRST_DELAY: Span = Span::from_millis(100);
+    const MAX_DELAY: Span = Span::from_seconds(10);
+
+    /// Resets the delay after a successful call.
+    pub fn record_success(&mut self) {
+        *self = Self::default();
+    }
+
+    /// Records that the process died or could not be started.
+    pub fn record_failure(&mut self, now: MonoTime) {
+        let delay = match self.consecutive_failures {
+            0 => Span::ZERO,
+            consecutive_failures => {
+                Span::from_nanos(Self::FIRST_DELAY.nanos() << consecutive_failures.saturating_sub(1).min(10))
+                    .min(Self::MAX_DELAY)
+            }
+        };
+        self.consecutive_failures = self.consecutive_failures.saturating_add(1);
+        self.not_before = Some(now + delay);
+    }
+
+    /// Returns the time left before the next start; `None` if the process may be started now.
+    pub fn remaining_delay(&self, now: MonoTime) -> Option<Span> {
+        self.not_before.map(|not_before| not_before - now).filter(|left| *left > Span::ZERO)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn delays_grow_after_failures_and_reset_after_success() {
+        let (mut restart_backoff, mut now) = (RestartBackoff::default(), MonoTime::from_nanos(0));
+        let mut delays = Vec::new();
+        for _ in 0..10 {
+            restart_backoff.record_failure(now);
+            let delay = restart_backoff.remaining_delay(now).unwrap_or(Span::ZERO);
+            delays.push(delay.nanos() / 1_000_000);
+            now = now + delay;
+            assert_eq!(restart_backoff.remaining_delay(now), None);
+        }
+        assert_eq!(delays, [0, 100, 200, 400, 800, 1600, 3200, 6400, 10_000, 10_000]);
+        restart_backoff.record_success();
+        restart_backoff.record_failure(now);
+        assert_eq!(restart_backoff.remaining_delay(now), None);
+    }
+}

@@ -1,0 +1,148 @@
+//! Cache of the loaded models of the bank's folders, limited in number.
+
+use std::path::Path;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+use peernet_logger::Slug;
+
+use super::cache_entry::{CacheEntry, Stamp};
+use super::{BankConfig, ModelFolders};
+use crate::LoadError;
+
+/// Models of the folders that are loaded or being loaded.
+pub(super) struct ModelCache {
+    config: BankConfig,
+    folders: ModelFolders,
+    /// Entries, ordered by their last request; the oldest comes first.
+    entries: Mutex<Vec<Arc<CacheEntry>>>,
+}
+
+impl ModelCache {
+    pub(super) fn new(config: BankConfig) -> Self {
+        let folders = ModelFolders::of(config.folders.iter().cloned());
+        Self { config, folders, entries: Mutex::default() }
+    }
+
+    /// Returns the names of the models on disk that can be requested.
+    pub(super) fn names(&self) -> Vec<Slug> {
+        if self.config.devices.is_empty() {
+            return Vec::new();
+        }
+        let usable =
+            self.folders.list().into_iter().filter(|found| found.hidden_by.is_none() && found.card.is_ok());
+        usable.map(|found| found.name).collect()
+    }
+
+    /// Returns the entry of a model, on the first device if none is named. May unload another model, and blocks while
+    /// its threads end.
+    ///
+    /// # Errors
+    /// If the model does not exist or has an error, if the device is not offered, or if all entries are in use.
+    pub(super) fn entry(&self, name: &Slug, device: Option<&str>) -> Result<Arc<CacheEntry>, LoadError> {
+        let found = self.folders.find(name.as_str())?;
+        found.card?;
+        let devices = &self.config.devices;
+        let other = |asked: &str| LoadError::OtherDevice {
+            model: name.to_string(),
+            asked: asked.to_owned(),
+            offered: devices.join(", "),
+        };
+        let device = match device {
+            Some(asked) => devices.iter().find(|offered| *offered == asked).ok_or_else(|| other(asked))?,
+            None => devices.first().ok_or_else(|| other("any device"))?,
+        };
+        let stamp = Stamp::of(&found.folder);
+        let (entry, unloaded) = {
+            let mut entries = self.lock();
+            let unloaded = make_room(&mut entries, name, device, &stamp, self.config.most_loaded.get())?;
+            let kept = entries.iter().position(|entry| is_entry(entry, name, device));
+            let entry = match kept {
+                Some(at) => entries.remove(at),
+                None => CacheEntry::new(self.config.model(name, &found.folder, device), Some(stamp)),
+            };
+            entries.push(Arc::clone(&entry));
+            (entry, unloaded)
+        };
+        // The old models are unloaded before the caller loads the new one, so that the limit is never exceeded.
+        for old in unloaded {
+            tracing::info!(model = %old.config.name(), device = old.config.device(), "unloaded a model of the bank");
+            old.clear();
+        }
+        Ok(entry)
+    }
+
+    /// Removes an entry whose model could not be loaded.
+    pub(super) fn discard(&self, failed: &Arc<CacheEntry>) {
+        // Other callers may be retrying at this moment; then the last of them removes the entry.
+        self.lock().retain(|entry| {
+            !(Arc::ptr_eq(entry, failed) && Arc::strong_count(entry) == 2 && entry.is_idle())
+        });
+    }
+
+    pub(super) fn entries(&self) -> Vec<Arc<CacheEntry>> {
+        self.lock().clone()
+    }
+
+    /// Checks the folders and limits; returns each error with its key.
+    pub(super) fn check(&self) -> Vec<(&'static str, LoadError)> {
+        let mut errors: Vec<_> = self.folders.check().into_iter().map(|error| ("folders", error)).collect();
+        let (value, most) = (self.config.most_loaded.get(), BankConfig::MAX_LOADED);
+        if value > most {
+            let (value, most) = (value as u64, most as u64);
+            errors.push(("most_loaded", LoadError::TooMuch { key: "most_loaded", value, most }));
+        }
+        let anything = self.config.model(&Slug::any(), Path::new("."), "cpu");
+        if let Err(LoadError::TooMuch { key, value, most }) = anything.check_limits() {
+            errors.push((key, LoadError::TooMuch { key, value, most }));
+        }
+        for device in &self.config.devices {
+            if let Err(error) = crate::model::onnx::check_device(device) {
+                errors.push(("devices", error));
+            }
+        }
+        errors
+    }
+
+    /// Locks the entries. No code panics while it holds the lock, so that the state behind a poisoned lock is
+    /// consistent.
+    fn lock(&self) -> MutexGuard<'_, Vec<Arc<CacheEntry>>> {
+        self.entries.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+fn is_entry(entry: &CacheEntry, name: &Slug, device: &str) -> bool {
+    entry.config.name() == name && entry.config.device() == device
+}
+
+/// Removes and returns the entries that have to be unloaded for the requested model.
+fn make_room(
+    entries: &mut Vec<Arc<CacheEntry>>,
+    name: &Slug,
+    device: &str,
+    stamp: &Stamp,
+    most: usize,
+) -> Result<Vec<Arc<CacheEntry>>, LoadError> {
+    // While the lock is held, no caller can get hold of an entry that only the list holds.
+    let idle = |entry: &Arc<CacheEntry>| Arc::strong_count(entry) == 1 && entry.is_idle();
+    if let Some(at) = entries.iter().position(|entry| is_entry(entry, name, device)) {
+        if entries[at].stamp.as_ref() == Some(stamp) {
+            return Ok(Vec::new());
+        }
+        // The files have changed. Two versions of one model must not be in use at the same time.
+        if !idle(&entries[at]) {
+            return Err(LoadError::Changed(name.to_string()));
+        }
+        return Ok(vec![entries.remove(at)]);
+    }
+    if entries.len() < most {
+        return Ok(Vec::new());
+    }
+    match entries.iter().position(idle) {
+        Some(at) => Ok(vec![entries.remove(at)]),
+        None => {
+            let in_use =
+                entries.iter().map(|entry| format!("{} on {}", entry.config.name(), entry.config.device()));
+            Err(LoadError::BankFull { model: name.to_string(), most, in_use: in_use.collect() })
+        }
+    }
+}
