@@ -132,6 +132,7 @@ impl SessionSettings {
         check_range("reassembly_timeout_ms", self.reassembly_timeout_ms, TIME_MS)?;
         check_range("socket_buffer_bytes", self.socket_buffer_bytes, SOCKET_BUFFER_BYTES)?;
         self.ros2.check()?;
+        // Otherwise a single late heartbeat would end the connection.
         if self.heartbeat_timeout_ms < self.heartbeat_interval_ms.saturating_mul(2) {
             return Err(InvalidSettings {
                 key: "heartbeat_timeout_ms",
@@ -148,6 +149,7 @@ impl SessionSettings {
     /// Returns the settings with every value brought into the range that [`check`](Self::check) allows.
     pub(crate) fn clamped(self) -> Self {
         let clamped = |value: u64, (least, most): (u64, u64)| value.clamp(least, most);
+        // At most half of the range, so that a timeout of twice the interval is within the range.
         let heartbeat_interval_ms = clamped(self.heartbeat_interval_ms, (TIME_MS.0, TIME_MS.1 / 2));
         Self {
             open_timeout_ms: clamped(self.open_timeout_ms, OPEN_TIMEOUT_MS),

@@ -134,6 +134,7 @@ impl ProbeSocket {
             match asked.unwrap_or_else(|_| Err(io::ErrorKind::TimedOut.into())) {
                 Ok(Some(true)) => return,
                 Ok(Some(false)) => return self.disable_kernel_stamps(),
+                // The clock was set meanwhile, or the packet has no stamp. Another packet is tried.
                 Ok(None) => {}
                 Err(error) => {
                     tracing::debug!(%error, "the kernel's stamps could not be compared with the clock");
@@ -215,6 +216,7 @@ impl ProbeSocket {
 fn accepted_stamp(clock: &SharedClock, stamps: TimestampData) -> Option<WallTime> {
     let Timestamp { seconds, nanos } = stamps.selected_timestamp()?;
     let system = seconds.saturating_mul(1_000_000_000).saturating_add(i64::from(nanos));
+    // The kernel stamps by the system's clock, from which a clock with injected faults differs.
     Some(clock.adopt(WallTime::from_unix_nanos(system)))
 }
 

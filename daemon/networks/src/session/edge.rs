@@ -72,6 +72,7 @@ impl Session {
         clock: SharedClock,
         counters: Counters,
     ) -> Self {
+        // Without a place, every request would wait until its timeout and give no other reason.
         let places = accepted.max_in_flight.min(settings.max_in_flight).max(1);
         let shared = Arc::new(SessionState {
             terms: SessionTerms {
@@ -173,8 +174,10 @@ impl Session {
             Ok(Ok(Answer::Lost(reason))) => exchange.result = Err(RequestError::Lost(reason)),
             Ok(Ok(Answer::Over(reason))) => exchange.result = Err(RequestError::Lost(reason.to_string())),
             Ok(Err(_)) => exchange.result = Err(RequestError::Lost("the receiving task is gone".into())),
+            // The result remains the timeout.
             Err(_) => {}
         }
+        // After an answer, the sizes have been recorded behind the nodes of the cloud.
         if exchange.arrived.is_none() {
             pending.sizes.record(&mut exchange.log, stage::UPLOAD_BYTES, stage::UPLOAD_LOGGER_BYTES);
         }

@@ -169,6 +169,7 @@ impl Server {
         }
         let of_host = self.sessions.values().filter(|entry| entry.host == host).count();
         let free = max - (all - of_host);
+        // Rounded up, so that the last free session can be opened.
         let most = free.div_ceil(2);
         if of_host >= most {
             return Some(format!(
@@ -176,6 +177,7 @@ impl Server {
                  max_sessions, {max}; close some or raise max_sessions there"
             ));
         }
+        // Peers of a network without addresses are only limited by their hosts.
         let group = AddressGroup::of(peer.address?);
         // All programs of this machine share the loopback address.
         if group.is_loopback() {
@@ -207,6 +209,7 @@ impl Server {
         let max_in_flight = self.max_in_flight;
         let (session, number) = (request.session, request.request);
         let Some(entry) = self.owned(peer, session) else {
+            // Answered, so that an edge whose session is gone notices it with its next request.
             return EdgeMessage::Answer(Header::UnknownSession(UnknownSession { session, request: number }));
         };
         if !entry.accepted {
@@ -338,6 +341,7 @@ impl Server {
             let header = if entry.accepted {
                 Header::Goodbye(Goodbye { session, reason: reason.to_owned(), ordered: None })
             } else {
+                // The edge still waits for the acceptance and has no session that a goodbye could end.
                 Self::refusal(reason.to_owned())
             };
             (entry.peer, header)

@@ -278,6 +278,7 @@ fn parse(text: &str) -> Result<Address, AddressProblem> {
             (rest, Some(parse_name(if name.is_empty() { default } else { name })?))
         }
     };
+    // The number of a domain determines all ports, so that there is none to parse.
     if matches!(form, AddressForm::Named { in_domain, .. } if in_domain == scheme.text) {
         return Ok(Address { scheme, host: Host::Domain(parse_domain(rest)?), port: 0, name });
     }
@@ -298,6 +299,7 @@ fn parse(text: &str) -> Result<Address, AddressProblem> {
         let (host, port) = rest.rsplit_once(':').ok_or(AddressProblem::NoPort)?;
         (parse_host(host)?, port)
     };
+    // Checked before the number is parsed, because the parser of the standard library accepts a plus sign.
     if port.is_empty() || !port.bytes().all(|byte| byte.is_ascii_digit()) {
         return Err(AddressProblem::InvalidPort(port.to_owned()));
     }
@@ -357,9 +359,11 @@ fn parse_host(host: &str) -> Result<Host, AddressProblem> {
     if let Ok(ip) = host.parse() {
         return Ok(Host::Ip(IpAddr::V4(ip)));
     }
+    // Otherwise a mistyped IPv4 address would be looked up as a name.
     if host.bytes().all(|byte| byte.is_ascii_digit() || byte == b'.') {
         return Err(AddressProblem::InvalidIpv4(host.to_owned()));
     }
+    // Names of hosts have no underscores, but names of containers may, and are resolved like names of hosts.
     let label = |label: &str| {
         (1..=63).contains(&label.len())
             && label.bytes().all(|byte| byte.is_ascii_alphanumeric() || b"-_".contains(&byte))

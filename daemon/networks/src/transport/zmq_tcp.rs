@@ -123,6 +123,7 @@ pub(crate) async fn dial(
             Ok(MonitorEvent::Disconnected { reason, .. } | MonitorEvent::ConnectStopped { reason, .. }) => {
                 return Err(DialFailure::Unreachable(reason_text(&reason)));
             }
+            // The attempt failed, and the library waits for the next one.
             Ok(MonitorEvent::ConnectDelayed { .. }) => return Err(diagnose(address).await),
             Ok(_) => {}
             Err(error) => return Err(DialFailure::Unreachable(error.to_string())),
@@ -205,6 +206,7 @@ impl EdgeReceiver for Dealer {
                         .map_or_else(|_| Err(Disconnected(reason.clone())), |m| arrived(&m));
                 }
                 tokio::select! {
+                    // Biased, so that messages are returned before the end that followed them.
                     biased;
                     message = self.socket.recv() => {
                         return message.map_or_else(|error| Err(Disconnected(error.to_string())), |m| arrived(&m));

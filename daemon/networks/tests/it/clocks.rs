@@ -49,12 +49,12 @@ impl ClockOffset {
         Span::from_nanos(self.by.load(Ordering::SeqCst))
     }
 
-    fn unnoticed(&self, by: Span) {
+    fn step_unnoticed(&self, by: Span) {
         self.by.fetch_add(by.nanos(), Ordering::SeqCst);
     }
 
     fn forward(&self, by: Span) {
-        self.unnoticed(by);
+        self.step_unnoticed(by);
         self.epoch.fetch_add(1, Ordering::SeqCst);
     }
 }
@@ -69,12 +69,12 @@ impl AdjustableClocks {
             raw: ClockOffset::default(),
             slips: Mutex::default(),
         };
-        set.wall.unnoticed(wall);
-        set.raw.unnoticed(raw);
+        set.wall.step_unnoticed(wall);
+        set.raw.step_unnoticed(raw);
         Arc::new(set)
     }
 
-    fn slip_after_next_stamp(&self, slips: SlippingClock) {
+    fn shift_after_next_stamp(&self, slips: SlippingClock) {
         *self.slips.lock().expect("no panic") = Some(slips);
     }
 }
@@ -197,7 +197,7 @@ async fn time_at_cloud_is_measured_despite_clock_steps() {
         let pending = request(&session, "stepped", PATIENCE);
         let incoming = cloud.next_request().await;
         // Not a step that the clock notices by itself, so that only two clocks of the cloud can show it.
-        clock.wall.unnoticed(Span::from_seconds(3));
+        clock.wall.step_unnoticed(Span::from_seconds(3));
         incoming.reply.send(incoming.log, Ok(incoming.sample));
         let exchange = within(pending).await.expect("no panic");
         let observation = exchange.observation.expect("answered");
@@ -272,12 +272,12 @@ async fn clock_moved_after_first_stamp_yields_no_observation() {
         let edge = AdjustableClocks::new(Span::ZERO, Span::ZERO);
         let session = cloud.session_by(edge.clone(), VersionRange::single(version)).await;
         open.push(session.clone());
-        clock.slip_after_next_stamp(slips);
+        clock.shift_after_next_stamp(slips);
         let exchange = echo(&mut cloud, &session, "moved at the cloud").await;
         assert_eq!(exchange.observation, None);
         let exchange = echo(&mut cloud, &session, "after").await;
         assert_eq!(exchange.observation.expect("answered").cloud_epoch, Some(1));
-        edge.slip_after_next_stamp(SlippingClock::Raw);
+        edge.shift_after_next_stamp(SlippingClock::Raw);
         let exchange = echo(&mut cloud, &session, "moved at the edge").await;
         assert_eq!((exchange.observation, edge.epoch()), (None, 1));
         let exchange = echo(&mut cloud, &session, "after").await;

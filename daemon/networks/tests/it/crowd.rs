@@ -19,7 +19,7 @@ fn payload(seed: usize) -> Bytes {
     (0..size).map(|i| (i * 7 + seed) as u8).collect::<Vec<u8>>().into()
 }
 
-async fn work(session: Session, task: usize) -> Result<(), RequestError> {
+async fn send_requests(session: Session, task: usize) -> Result<(), RequestError> {
     for n in 0..REQUESTS {
         let sent = Sample::of(Description::bytes(), payload(task * REQUESTS + n));
         let exchange = session.request(log(), &sent, Duration::from_secs(60)).await;
@@ -31,15 +31,15 @@ async fn work(session: Session, task: usize) -> Result<(), RequestError> {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 4)]
 async fn every_request_of_many_edges_is_answered() {
-    crowd(TestNetwork::ZmqTcp).await;
+    serve_many_edges(TestNetwork::ZmqTcp).await;
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 4)]
 async fn every_datagram_request_of_many_edges_is_answered() {
-    crowd(TestNetwork::ZmqUdp).await;
+    serve_many_edges(TestNetwork::ZmqUdp).await;
 }
 
-async fn crowd(network: TestNetwork) {
+async fn serve_many_edges(network: TestNetwork) {
     let Cloud { host, mut listener, .. } = Cloud::over(network).await;
     let address = listener.address().clone();
     let (done, mut all_done) = tokio::sync::oneshot::channel();
@@ -71,7 +71,7 @@ async fn crowd(network: TestNetwork) {
     for edge in 0..EDGES {
         let session = open(&address, hello(), settings()).await.expect("accepted");
         for task in 0..TASKS {
-            tasks.spawn(work(session.clone(), edge * TASKS + task));
+            tasks.spawn(send_requests(session.clone(), edge * TASKS + task));
         }
     }
     for finished in within(tasks.join_all()).await {

@@ -12,12 +12,12 @@ use crate::support::{
 };
 
 over_every_network!(
-    a_killed_cloud_loses_what_is_under_way_at_once,
-    a_restarted_cloud_takes_a_new_session_on_the_same_port,
-    a_vanished_edge_closes_its_sessions
+    killed_cloud_fails_requests_in_flight_at_once,
+    restarted_cloud_accepts_new_session_on_same_port,
+    vanished_edge_closes_its_sessions
 );
 
-async fn a_killed_cloud_loses_what_is_under_way_at_once(network: TestNetwork) {
+async fn killed_cloud_fails_requests_in_flight_at_once(network: TestNetwork) {
     let mut cloud = Cloud::over(network).await;
     let (session, _) = cloud.session(settings()).await;
     let pending: Vec<_> = (0..5).map(|n| request(&session, &n.to_string(), PATIENCE)).collect();
@@ -41,7 +41,7 @@ async fn a_killed_cloud_loses_what_is_under_way_at_once(network: TestNetwork) {
     }
 }
 
-async fn a_restarted_cloud_takes_a_new_session_on_the_same_port(network: TestNetwork) {
+async fn restarted_cloud_accepts_new_session_on_same_port(network: TestNetwork) {
     let mut cloud = Cloud::over(network).await;
     let (old, _) = cloud.session(settings()).await;
     let address = cloud.address();
@@ -69,7 +69,7 @@ async fn restart(address: &Address) -> Cloud {
     Cloud::start_at(&address.to_string(), settings()).await
 }
 
-async fn a_vanished_edge_closes_its_sessions(network: TestNetwork) {
+async fn vanished_edge_closes_its_sessions(network: TestNetwork) {
     let mut cloud = Cloud::over(network).await;
     let address = cloud.address();
     // The edge's runtime is dropped with all its sockets, without a goodbye.

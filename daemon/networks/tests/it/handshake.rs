@@ -11,11 +11,11 @@ use crate::support::{
 
 over_every_network!(
     accepted_session_identifies_both_sides,
-    dropping_the_last_clone_closes_the_session,
-    a_refusal_arrives_with_its_reason,
+    dropping_last_clone_closes_session,
+    refusal_arrives_with_reason,
     unreachable_cloud_is_reported_at_once,
-    a_cloud_that_does_not_answer_times_out,
-    sessions_beyond_the_limit_are_refused_until_one_goes
+    cloud_that_does_not_answer_times_out,
+    sessions_beyond_limit_are_refused_until_one_closes
 );
 
 over_every_port!(port_in_use_is_reported_with_advice);
@@ -40,7 +40,7 @@ async fn accepted_session_identifies_both_sides(network: TestNetwork) {
     assert_eq!(cloud.next_closed().await, (id, true));
 }
 
-async fn dropping_the_last_clone_closes_the_session(network: TestNetwork) {
+async fn dropping_last_clone_closes_session(network: TestNetwork) {
     let mut cloud = Cloud::over(network).await;
     let (session, id) = cloud.session(settings()).await;
     let clone = session.clone();
@@ -50,7 +50,7 @@ async fn dropping_the_last_clone_closes_the_session(network: TestNetwork) {
     assert_eq!(cloud.next_closed().await, (id, true));
 }
 
-async fn a_refusal_arrives_with_its_reason(network: TestNetwork) {
+async fn refusal_arrives_with_reason(network: TestNetwork) {
     let mut cloud = Cloud::over(network).await;
     let address = cloud.address();
     let edge = tokio::spawn(async move { open(&address, hello(), settings()).await });
@@ -92,7 +92,7 @@ async fn unreachable_cloud_is_reported_at_once(network: TestNetwork) {
     assert!(matches!(error, OpenError::Unreachable { .. }), "{error}");
 }
 
-async fn a_cloud_that_does_not_answer_times_out(network: TestNetwork) {
+async fn cloud_that_does_not_answer_times_out(network: TestNetwork) {
     let mut cloud = Cloud::over(network).await;
     // A ROS node asks its master several times, or searches the cloud, before it can ask for a session.
     let waited_ms = if network.scheme().starts_with("ros") { 3_000 } else { 200 };
@@ -125,7 +125,7 @@ async fn port_in_use_is_reported_with_advice(network: TestNetwork) {
     assert_eq!(error.expect_err("a documentation address"), BindError::NotLocal(elsewhere));
 }
 
-async fn sessions_beyond_the_limit_are_refused_until_one_goes(network: TestNetwork) {
+async fn sessions_beyond_limit_are_refused_until_one_closes(network: TestNetwork) {
     let limited = SessionSettings { max_sessions: 1, ..settings() };
     let mut cloud = Cloud::start_at(&any_port(network), limited).await;
     let (first, _) = cloud.session(settings()).await;

@@ -1,5 +1,6 @@
 //! Tests of sessions over real sockets on loopback.
 
+mod acceptance;
 mod clocks;
 mod crowd;
 mod failures;
@@ -14,7 +15,6 @@ mod ros_master;
 mod shutdown;
 mod statistics;
 mod support;
-mod telling;
 mod udp;
 mod udp_relay;
 mod versions;

@@ -13,18 +13,18 @@ use crate::support::{
 };
 
 over_every_network!(
-    a_tree_that_a_sensor_filled_still_gets_its_transits_and_sizes,
-    the_tree_comes_back_with_both_hosts_and_both_transits,
-    answers_out_of_order_find_their_requests,
-    failures_come_back_with_their_reason_and_what_was_measured,
-    a_late_answer_is_dropped_and_counted,
-    a_request_that_is_given_up_frees_its_place,
-    requests_beyond_the_tighter_limit_wait_and_say_so,
-    a_sample_or_an_answer_too_large_fails_alone,
-    samples_with_too_many_parts_or_too_much_to_say_fail_alone
+    full_tree_still_gets_transits_and_sizes,
+    tree_returns_with_both_hosts_and_transits,
+    answers_out_of_order_reach_their_requests,
+    failures_return_with_reason_and_measurements,
+    late_answer_is_dropped_and_counted,
+    abandoned_request_frees_its_place,
+    requests_beyond_tighter_limit_wait_and_record_it,
+    too_large_sample_or_answer_fails_alone,
+    samples_beyond_header_limits_fail_alone
 );
 
-async fn a_tree_that_a_sensor_filled_still_gets_its_transits_and_sizes(network: TestNetwork) {
+async fn full_tree_still_gets_transits_and_sizes(network: TestNetwork) {
     let mut cloud = Cloud::over(network).await;
     let (session, _) = cloud.session(settings()).await;
     let mut full = log();
@@ -40,7 +40,7 @@ async fn a_tree_that_a_sensor_filled_still_gets_its_transits_and_sizes(network: 
     }
 }
 
-async fn the_tree_comes_back_with_both_hosts_and_both_transits(network: TestNetwork) {
+async fn tree_returns_with_both_hosts_and_transits(network: TestNetwork) {
     let mut cloud = Cloud::over(network).await;
     let (session, id) = cloud.session(settings()).await;
     let opened = session.statistics();
@@ -103,7 +103,7 @@ async fn the_tree_comes_back_with_both_hosts_and_both_transits(network: TestNetw
     assert_eq!((sent.messages, received.messages), (2, 2));
 }
 
-async fn answers_out_of_order_find_their_requests(network: TestNetwork) {
+async fn answers_out_of_order_reach_their_requests(network: TestNetwork) {
     let mut cloud = Cloud::over(network).await;
     let (session, _) = cloud.session(settings()).await;
     let pending: Vec<_> = (0..50).map(|n| request(&session, &n.to_string(), PATIENCE)).collect();
@@ -124,7 +124,7 @@ async fn answers_out_of_order_find_their_requests(network: TestNetwork) {
     worker.join().expect("no panic");
 }
 
-async fn failures_come_back_with_their_reason_and_what_was_measured(network: TestNetwork) {
+async fn failures_return_with_reason_and_measurements(network: TestNetwork) {
     let mut cloud = Cloud::over(network).await;
     let (session, _) = cloud.session(settings()).await;
 
@@ -151,7 +151,7 @@ async fn failures_come_back_with_their_reason_and_what_was_measured(network: Tes
     echo(&mut cloud, &session, "all is well").await;
 }
 
-async fn a_late_answer_is_dropped_and_counted(network: TestNetwork) {
+async fn late_answer_is_dropped_and_counted(network: TestNetwork) {
     let mut cloud = Cloud::over(network).await;
     let (session, _) = cloud.session(settings()).await;
     let pending = request(&session, "slow", Duration::from_millis(30));
@@ -170,7 +170,7 @@ async fn a_late_answer_is_dropped_and_counted(network: TestNetwork) {
     assert_eq!(session.statistics().lost_messages, 0);
 }
 
-async fn a_request_that_is_given_up_frees_its_place(network: TestNetwork) {
+async fn abandoned_request_frees_its_place(network: TestNetwork) {
     let mut cloud = Cloud::over(network).await;
     let one = SessionSettings { max_in_flight: 1, ..settings() };
     let (session, _) = cloud.session(one).await;
@@ -183,7 +183,7 @@ async fn a_request_that_is_given_up_frees_its_place(network: TestNetwork) {
     assert_eq!(session.statistics().late_messages, 1);
 }
 
-async fn requests_beyond_the_tighter_limit_wait_and_say_so(network: TestNetwork) {
+async fn requests_beyond_tighter_limit_wait_and_record_it(network: TestNetwork) {
     let two = SessionSettings { max_in_flight: 1, ..settings() };
     let mut cloud = Cloud::start_at(&any_port(network), two).await;
     let (session, _) = cloud.session(settings()).await;
@@ -206,7 +206,7 @@ async fn requests_beyond_the_tighter_limit_wait_and_say_so(network: TestNetwork)
     assert!(within(held).await.expect("no panic").result.is_ok());
 }
 
-async fn a_sample_or_an_answer_too_large_fails_alone(network: TestNetwork) {
+async fn too_large_sample_or_answer_fails_alone(network: TestNetwork) {
     let small = SessionSettings { max_message_bytes: 100_000, ..settings() };
     let mut cloud = Cloud::start_at(&any_port(network), small.clone()).await;
     let (session, _) = cloud.session(settings()).await;
@@ -228,7 +228,7 @@ async fn a_sample_or_an_answer_too_large_fails_alone(network: TestNetwork) {
     echo(&mut cloud, &session, "small").await;
 }
 
-async fn samples_with_too_many_parts_or_too_much_to_say_fail_alone(network: TestNetwork) {
+async fn samples_beyond_header_limits_fail_alone(network: TestNetwork) {
     let mut cloud = Cloud::over(network).await;
     let (session, _) = cloud.session(settings()).await;
     let part = Part { description: Description::bytes(), bytes: "x".into() };

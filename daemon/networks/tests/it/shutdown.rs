@@ -12,7 +12,7 @@ use crate::support::{
     Cloud, PATIENCE, TestNetwork, any_port, clock, over_every_network, request, settings, text, within,
 };
 
-over_every_network!(closing_waits_for_answers_and_says_goodbye, closing_does_not_wait_for_ever);
+over_every_network!(closing_waits_for_answers_and_sends_goodbye, closing_ends_after_timeout);
 
 /// Name of the thread that a [`PausingClock`] stops.
 const PAUSED_THREAD: &str = "held";
@@ -74,7 +74,7 @@ async fn closing_waits_for_answer_being_sent() {
     held.join().expect("no panic");
 }
 
-async fn closing_waits_for_answers_and_says_goodbye(network: TestNetwork) {
+async fn closing_waits_for_answers_and_sends_goodbye(network: TestNetwork) {
     let mut cloud = Cloud::over(network).await;
     let (session, _) = cloud.session(settings()).await;
     let pending = request(&session, "almost done", PATIENCE);
@@ -93,7 +93,7 @@ async fn closing_waits_for_answers_and_says_goodbye(network: TestNetwork) {
     within(close).await.expect("no panic");
 }
 
-async fn closing_does_not_wait_for_ever(network: TestNetwork) {
+async fn closing_ends_after_timeout(network: TestNetwork) {
     let hasty = SessionSettings { close_timeout_ms: 50, ..settings() };
     let mut cloud = Cloud::start_at(&any_port(network), hasty).await;
     let (session, _) = cloud.session(settings()).await;

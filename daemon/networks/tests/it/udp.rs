@@ -82,7 +82,7 @@ async fn payloads_of_all_sizes_come_back_whole() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn answered_and_lost_are_all_that_was_sent() {
+async fn every_request_is_answered_or_lost() {
     let cloud = Cloud::over(TestNetwork::ZmqUdp).await;
     let impairment = PathImpairment { loss: 2, doubled: 2, delayed: 5 };
     let relay = UdpRelay::before(&cloud.address(), impairment, 2_026).await;

@@ -10,7 +10,7 @@ use crate::wire::{self, Header, Id, PROTOCOL, PlainSocket};
 const NEWEST: u16 = 5;
 
 /// Returns the hello of an edge that speaks other versions, with names that this version does not know.
-fn later(oldest: u16, newest: u16) -> Header {
+fn hello_of_later_release(oldest: u16, newest: u16) -> Header {
     let hello = wire::Hello {
         newest: Some(newest),
         since: Some((0, 9, 0)),
@@ -24,7 +24,7 @@ fn later(oldest: u16, newest: u16) -> Header {
 async fn later_edge_is_served_in_common_version() {
     let mut cloud = Cloud::start().await;
     let plain = PlainSocket::dealer(&cloud.address(), Options::default()).await;
-    plain.send_message(&later(PROTOCOL - 1, PROTOCOL + 3), Vec::new()).await;
+    plain.send_message(&hello_of_later_release(PROTOCOL - 1, PROTOCOL + 3), Vec::new()).await;
     let wish = cloud.next_open().await;
     assert_eq!(wish.hello.versions.newest(), PROTOCOL + 3);
     assert!(wish.accept(accepted(cloud.host)));
@@ -69,7 +69,10 @@ async fn edge_without_common_version_is_refused_with_release() {
     let unreadable = Header::Open { hello: unreadable, max_message_bytes: 1 };
     for (said, needed) in [
         (wire::open(PROTOCOL - 1), "version 3: update the edge to at least PEERNet 0.1.0"),
-        (later(PROTOCOL + 5, PROTOCOL + 6), "versions 9 to 10: update the cloud to at least PEERNet 0.9.0"),
+        (
+            hello_of_later_release(PROTOCOL + 5, PROTOCOL + 6),
+            "versions 9 to 10: update the cloud to at least PEERNet 0.9.0",
+        ),
         (unreadable, "version 9: update the cloud to at least the release of the edge"),
     ] {
         plain.send_message(&said, Vec::new()).await;
@@ -86,7 +89,7 @@ async fn edge_without_common_version_is_refused_with_release() {
 }
 
 /// Returns the result of an edge for a cloud's answer, and the hello that it sent.
-async fn answered_by(answer: Header) -> (Result<(), OpenError>, wire::Hello, String) {
+async fn open_with_answer(answer: Header) -> (Result<(), OpenError>, wire::Hello, String) {
     let cloud = FakeCloud::start().await;
     let address = cloud.address.clone();
     let edge = tokio::spawn(async move { open(&address, hello(), settings()).await });
@@ -98,7 +101,7 @@ async fn answered_by(answer: Header) -> (Result<(), OpenError>, wire::Hello, Str
 
 #[tokio::test]
 async fn edge_states_its_versions() {
-    let (opened, hello, _) = answered_by(FakeCloud::accepted(Id::from([3; 16]), PROTOCOL)).await;
+    let (opened, hello, _) = open_with_answer(FakeCloud::accepted(Id::from([3; 16]), PROTOCOL)).await;
     assert_eq!(opened, Ok(()));
     assert_eq!((hello.protocol, hello.newest), (SESSION_VERSIONS.oldest(), Some(SESSION_VERSIONS.newest())));
     assert_eq!(hello.since, Some((0, 1, 0)));
@@ -110,7 +113,7 @@ async fn refused_edge_says_what_to_update() {
         let (kind, reason) = ("incompatible".into(), "words of the cloud".into());
         Header::Refused { protocol, newest, since, kind, reason }
     };
-    let (opened, _, address) = answered_by(refused(6, Some(7), Some((0, 4, 0)))).await;
+    let (opened, _, address) = open_with_answer(refused(6, Some(7), Some((0, 4, 0)))).await;
     assert_eq!(
         opened.expect_err("refused").to_string(),
         format!(
@@ -119,7 +122,7 @@ async fn refused_edge_says_what_to_update() {
         )
     );
     // The answers of PEERNet 0.1.0 and older builds.
-    let (opened, _, address) = answered_by(refused(3, None, None)).await;
+    let (opened, _, address) = open_with_answer(refused(3, None, None)).await;
     assert_eq!(
         opened.expect_err("refused").to_string(),
         format!(
@@ -127,12 +130,12 @@ async fn refused_edge_says_what_to_update() {
              {address} to at least PEERNet 0.1.0"
         )
     );
-    let (opened, ..) = answered_by(FakeCloud::accepted(Id::from([3; 16]), NEWEST + 1)).await;
+    let (opened, ..) = open_with_answer(FakeCloud::accepted(Id::from([3; 16]), NEWEST + 1)).await;
     assert!(
         matches!(opened, Err(OpenError::Incompatible { .. })),
         "a version that was not offered: {opened:?}"
     );
-    let (opened, ..) = answered_by(refused(PROTOCOL, None, None)).await;
+    let (opened, ..) = open_with_answer(refused(PROTOCOL, None, None)).await;
     assert!(
         matches!(&opened, Err(OpenError::Refused { reason, .. }) if reason == "words of the cloud"),
         "{opened:?}"

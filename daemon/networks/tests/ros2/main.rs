@@ -3,6 +3,8 @@
 //! This is a separate test program, so that a single build of the workspace with ROS 2 produces it without the other
 //! tests.
 
+#[path = "../it/acceptance.rs"]
+mod acceptance;
 #[path = "../it/clocks.rs"]
 mod clocks;
 #[path = "../it/crowd.rs"]
@@ -32,8 +34,6 @@ mod shutdown;
 mod statistics;
 #[path = "../it/support.rs"]
 mod support;
-#[path = "../it/telling.rs"]
-mod telling;
 #[path = "../it/udp.rs"]
 mod udp;
 #[path = "../it/udp_relay.rs"]

@@ -116,6 +116,7 @@ impl Request {
     pub fn write(&self, mode: Mode, packet: &mut [u8]) {
         let base = &mut packet[..mode.base_bytes()];
         let at = mode.layout();
+        // The standards require zeros in all reserved fields.
         base.fill(0);
         put(base, 0, &self.sequence.to_be_bytes());
         put(base, at.timestamp, &self.timestamp.to_be_bytes());
@@ -151,6 +152,7 @@ impl Reply {
             sequence: self.sequence,
             timestamp: self.timestamp,
             estimate: self.estimate,
+            // A reply repeats the session identifier of its request.
             ssid: self.asked.ssid,
         };
         own.write(mode, packet);

@@ -159,6 +159,7 @@ impl ReflectorState {
             self.sessions.as_mut().map(|sessions| &*sessions.table(&id).entry(id, Session::default));
         let (next, previous) =
             (session.map(|session| session.next), session.and_then(|session| session.last));
+        // The answer is in the format that the sender uses.
         let format = asked.estimate.format();
         let tlvs = &mut packet[mode.base_bytes()..];
         let intact = tlv::are_intact(self.key_of(mode), asked.sequence, tlvs);
@@ -168,10 +169,12 @@ impl ReflectorState {
 
         let reply = Reply {
             sequence: next.unwrap_or(asked.sequence),
+            // Set by `complete`, right before the reply is sent.
             timestamp: 0,
             estimate: ErrorEstimate::new(format, uncertainty::OWN),
             received: format.encode(arrival.received),
             asked,
+            // Unknown, because the hop limit of the request is not read.
             ttl: 0,
         };
         let (previous, received_raw) = (previous.map(|left| (left.sequence, left.raw)), arrival.received_raw);

@@ -203,6 +203,7 @@ pub fn are_intact(key: Option<&Key>, sequence: u32, tlvs: &[u8]) -> bool {
     let mut bare = false;
     for place in places(tlvs) {
         match place.kind {
+            // A second code, or another TLV behind the code, would not be covered by it.
             HMAC if code.is_some() => return false,
             HMAC => code = Some(place),
             EXTRA_PADDING => {}

@@ -11,7 +11,7 @@ use crate::support::{
 };
 
 /// Returns the number of probes that the reflector has read from its socket.
-fn looked_at(running: &RunningReflector) -> u64 {
+fn probes_read(running: &RunningReflector) -> u64 {
     let counts = running.figures.read();
     counts.answered + counts.refused.iter().map(|(_, count)| count).sum::<u64>()
 }
@@ -40,12 +40,12 @@ async fn peers_are_answered_while_forged_sources_flood() {
                 sent += 1;
             }
             // The socket's buffer holds about 250 packets. Further ones would be lost before the reflector can choose.
-            let looked_at = async {
-                while looked_at(&running) < sent {
+            let all_are_read = async {
+                while probes_read(&running) < sent {
                     tokio::task::yield_now().await;
                 }
             };
-            tokio::time::timeout(PATIENCE, looked_at).await.expect("all are looked at");
+            tokio::time::timeout(PATIENCE, all_are_read).await.expect("all are looked at");
         }
         while let Ok(result) = probing.results.try_recv() {
             assert_ne!(result, ProbeResult::Lost, "after {answered} answers and {sent} forged probes");

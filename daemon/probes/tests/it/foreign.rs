@@ -44,11 +44,11 @@ impl SharedKey {
         Self { _folder: folder, path }
     }
 
-    fn ours(&self) -> Key {
+    fn read_key(&self) -> Key {
         Key::read(&self.path).expect("a key")
     }
 
-    fn give(&self, command: &mut Command) {
+    fn add_arguments(&self, command: &mut Command) {
         command.args(["--auth-mode", "A", "--verify-tlv-hmac", "--hmac-key-file"]).arg(&self.path);
     }
 }
@@ -68,13 +68,13 @@ fn number(summary: &Value, pointer: &str) -> f64 {
     summary.pointer(pointer).and_then(Value::as_f64).unwrap_or_else(|| panic!("no {pointer} in {summary}"))
 }
 
-async fn asked_by_their_sender(
+async fn run_foreign_sender(
     key: Option<&SharedKey>,
     stamps: Stamps,
     clock_format: &str,
     more: &[&str],
 ) -> Value {
-    let config = ReflectorConfig { key: key.map(SharedKey::ours), stamps, ..reflector_config() };
+    let config = ReflectorConfig { key: key.map(SharedKey::read_key), stamps, ..reflector_config() };
     let running = RunningReflector::start(config, system_clock("cloud"));
     let mut command = stamp_suite();
     command
@@ -83,7 +83,7 @@ async fn asked_by_their_sender(
         .args(["--clock-source", clock_format, "--follow-up-telemetry", "--output-format", "json"])
         .args(more);
     if let Some(key) = key {
-        key.give(&mut command);
+        key.add_arguments(&mut command);
     }
     let output =
         tokio::task::spawn_blocking(move || command.output()).await.expect("no panic").expect("it runs");
@@ -99,7 +99,7 @@ async fn asked_by_their_sender(
 }
 
 /// Checks their sender's summary of twenty probes over one clock.
-fn is_content(summary: &Value) {
+fn assert_accepted(summary: &Value) {
     let measured = "/measurements";
     assert_eq!(number(summary, "/packets_received"), 20.0, "{summary}");
     assert_eq!(number(summary, &format!("{measured}/tlv_validation/rejected_replies")), 0.0, "{summary}");
@@ -120,31 +120,27 @@ fn is_content(summary: &Value) {
 #[tokio::test]
 async fn foreign_sender_accepts_our_replies() {
     for (stamps, format) in [(Stamps::Kernel, "NTP"), (Stamps::Program, "PTP")] {
-        is_content(&asked_by_their_sender(None, stamps, format, &[]).await);
+        assert_accepted(&run_foreign_sender(None, stamps, format, &[]).await);
     }
 }
 
 #[tokio::test]
 async fn foreign_authenticated_sender_accepts_our_replies() {
     let key = SharedKey::new();
-    let summary = asked_by_their_sender(Some(&key), Stamps::Kernel, "NTP", &["--extra-padding", "64"]).await;
-    is_content(&summary);
+    let summary = run_foreign_sender(Some(&key), Stamps::Kernel, "NTP", &["--extra-padding", "64"]).await;
+    assert_accepted(&summary);
     assert_eq!(number(&summary, "/measurements/tlv_validation/hmac/verified"), 20.0, "{summary}");
 }
 
 #[tokio::test]
 async fn foreign_sender_sees_unrecognized_tlvs_flagged() {
     let more = ["--direct-measurement", "--location", "--extra-padding", "200"];
-    let summary = asked_by_their_sender(None, Stamps::Kernel, "NTP", &more).await;
-    is_content(&summary);
+    let summary = run_foreign_sender(None, Stamps::Kernel, "NTP", &more).await;
+    assert_accepted(&summary);
     assert_eq!(number(&summary, "/measurements/tlv_validation/flags/unrecognized"), 40.0, "{summary}");
 }
 
-async fn answered_by_their_reflector(
-    address: &str,
-    key: Option<&SharedKey>,
-    more: &[&str],
-) -> Vec<ProbeResult> {
+async fn probe_foreign_reflector(address: &str, key: Option<&SharedKey>, more: &[&str]) -> Vec<ProbeResult> {
     // A port outside the range from which the system assigns ports, on an address that only this test uses.
     let target = std::net::SocketAddr::new(address.parse().expect("an address"), 18_620);
     assert!(target.ip().is_loopback());
@@ -154,11 +150,11 @@ async fn answered_by_their_reflector(
         .args(more)
         .stdout(Stdio::null());
     if let Some(key) = key {
-        key.give(&mut command);
+        key.add_arguments(&mut command);
     }
     let _foreign = ForeignProcess(command.spawn().expect("it runs"));
     let mut config = prober_config(target);
-    config.key = key.map(SharedKey::ours);
+    config.key = key.map(SharedKey::read_key);
     config.padding_bytes = 50;
     config.clocks = RelatedClocks::RawToWall;
     let mut probing = RunningProber::start(config, 100.0, system_clock("edge"));
@@ -173,18 +169,18 @@ async fn answered_by_their_reflector(
     results
 }
 
-fn of_one_clock(observation: &ExchangeObservation) {
+fn assert_one_clock(observation: &ExchangeObservation) {
     let offset = wall_ahead_of_this_host(Span::ZERO);
     assert!(observation.exchange.bounds().intersection(offset).is_some(), "{observation:?} {offset:?}");
     assert_eq!((observation.cloud_epoch, observation.exchange.uncertainty), (None, uncertainty::FOREIGN));
 }
 
 /// Checks that nothing is refused or lost. Their follow-up may repeat the program's stamp; then nothing is refined.
-fn is_sound(results: &[ProbeResult]) {
+fn assert_nothing_lost(results: &[ProbeResult]) {
     for result in results {
         match result {
             ProbeResult::Answered(observation) | ProbeResult::Refined(observation) => {
-                of_one_clock(observation);
+                assert_one_clock(observation);
             }
             ProbeResult::Sent => {}
             other => panic!("{other:?}"),
@@ -194,13 +190,13 @@ fn is_sound(results: &[ProbeResult]) {
 
 #[tokio::test]
 async fn foreign_reflector_answers_our_prober() {
-    is_sound(&answered_by_their_reflector("127.86.20.1", None, &["--stateful-reflector"]).await);
-    is_sound(&answered_by_their_reflector("127.86.20.2", None, &["--clock-source", "PTP"]).await);
-    is_sound(&answered_by_their_reflector("127.86.20.3", None, &["--tlv-mode", "ignore"]).await);
+    assert_nothing_lost(&probe_foreign_reflector("127.86.20.1", None, &["--stateful-reflector"]).await);
+    assert_nothing_lost(&probe_foreign_reflector("127.86.20.2", None, &["--clock-source", "PTP"]).await);
+    assert_nothing_lost(&probe_foreign_reflector("127.86.20.3", None, &["--tlv-mode", "ignore"]).await);
 }
 
 #[tokio::test]
 async fn foreign_reflector_answers_our_authenticated_prober() {
     let key = SharedKey::new();
-    is_sound(&answered_by_their_reflector("127.86.20.4", Some(&key), &["--stateful-reflector"]).await);
+    assert_nothing_lost(&probe_foreign_reflector("127.86.20.4", Some(&key), &["--stateful-reflector"]).await);
 }

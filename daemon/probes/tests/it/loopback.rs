@@ -24,12 +24,12 @@ fn refined(result: &ProbeResult) -> Option<ExchangeObservation> {
 }
 
 /// Returns whether the bounds of an exchange on one clock contain the true offset of zero.
-fn holds_zero(observation: &ExchangeObservation) -> bool {
+fn contains_zero(observation: &ExchangeObservation) -> bool {
     let Interval { lo, hi } = observation.exchange.bounds();
     lo <= Span::ZERO && Span::ZERO <= hi
 }
 
-async fn many(reflector: ReflectorConfig, stamps: Stamps, with_key: bool) -> Vec<ProbeResult> {
+async fn collect_results(reflector: ReflectorConfig, stamps: Stamps, with_key: bool) -> Vec<ProbeResult> {
     let running = RunningReflector::start(reflector, system_clock("cloud"));
     let mut config = prober_config(running.address);
     config.stamps = stamps;
@@ -57,11 +57,11 @@ async fn exchanges_on_one_clock_contain_zero_offset() {
     ] {
         let config =
             ReflectorConfig { stamps, stateful, key: with_key.then(|| key(7)), ..reflector_config() };
-        let results = many(config, stamps, with_key).await;
+        let results = collect_results(config, stamps, with_key).await;
         for result in &results {
             match result {
                 ProbeResult::Answered(observation) | ProbeResult::Refined(observation) => {
-                    assert!(holds_zero(observation), "{stamps:?}: {observation:?}");
+                    assert!(contains_zero(observation), "{stamps:?}: {observation:?}");
                     assert_eq!((observation.edge_epoch, observation.cloud_epoch), (0, Some(0)));
                     assert!(observation.exchange.round_trip() >= Span::ZERO, "{observation:?}");
                 }
@@ -100,7 +100,7 @@ async fn kernel_stamps_are_used_and_refine_replies() {
             ..better
         };
         assert_eq!(&as_before, first, "nothing else is different");
-        assert!(holds_zero(&better), "{better:?}");
+        assert!(contains_zero(&better), "{better:?}");
     }
     probing.stop().await;
     running.stop().await;
@@ -112,7 +112,7 @@ async fn reflector_without_sessions_or_kernel_stamps_refines_nothing() {
         ReflectorConfig { stateful: false, ..reflector_config() },
         ReflectorConfig { stamps: Stamps::Program, ..reflector_config() },
     ] {
-        let results = many(config, Stamps::Kernel, false).await;
+        let results = collect_results(config, Stamps::Kernel, false).await;
         assert_eq!(results.iter().filter_map(refined).count(), 0);
     }
 }
@@ -140,7 +140,7 @@ async fn bounds_contain_offset_of_shifted_clock() {
 
 /// Returns a wall clock that is set a thousand times, by large steps and by steps as small as the gain of a kernel's
 /// stamp.
-fn set_all_the_time(name: &str, every: Span, by: [Span; 2]) -> SharedClock {
+fn repeatedly_set_clock(name: &str, every: Span, by: [Span; 2]) -> SharedClock {
     let truth = system_clock(name);
     let at = |number: i64| Span::from_nanos(every.nanos() * number);
     let steps = (1..=1000).map(|number| ClockFaultStep::of_wall(at(number), by[number as usize % 2]));
@@ -154,19 +154,19 @@ async fn setting_wall_clocks_changes_no_exchange() {
     let (much, little) = (Span::from_millis(20), Span::from_micros(15));
     for direction in [1, -1] {
         let by = [much, little].map(|by| Span::from_nanos(direction * by.nanos()));
-        let cloud = set_all_the_time("cloud", Span::from_millis(7), by);
-        let edge = set_all_the_time("edge", Span::from_millis(5), by);
+        let cloud = repeatedly_set_clock("cloud", Span::from_millis(7), by);
+        let edge = repeatedly_set_clock("edge", Span::from_millis(5), by);
         let running = RunningReflector::start(reflector_config(), cloud.clone());
         let mut probing = RunningProber::start(prober_config(running.address), 500.0, edge.clone());
         let (mut answers, mut corrections) = (0, 0);
         while answers < 300 {
             match probing.next().await {
                 ProbeResult::Answered(observation) => {
-                    assert!(holds_zero(&observation), "{observation:?}");
+                    assert!(contains_zero(&observation), "{observation:?}");
                     answers += 1;
                 }
                 ProbeResult::Refined(observation) => {
-                    assert!(holds_zero(&observation), "{observation:?}");
+                    assert!(contains_zero(&observation), "{observation:?}");
                     corrections += 1;
                 }
                 ProbeResult::Sent => {}
@@ -191,7 +191,7 @@ async fn padded_probes_over_ipv6_and_ipv4_are_answered() {
         config.padding_bytes = 1000;
         let mut probing = RunningProber::start(config, 100.0, system_clock("edge"));
         let (observation, _) = probing.until(answered).await;
-        assert!(holds_zero(&observation), "{host}: {observation:?}");
+        assert!(contains_zero(&observation), "{host}: {observation:?}");
         probing.stop().await;
     }
     running.stop().await;
@@ -316,7 +316,7 @@ impl Clock for ShownClock {
     }
 }
 
-fn shown(ahead: Span) -> SharedClock {
+fn shown_clock(ahead: Span) -> SharedClock {
     std::sync::Arc::new(ShownClock { system: SystemClock::new(ClockIdentity::new("test", "shown")), ahead })
 }
 
@@ -332,10 +332,10 @@ async fn bounds_hold_with_shifted_program_clock() {
         (-little, much),
     ] {
         for clocks in [RelatedClocks::Raw, RelatedClocks::RawToWall] {
-            let running = RunningReflector::start(reflector_config(), shown(cloud));
+            let running = RunningReflector::start(reflector_config(), shown_clock(cloud));
             let mut config = prober_config(running.address);
             (config.instance, config.clocks) = (Some(INSTANCE), clocks);
-            let mut probing = RunningProber::start(config, 200.0, shown(edge));
+            let mut probing = RunningProber::start(config, 200.0, shown_clock(edge));
             let holds = |observation: &ExchangeObservation| {
                 let bounds = observation.exchange.bounds();
                 let offset = match clocks {
@@ -361,7 +361,7 @@ async fn bounds_hold_with_shifted_program_clock() {
 async fn stamp_source_is_known_before_first_probe() {
     let target = loopback();
     for (ahead, words) in [(Span::ZERO, "kernel, send and receive"), (Span::from_millis(50), "program")] {
-        let mut prober = Prober::open(prober_config(target), shown(ahead)).expect("a socket");
+        let mut prober = Prober::open(prober_config(target), shown_clock(ahead)).expect("a socket");
         prober.check_stamps().await;
         assert_eq!(prober.stamps_in_words(), words, "{ahead}");
     }

@@ -61,11 +61,12 @@ impl Pair {
     }
 
     /// Returns the reflector's clocks at the present time.
-    fn there(&self) -> ManualClock {
+    fn reflector_clocks(&self) -> ManualClock {
         let elapsed = self.clock.raw() - ManualClock::FIRST_RAW;
-        let there = ManualClock::new(self.clock.wall() + self.ahead - elapsed, ClockIdentity::new("b", "d"));
-        there.advance(elapsed);
-        there
+        let reflector_clocks =
+            ManualClock::new(self.clock.wall() + self.ahead - elapsed, ClockIdentity::new("b", "d"));
+        reflector_clocks.advance(elapsed);
+        reflector_clocks
     }
 
     fn returned(&self, kernel: Option<WallTime>) -> ReplyArrival {
@@ -82,13 +83,13 @@ impl Pair {
 
     fn reflect(&mut self, mut packet: Vec<u8>) -> Vec<u8> {
         self.clock.advance(ONE_WAY_DELAY);
-        let there = self.there();
+        let reflector_clocks = self.reflector_clocks();
         let source: SocketAddr = "10.0.0.1:40000".parse().expect("an address");
-        let (received, received_raw) = (there.wall(), there.raw());
+        let (received, received_raw) = (reflector_clocks.wall(), reflector_clocks.raw());
         let arrival = Arrival { source, received, received_raw, now: self.clock.mono() };
         let answer = self.reflector.prepare(&mut packet, &arrival).expect("answered");
-        there.advance(Span::from_micros(50));
-        let stamp = self.reflector.complete(&answer, &mut packet, &there);
+        reflector_clocks.advance(Span::from_micros(50));
+        let stamp = self.reflector.complete(&answer, &mut packet, &reflector_clocks);
         self.reflector.sent(&answer, stamp);
         let left = stamp + Span::from_micros(5);
         self.reflector.departed(&answer.session(), answer.sequence(), left.wall, left.raw);
@@ -123,7 +124,7 @@ fn answered(reply_result: &ReplyResult) -> ExchangeObservation {
 
 impl Pair {
     /// Returns the reply with another origin.
-    fn from_elsewhere(reply: &[u8], change: impl Fn(&mut Origin)) -> Vec<u8> {
+    fn with_origin(reply: &[u8], change: impl Fn(&mut Origin)) -> Vec<u8> {
         let mut reply = reply.to_vec();
         let place = tlv::places(&reply[44..]).find(|place| place.kind == tlv::ORIGIN).expect("we ask for it");
         let mut origin = Origin::from_value(&reply[44..][place.value.clone()]).expect("ours");
@@ -304,7 +305,7 @@ fn clock_step_at_reflector_prevents_refinement() {
     let (_, packet) = pair.send();
     let reply = pair.reflect(packet);
     // As if the reflector had noticed a step between the two replies.
-    let reply = Pair::from_elsewhere(&reply, |origin| origin.epoch = 1);
+    let reply = Pair::with_origin(&reply, |origin| origin.epoch = 1);
     let reply_result = pair.receive_reply(&reply).expect("an answer");
     assert_eq!((reply_result.refined, answered(&reply_result).cloud_epoch), (None, Some(1)));
 }
@@ -369,7 +370,7 @@ fn reply_of_another_process_is_refused() {
         assert_eq!(told.is_ok(), believed, "{expected:?}: {told:?}");
         if !believed {
             assert_eq!(told, Err("another process answers the probes than serves the data"));
-            let real = Pair::from_elsewhere(&reply, |origin| origin.instance = INSTANCE + 1);
+            let real = Pair::with_origin(&reply, |origin| origin.instance = INSTANCE + 1);
             assert!(pair.receive_reply(&real).is_ok(), "the right one may still answer");
         }
     }

@@ -82,6 +82,7 @@ impl Reader {
     pub fn new(form: WireForm, bytes: Bytes) -> Result<Self, DecodeError> {
         let mut reader = Self { form, is_big_endian: false, bytes, offset: 0, origin: 0 };
         if form == WireForm::Cdr {
+            // The other two bytes are options, which are ignored.
             let [first, second, ..] = reader.take_octets::<4>()?;
             if first != 0 || second > 1 {
                 return Err(DecodeError::Encapsulation { first, second });

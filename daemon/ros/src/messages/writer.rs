@@ -110,6 +110,7 @@ impl Writer {
     /// Writes a number of `N` little-endian bytes, aligned if the form requires it.
     pub fn put_number<const N: usize>(&mut self, little_endian: [u8; N]) {
         if self.form == WireForm::Cdr {
+            // A number is aligned to its own size, which is a power of two.
             let padding = self.position.wrapping_neg() & (N - 1);
             self.current.put_bytes(0, padding);
             self.position += padding;
@@ -138,6 +139,7 @@ impl Writer {
             WireForm::Cdr if text.contains('\0') => {
                 return Err(EncodeError::NulInText { text: text.to_owned() });
             }
+            // The length in CDR includes the closing NUL.
             WireForm::Cdr => self.put_length(text.len() + 1)?,
         }
         self.put_raw(text.as_bytes());

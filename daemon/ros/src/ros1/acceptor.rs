@@ -49,6 +49,7 @@ pub(super) async fn run(node: Arc<NodeShared>, listener: TcpListener) {
                 continue;
             }
         };
+        // Closed at once, because a connection that waits for a permit holds a descriptor as well.
         let Ok(permit) = Arc::clone(&permits).try_acquire_owned() else {
             acceptor.warn_refused(peer, "too many connections of ROS subscribers");
             continue;

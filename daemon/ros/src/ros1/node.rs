@@ -120,6 +120,7 @@ impl Node {
         let subscription = Subscription { node: shared.name.shared(), topic, kind };
         let (clock, lifetime) = (Arc::clone(&shared.clock), &shared.lifetime);
         let subscribed = Arc::new(SubscribedTopic::new(subscription, options, clock, lifetime));
+        // Before the registration, because the master may report new publishers at once.
         shared.topics.add_subscribed(Arc::clone(&subscribed))?;
         let (guard, publishers) = RegistrationGuard::register(&shared.registrar, registration).await?;
         subscribed.add_publishers(&publishers);
@@ -200,6 +201,7 @@ impl Node {
         let lifetime = &self.shared.lifetime;
         lifetime.end("it was shut down".to_owned());
         lifetime.wait_for_tasks().await;
+        // After the tasks, because subscribers may disconnect from a publisher that is no longer registered.
         self.shared.registrar.unregister_all().await
     }
 }

@@ -217,6 +217,7 @@ impl OutgoingConnection {
             ),
         }
         self.queue().close();
+        // Publishers that wait for room notice that the connection has ended.
         self.room.notify_waiters();
     }
 
@@ -259,6 +260,7 @@ impl OutgoingConnection {
                         Err(_) => break,
                     }
                 }
+                // Only if something is unsent, because a socket is writable nearly all the time.
                 _ = self.stream.writable(), if has_unsent => self.write_unsent(),
                 () = self.unsent.notified() => {}
             }

@@ -159,6 +159,7 @@ impl PublisherLink {
             self.set_state(topic, PublisherState::Failed(reason));
             tokio::select! {
                 () = sleep(pause) => pause = (pause * 2).min(MAX_PAUSE),
+                // A new list of the master may be due to a restart of the publisher, or its end.
                 () = self.listing.notified() => {}
                 () = topic.stop.cancelled() => {}
             }
@@ -244,8 +245,10 @@ impl PublisherLink {
                 Ok(None) => return LinkError::Closed,
                 Err(error) => return LinkError::Broken(error),
             };
+            // Stamped before the queue, in which the message may have to wait.
             let received = topic.clock.stamp();
             {
+                // In a block, so that the lock is released before the queue is awaited.
                 let counts = &mut self.state().counts;
                 counts.messages += 1;
                 counts.bytes += bytes.len() as u64;

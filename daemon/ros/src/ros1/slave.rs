@@ -88,6 +88,7 @@ pub(super) fn answer(node: &NodeShared, call: &Call) -> Response {
     match SlaveCall::read(call) {
         Ok(call) => Response::Success(carry_out(node, call)),
         Err(CallError::Params) => {
+            // ROS reports wrong parameters in the answer; faults are for unknown methods.
             let text = format!("wrong parameters for {}", call.method);
             Response::Success([ERROR.into(), text.into(), 0.into()].into())
         }

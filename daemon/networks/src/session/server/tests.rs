@@ -55,7 +55,7 @@ fn server() -> Server {
     Server::new(&SessionSettings { max_sessions: 6, max_in_flight: 2, ..SessionSettings::default() })
 }
 
-fn opened(server: &mut Server, connection: u64) -> SessionId {
+fn open_session(server: &mut Server, connection: u64) -> SessionId {
     match server.receive(&peer(connection), hello()) {
         EdgeMessage::Open(session, _) => session,
         other => panic!("{other:?}"),
@@ -65,7 +65,7 @@ fn opened(server: &mut Server, connection: u64) -> SessionId {
 #[test]
 fn answer_is_routed_once_to_the_requesting_connection() {
     let mut server = server();
-    let session = opened(&mut server, 5);
+    let session = open_session(&mut server, 5);
     assert!(
         matches!(server.receive(&peer(5), request(session, 0)), EdgeMessage::Malformed(_)),
         "not accepted yet"
@@ -86,7 +86,7 @@ fn answer_is_routed_once_to_the_requesting_connection() {
 #[test]
 fn a_refused_session_is_unknown() {
     let mut server = server();
-    let session = opened(&mut server, 1);
+    let session = open_session(&mut server, 1);
     let (_, header) = server.refuse(session, "no".into()).expect("the edge is there");
     assert!(matches!(header, Header::Refused(refused) if refused.reason == "no"));
     assert!(server.accept(session, accepted()).is_none() && server.refuse(session, "no".into()).is_none());
@@ -99,19 +99,19 @@ fn a_refused_session_is_unknown() {
 #[test]
 fn a_goodbye_frees_the_place() {
     let mut server = server();
-    let sessions: Vec<_> = (0..3).map(|connection| opened(&mut server, connection)).collect();
+    let sessions: Vec<_> = (0..3).map(|connection| open_session(&mut server, connection)).collect();
     assert!(matches!(server.receive(&peer(9), hello()), EdgeMessage::Answer(Header::Refused(_))));
     let bye = |session| Header::Goodbye(Goodbye { session, reason: String::new(), ordered: Some(9) });
     assert!(matches!(server.receive(&peer(1), bye(sessions[0])), EdgeMessage::Malformed(_)), "not its own");
     assert_eq!(server.receive(&peer(0), bye(sessions[0])), EdgeMessage::Closed(sessions[0], Some(9)));
-    opened(&mut server, 9);
+    open_session(&mut server, 9);
 }
 
 #[test]
 fn session_limit_per_connection_is_named_in_refusal() {
     let mut server = Server::new(&SessionSettings::default());
     for _ in 0..SESSIONS_PER_CONNECTION {
-        opened(&mut server, 1);
+        open_session(&mut server, 1);
     }
     let EdgeMessage::Answer(Header::Refused(refused)) = server.receive(&peer(1), hello()) else {
         panic!("one too many")
@@ -120,7 +120,7 @@ fn session_limit_per_connection_is_named_in_refusal() {
         refused.reason.contains("this connection") && !refused.reason.contains("max_sessions"),
         "{refused:?}"
     );
-    opened(&mut server, 2);
+    open_session(&mut server, 2);
 }
 
 #[test]
@@ -159,7 +159,8 @@ fn session_limit_per_address_ignores_host_names() {
 #[test]
 fn end_of_connection_ends_only_its_sessions() {
     let mut server = server();
-    let (a, b, c) = (opened(&mut server, 1), opened(&mut server, 2), opened(&mut server, 1));
+    let (a, b, c) =
+        (open_session(&mut server, 1), open_session(&mut server, 2), open_session(&mut server, 1));
     assert_eq!(server.remove_connection(ConnectionId(1)), [a, c]);
     assert_eq!(server.remove_connection(ConnectionId(1)), []);
     assert!(server.accept(a, accepted()).is_none());
@@ -173,7 +174,7 @@ fn end_of_connection_ends_only_its_sessions() {
 #[test]
 fn announcement_reaches_open_and_later_sessions() {
     let mut server = server();
-    let (open, asking) = (opened(&mut server, 1), opened(&mut server, 2));
+    let (open, asking) = (open_session(&mut server, 1), open_session(&mut server, 2));
     server.accept(open, accepted()).expect("the edge is there");
     let clock = PeerClock { epoch: 3, ..PeerClock::default() };
     let headers = server.announce(clock.clone());
@@ -213,7 +214,7 @@ fn step() -> impl Strategy<Value = Step> {
 }
 
 /// Returns the same message about another session.
-fn about(mut header: Header, session: SessionId) -> Header {
+fn with_session(mut header: Header, session: SessionId) -> Header {
     match &mut header {
         Header::Request(request) => request.session = session,
         Header::Reply(reply) => reply.session = session,
@@ -242,7 +243,7 @@ proptest! {
                     }
                 }
                 Step::Receive(connection, session, header) => {
-                    let header = about(*header, *session.get(&sessions));
+                    let header = with_session(*header, *session.get(&sessions));
                     match server.receive(&peer(connection), header) {
                         EdgeMessage::Open(session, _) => sessions.push(session),
                         EdgeMessage::Request(request) => {

@@ -143,6 +143,7 @@ impl ArrivalCounter {
     /// Notes that `count` more numbers were sent, of which none has arrived.
     fn advance(&mut self, count: u64) {
         self.next += count;
+        // A larger jump reuses all bits, which need to be cleared only once.
         for number in self.next - count.min(REMEMBERED_NUMBERS)..self.next {
             let (word, bit) = place(number);
             self.present[word] &= !bit;

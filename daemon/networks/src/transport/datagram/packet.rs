@@ -147,6 +147,7 @@ impl Packet<'_> {
                 put(&[version]);
                 put(&nonce.to_be_bytes());
                 put(&reply_port.to_be_bytes());
+                // Padded, because an answer to an address that is not verified must not be longer than the question.
                 out.resize(start + HELLO_BYTES, 0);
             }
             Self::Cookie { nonce, cookie } => {

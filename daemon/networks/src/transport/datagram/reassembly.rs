@@ -178,6 +178,7 @@ impl Reassembly {
         } else {
             unfinished.add(fragment, &self.budget, now)
         };
+        // A message of one fragment is complete at once and needs no place.
         if count > 1 && self.unfinished >= self.limits.max_unfinished_messages {
             self.give_up_oldest();
         }
@@ -260,6 +261,7 @@ impl Reassembly {
             Slot::Unfinished(unfinished) => {
                 let UnfinishedMessage { deadline, progress, sent, .. } = **unfinished;
                 deadline.is_some_and(|deadline| deadline <= now)
+                    // Since the last fragment, because fragments may still be on their way while others arrive.
                     || sent.is_some_and(|sent| now - sent.max(progress) >= timeout)
                     || now - progress >= idle_timeout
             }

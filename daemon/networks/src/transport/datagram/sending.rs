@@ -62,6 +62,7 @@ impl SendingHalf {
     ) -> Self {
         Self {
             writer,
+            // At least one byte, whatever the other end claims to accept.
             stride: usize::from(terms.datagram).saturating_sub(writer.data_overhead()).max(1) as u16,
             window: SendWindow::new(terms, bits_per_second, now),
             queue: SendQueue::new(limits),

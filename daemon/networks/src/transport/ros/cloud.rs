@@ -73,6 +73,7 @@ pub(crate) async fn bind(
     let refusals = node.publish(&refusals_topic(name), refusals, queue).await.map_err(other)?;
     let caveat = node.caveat().map(str::to_owned);
     let (deliveries, arrivals) = mpsc::channel(QUEUED_ARRIVALS);
+    // At least one, however few descriptors the process may open.
     let max = (DescriptorShare::DataPort.connections_of_each(ports) / SOCKETS_OF_CONNECTION).max(1);
     let tasks = CloudTasks::default();
     let peers = Peers::new(
@@ -174,6 +175,7 @@ impl CloudReceiver for RosCloudReceiver {
     fn receive(&mut self) -> BoxFuture<'_, Option<Arrival>> {
         Box::pin(async {
             tokio::select! {
+                // Biased, so that what arrived before the abort is still delivered.
                 biased;
                 delivery = self.arrivals.recv() => delivery.map(|(arrival, _reserved)| arrival),
                 () = self.tasks.aborted() => None,

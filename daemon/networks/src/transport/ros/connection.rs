@@ -144,6 +144,7 @@ impl Connection {
             MessageInfo::SUBSCRIBED => self.peer.is_subscribed = true,
             MessageInfo::PART => self.assembly.receive_part(&info, now),
             MessageInfo::LOST => {
+                // Of the two halves, the peer has the companion, which names the request.
                 let loss = MessageLoss { tag: request_of(&info), received: 1, total: 2 };
                 self.events.push(Event::Lost(loss));
             }

@@ -97,8 +97,10 @@ impl PayloadTopic {
                 self.requested.notify_one();
                 return Ok(false);
             }
+            // Companions carry the payloads until the topic is open.
             TopicPhase::Requested(_) | TopicPhase::Opening => return Ok(false),
         };
+        // A topic has one type, so payloads of other types are sent in their companions.
         if *opened != kind {
             return Ok(false);
         }
@@ -109,6 +111,7 @@ impl PayloadTopic {
             }
             return Ok(false);
         }
+        // In ROS 1 a publisher knows its connections; in ROS 2 the peer confirms that payloads arrive on the topic.
         let is_confirmed = max_bytes.is_none() || peer_state.is_subscribed;
         if !is_confirmed
             && !*has_remarked_refusal
@@ -124,6 +127,7 @@ impl PayloadTopic {
         match publisher.publish_to(peer, &[message]) {
             Ok(Delivery::Taken) => Ok(is_confirmed),
             Ok(Delivery::Full) if is_confirmed => Err(SendFailure::Full),
+            // The companion has the payload as well, so that nothing is lost.
             Ok(Delivery::Full | Delivery::Absent) => Ok(false),
             Err(error) => Err(SendFailure::Gone(error.to_string())),
         }

@@ -152,6 +152,7 @@ impl ZmtpConnection {
             return Err(SendFailure::Full);
         }
         if queued > 0 {
+            // Otherwise `write` reserves memory for what the kernel does not take.
             codec.reserve(queued + bytes).map_err(|_| SendFailure::Full)?;
         }
         codec.zmtp.send_message(&message).map_err(|error| gone(&error))?;

@@ -121,6 +121,7 @@ impl Framer {
             return Ok(None);
         }
         if buffer.len() == buffer.capacity() {
+            // At most twice what has arrived, so that a claimed length alone takes no memory.
             let capacity = (*length).min(buffer.len() * 2);
             grow(buffer, capacity, self.finished_bytes, &mut self.reserved, allowance)?;
         }
@@ -154,6 +155,7 @@ impl Framer {
                     out.push(Piece { bytes: Bytes::copy_from_slice(greeting), message: None });
                     chunk = rest;
                 }
+                // A frame that has arrived whole needs no buffer of its own.
                 State::Header { have: 0, .. } if is_whole_frame(chunk) => {
                     let (flags, length) = self.check(chunk, allowance)?;
                     let (frame, rest) = chunk.split_at(header_length(flags) + length);
@@ -253,6 +255,7 @@ impl Framer {
         length: usize,
         allowance: &Allowance,
     ) -> Result<Option<Reservation>, Violation> {
+        // Commands may stand between the frames of a message and are not part of it.
         if flags & COMMAND == 0 {
             self.finished_bytes = self.finished_bytes.saturating_add(length + FRAME_OVERHEAD_BYTES);
         }
@@ -290,6 +293,7 @@ fn grow(
     allowance: &Allowance,
 ) -> Result<(), Violation> {
     reserve(reserved, finished_bytes.saturating_add(capacity + FRAME_OVERHEAD_BYTES), allowance)?;
+    // The length is a peer's choice, so a failed allocation must end the connection and not the process.
     buffer.try_reserve_exact(capacity - buffer.len()).map_err(|error| {
         (Rejection::NoMemory, format!("no memory for {capacity} bytes of an unfinished frame: {error}"))
     })

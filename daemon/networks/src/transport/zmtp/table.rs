@@ -61,6 +61,7 @@ impl ConnectionTable {
         let mut entries = self.entries();
         let mut replaced = Vec::new();
         let of_group = entries.groups.get(&group).copied().unwrap_or_default();
+        // All programs of this machine share the loopback address.
         let of_group_is_full = !group.is_loopback() && of_group.open >= self.limits.max_per_address();
         if of_group_is_full || of_group.unadmitted >= self.limits.max_unadmitted_per_address() {
             let oldest = entries.oldest_unadmitted(group).ok_or(Rejection::TooManyOfAddress)?;

@@ -158,6 +158,7 @@ impl Subscription {
             ("callerid", &*self.node),
             ("md5sum", &*self.kind.md5),
             ("message_definition", &*self.kind.definition),
+            // Asks the publisher to send short messages without delay.
             ("tcp_nodelay", "1"),
             ("topic", &*self.topic),
             ("type", &*self.kind.name),

@@ -65,6 +65,7 @@ pub fn parse_call(xml: &[u8]) -> Result<Call, ParseError> {
     parser.open("methodName")?;
     let method = parser.text_until_close()?.trim().to_owned();
     let mut params = Vec::new();
+    // The element may be missing if there are no parameters.
     if parser.open_or_close("params")? {
         while parser.open_or_close("param")? {
             params.push(parser.only_value()?);
@@ -265,6 +266,8 @@ impl<'a> Parser<'a> {
                 _ => None,
             }),
             "double" => self.scalar("double", |text| text.parse().ok().map(Value::Double)),
+            // Dates and binary data are kept as texts: ROS has them only in the parameter server, which nodes here do
+            // not read.
             "string" | "dateTime.iso8601" | "base64" => self.text_until_close().map(Value::Text),
             "array" => self.array(),
             "struct" => self.structure(),

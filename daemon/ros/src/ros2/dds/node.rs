@@ -198,6 +198,7 @@ impl Ros2Node {
             .create_simple_datareader_no_key(&dds_topic, Some(qos_policies(role, qos)))
             .map_err(|error| names.failed(role, &error))?;
         let id = endpoint_id(reader.guid());
+        // Under the lock for the same reason as in `publisher`.
         let peers = discovery.add_local(id, role, &names.dds_type);
         drop(discovery);
         self.state.announce();

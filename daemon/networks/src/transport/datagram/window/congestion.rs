@@ -41,9 +41,12 @@ impl CongestionWindow {
 
     /// Grows after `arrived` bytes arrived, at least one.
     pub(super) fn grow(&mut self, arrived: u64, now: MonoTime) {
+        // Growth by what arrives doubles the window with each round trip. Growth by time does not depend on the round
+        // trip.
         let growth = if self.size < self.threshold {
             arrived
         } else {
+            // A pause of the sender is not counted as time in which the path could carry more.
             let elapsed = (now - self.progressed).min(FLIGHT_TIMEOUT).seconds();
             (f64::from(self.size) * GROWTH_AFTER_LOSS * elapsed).round() as u64
         };

@@ -72,6 +72,7 @@ impl ConnectionTable {
     ) -> OpenOutcome {
         let mut table = self.table();
         let replaced = table.connections.get(&hello.pipeline).cloned();
+        // Edges repeat their request until they have the answer.
         if replaced.as_ref().is_some_and(|earlier| earlier.identifier == hello.header.frame_id) {
             return OpenOutcome::Repeated;
         }
@@ -122,6 +123,7 @@ impl ConnectionTable {
         if table.connections.len() >= self.max_connections {
             Some("there are too many; raise the limit of open files (LimitNOFILE)")
         } else if all >= self.max_unadmitted.max(1) || of_group >= (self.max_unadmitted / 2).max(1) {
+            // One address may hold half of these places, so that others find one.
             Some("too many others have no session yet")
         } else {
             None

@@ -215,7 +215,7 @@ fn any_step() -> impl Strategy<Value = Step> {
     ]
 }
 
-fn bring(step: Step, near: &mut Connection, far: &mut Connection, now: &mut MonoTime) {
+fn apply_step(step: Step, near: &mut Connection, far: &mut Connection, now: &mut MonoTime) {
     match step {
         Step::Damaged { form, kind, changes } => {
             let (info, _) = message(near, 1, 0);
@@ -311,7 +311,7 @@ proptest! {
             budgets.each_ref().map(|budget| Connection::new("ab".into(), limits, Arc::clone(budget), at(0)));
         let ([_, budget], mut now) = (budgets, at(0));
         for step in steps {
-            bring(step, &mut near, &mut far, &mut now);
+            apply_step(step, &mut near, &mut far, &mut now);
             far.tick(now);
             prop_assert!(budget.held() <= 10_000);
             let mut events = 0;

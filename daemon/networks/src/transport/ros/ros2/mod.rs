@@ -101,6 +101,7 @@ impl Ros2SessionNode {
             participant: participant.await?,
             namespace,
             qos: SessionQos::new(&settings.ros2),
+            // The other half of the time is for the handshake.
             find_cloud_timeout: FIND_CLOUD.min(settings.open_timeout() / 2),
             publishing: PublishingTasks::default(),
             clock: SharedClock::clone(clock),

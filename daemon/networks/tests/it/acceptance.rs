@@ -23,7 +23,7 @@ async fn hello_without_model_lets_cloud_choose() {
     assert_eq!(accepted.model, "echo", "the cloud says which one it is");
 }
 
-fn found(host: &str) -> wire::Condition {
+fn condition(host: &str) -> wire::Condition {
     wire::Condition {
         host: host.into(),
         about: "CPU governor".into(),
@@ -34,7 +34,7 @@ fn found(host: &str) -> wire::Condition {
 }
 
 /// Returns an acceptance with these conditions.
-fn telling(session: Id, conditions: Vec<wire::Condition>) -> Header {
+fn accepted_with_conditions(session: Id, conditions: Vec<wire::Condition>) -> Header {
     match FakeCloud::accepted(session, PROTOCOL) {
         Header::Accepted { protocol, session, accepted, max_message_bytes, max_in_flight } => {
             let accepted = wire::Accepted { conditions, ..accepted };
@@ -51,9 +51,11 @@ async fn conditions_of_cloud_are_bounded_and_printable() {
     let edge = tokio::spawn(async move { open(&address, hello(), settings()).await });
     let (to, _) = cloud.receive_message().await;
     let id = Id::from([3; 16]);
-    let too_many = telling(id.clone(), vec![found("too many"); MAX_CONDITIONS + 1]);
+    let too_many = accepted_with_conditions(id.clone(), vec![condition("too many"); MAX_CONDITIONS + 1]);
     cloud.send_message(&to, &too_many, Vec::new()).await;
-    cloud.send_message(&to, &telling(id, vec![found("fake"); MAX_CONDITIONS]), Vec::new()).await;
+    cloud
+        .send_message(&to, &accepted_with_conditions(id, vec![condition("fake"); MAX_CONDITIONS]), Vec::new())
+        .await;
     let session = within(edge).await.expect("no panic").expect("accepted");
     let expected = Condition {
         host: "fake".into(),
