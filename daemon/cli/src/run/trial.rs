@@ -251,7 +251,7 @@ set = { 'pipeline.load' = { mode = 'rate', hz = 9.0 } }
         assert_eq!(described(&[3, 5]), "Length = 2, Rate = closed (and 1 configuration like it)");
         assert_eq!(described(&[0, 1, 2]), "Length = 1, Rate = closed (and 2 configurations like it)");
         let single = plan(folder.path(), FILE.split("[[axis]]").next().expect("what is before the axes"));
-        assert_eq!(words(&single, 0), "e");
+        assert_eq!(describe_configuration(&single, 0), "e");
     }
 
     #[test]

@@ -1,4 +1,4 @@
-//! How quantities are distributed, as the share of values up to each: several in one plot.
+//! Cumulative distributions, several in one plot: the share of values up to each.
 
 use peernet_statistics::number::fixed;
 
@@ -24,13 +24,13 @@ const RADIUS: f64 = 1.7;
 /// Cumulative distributions.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Cumulative {
-    /// What is shown.
+    /// Title.
     pub title: String,
-    /// What stands along the horizontal axis.
+    /// Horizontal axis.
     pub unit: Unit,
     /// From the one that is listed first.
     pub curves: Vec<CumulativeCurve>,
-    /// How many values there are, what is left out and so on.
+    /// Numbers of values, what is left out and so on.
     pub notes: Vec<String>,
 }
 
@@ -39,9 +39,9 @@ pub struct Cumulative {
 pub struct CumulativeCurve {
     /// Its name.
     pub name: String,
-    /// How its line looks.
+    /// Look of its line.
     pub line: Style,
-    /// How its mark looks.
+    /// Its mark and the look of that.
     pub mark: (Mark, Style),
     /// The values, SI units.
     pub values: Ordered,

@@ -19,7 +19,7 @@ const CELLS: (f64, f64) = (108.0, 60.0);
 const SHADES: f64 = 14.0;
 /// Room for a distribution beside the plot, points.
 const MARGIN: f64 = 26.0;
-/// What is there is seen, points.
+/// Least width and height of a bar, points.
 const SEEN: f64 = 0.45;
 /// Diameter of a point, points.
 const DOT: f64 = 2.4;

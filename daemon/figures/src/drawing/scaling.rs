@@ -43,7 +43,7 @@ pub struct Value {
 /// One series.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Series {
-    /// What it is, for the legend.
+    /// Its name in the legend.
     pub name: String,
     /// The stage whose colour it has: `upload` or `download`.
     pub stage: &'static str,

@@ -4,12 +4,12 @@ use crate::look::{Style, stage};
 use crate::plot::{At, Item};
 use crate::scale::Scale;
 
-/// What of a part is seen however little it is, points.
+/// Least length of a part in a file, points: it is seen however short it is.
 const THIN: f64 = 0.6;
 /// Parts of less than this share of the scale have no line between them.
 const PARTED: f64 = 0.006;
 
-/// Which way a bar goes.
+/// Direction of a bar.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Direction {
     /// From below to above.
@@ -46,7 +46,7 @@ pub struct Stack<'a> {
     /// Stage and value of each, in the unit of the scale, from the first to the last. Where clocks were not corrected a value may
     /// be negative: such parts lie on the other side of zero.
     pub parts: Vec<(&'a str, f64)>,
-    /// Where values lie.
+    /// Scale of the values.
     pub scale: Scale,
 }
 
@@ -56,7 +56,7 @@ impl Stack<'_> {
         self.parts.iter().map(|(_, value)| value.max(0.0)).sum()
     }
 
-    /// Returns where each part that is not zero begins and ends, in the unit of the scale.
+    /// Returns begin and end of each part that is not zero, in the unit of the scale.
     pub fn segments(&self) -> Vec<(&str, f64, f64)> {
         let (mut below, mut above) = (0.0, 0.0);
         let parts = self.parts.iter().filter(|(_, value)| *value != 0.0);

@@ -17,9 +17,9 @@ const CLOSE: f64 = 10.0;
 const MANY: usize = 16;
 /// Most bars that stand upright: their labels stand below.
 const MOST_UPRIGHT: usize = 6;
-/// What is beside the bars of an upright plot, points.
+/// Points beside the bars of an upright plot.
 const MARGIN: f64 = 39.0;
-/// What is beside lying bars and their names, and what parts a sum from its bar, points.
+/// Points beside lying bars and their names, and between a bar and its sum.
 const BESIDE: f64 = 16.0;
 const AFTER: f64 = 4.5;
 /// Share of a bar's room that the bar takes, and its largest share of the plot.

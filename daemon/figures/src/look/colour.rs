@@ -69,7 +69,7 @@ pub const LINE: Token = Token::new("line", 0xe3_e7ec, 0x25_2c35);
 pub const LINE_STRONG: Token = Token::new("line-strong", 0x8a_94a3, 0x5d_6877);
 /// Ground of a figure.
 pub const SURFACE: Token = Token::new("surface", 0xff_ffff, 0x14_181e);
-/// What has no answer, and errors.
+/// Iterations without an answer, and errors.
 pub const BAD: Token = Token::new("bad", 0x9b_1620, 0xff_9f98);
 
 /// The tokens that are no stage's.
@@ -79,7 +79,7 @@ pub const TOKENS: [Token; 7] = [INK, INK_2, INK_3, LINE, LINE_STRONG, SURFACE, B
 pub const WHITE: Rgb = Rgb::hex(0xff_ffff);
 /// Grid of a file: a little darker than on a page, because it is printed.
 pub const GRID: Rgb = Rgb::hex(0xdd_e2e8);
-/// Ground of what is left out in a file.
+/// Ground of stretches that are left out, in a file.
 pub const SHADE: Rgb = Rgb::hex(0xe8_ebef);
 /// Text on a dark fill.
 pub const ON_DARK: Rgb = WHITE;

@@ -2,7 +2,7 @@
 
 /// Distance between two lines of a hatch, points.
 const STEP: f64 = 3.9;
-/// What is nearer to an edge than this, points, is not drawn: a line that only touches a corner or runs along an edge is none.
+/// Least distance of a line from an edge, points: one that only touches a corner or runs along an edge is left out.
 const EDGE: f64 = 0.2;
 
 /// Lines over an area.

@@ -1,6 +1,6 @@
 //! Points that differ without colour.
 
-/// How the points of a series look; its line has a dash of its own.
+/// Shape of the points of a series; its line has a dash of its own.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Mark {
     /// Discs on a solid line.

@@ -1,4 +1,4 @@
-//! What figures look like: colours, hatches, marks, strokes.
+//! Looks of figures: colours, hatches, marks, strokes.
 //!
 //! Colour means stage, direction or verdict, nothing else: runs, places and configurations are told apart by ink and greys, marks
 //! and dashes ([`series`]). Every [`Style`] says how a shape looks on both sheets: the class that the dashboard's style sheet knows,

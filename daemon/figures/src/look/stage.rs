@@ -4,7 +4,7 @@ use super::colour::{INK, LINE_STRONG, ON_DARK, ON_PALE, Rgb, Token, WHITE};
 use super::hatch::Hatch;
 use super::style::{Fill, Style, TextStyle};
 
-/// What `total` holds beyond its stages.
+/// Name of the part of `total` beyond its stages.
 pub const UNATTRIBUTED: &str = "unattributed";
 /// From the intended start of an iteration to the real one: a named part of what is unattributed.
 pub const LATENESS: &str = "lateness";
@@ -13,7 +13,7 @@ const NETWORK: &str = "network";
 /// Class of what is no stage but all of them.
 const TOTAL: &str = "total";
 
-/// How a stage looks.
+/// Look of a stage.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Stage {
     /// Name in results and events.
@@ -75,7 +75,7 @@ pub const STAGES: [Stage; 13] = [
     pale(UNATTRIBUTED, UNATTRIBUTED, UNKNOWN, UNKNOWN_EDGE, Hatch::Falling),
 ];
 
-/// What is no stage and has a look on pages: parts of stages, both directions together, totals. Its names are those of events.
+/// Looks of what is no stage: parts of stages, both directions together, totals. Its names are those of events.
 const PARTS: [Stage; 6] = [
     Stage { name: "capture", class: "capture", ..STAGES[0] },
     Stage { name: "transform", class: "transform", ..STAGES[0] },
@@ -95,13 +95,13 @@ const OTHER: Stage = Stage {
     line: None,
 };
 
-/// Returns how a stage, a part of one or a total looks. One of a user's own is quiet ink.
+/// Returns the look of a stage, a part of one or a total. One of a user's own is quiet ink.
 pub fn stage(name: &str) -> Stage {
     STAGES.iter().chain(&PARTS).copied().find(|stage| stage.name == name).unwrap_or(OTHER)
 }
 
 impl Stage {
-    /// Whether it is a stage of [`STAGES`], which alone have colours of their own.
+    /// Returns true if it is a stage of [`STAGES`], which alone have colours of their own.
     pub fn has_colour(&self) -> bool {
         STAGES.iter().any(|stage| stage.name == self.name)
     }

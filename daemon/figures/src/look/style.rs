@@ -35,7 +35,7 @@ pub struct Stroke {
     pub dash: Option<(f64, f64)>,
 }
 
-/// How a shape looks: its class on a page, fill and stroke in a file.
+/// Look of a shape: its class on a page, fill and stroke in a file.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Style {
     /// Classes of the dashboard's style sheet.
@@ -135,7 +135,7 @@ impl Style {
         Self::line("whisk2", INK.light, 0.75)
     }
 
-    /// What parts neighbours in a stack.
+    /// A line between neighbours in a stack.
     pub fn cut() -> Self {
         Self::line("cut", WHITE, 0.45)
     }
@@ -150,12 +150,12 @@ impl Style {
         Self::area("band", Fill::of(INK.light)).opacity(0.25)
     }
 
-    /// What was left out, such as warm-up.
+    /// A stretch that is left out, such as warm-up.
     pub fn shade() -> Self {
         Self::area("warm-up", Fill::of(SHADE))
     }
 
-    /// A mark of what has no answer.
+    /// A mark of an iteration without an answer.
     pub fn lost() -> Self {
         Self::line("lost", BAD.light, 0.9)
     }
@@ -166,14 +166,14 @@ impl Style {
     }
 }
 
-/// How text looks.
+/// Look of text.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TextStyle {
     /// Class on a page.
     pub class: &'static str,
     /// Colour in a file.
     pub colour: Rgb,
-    /// Whether a rim of the ground's colour parts it from what lies behind it.
+    /// True if a rim of the ground's colour parts it from the shapes behind it.
     pub halo: bool,
 }
 
@@ -184,7 +184,7 @@ impl TextStyle {
     pub const NAME: Self = Self { class: "", colour: INK.light, halo: false };
     /// Text at a mark in a plot.
     pub const MARK: Self = Self { class: "marktext", colour: INK.light, halo: true };
-    /// What lies beyond an axis.
+    /// A count of values beyond an axis.
     pub const BEYOND: Self = Self { class: "beyond", colour: INK_2.light, halo: true };
     /// Text on a pale fill.
     pub const ON_PALE: Self = Self { class: "", colour: ON_PALE, halo: false };
@@ -192,7 +192,7 @@ impl TextStyle {
     pub const QUIET: Self = Self { class: "", colour: INK_3.light, halo: false };
 }
 
-/// How the series of one figure differ: runs, places, configurations.
+/// Look of one of several series: runs, places, configurations.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Series {
     /// Ink or a grey.
@@ -205,7 +205,7 @@ pub struct Series {
     classes: [&'static str; 2],
 }
 
-/// Returns how the series of a number looks: the fifth looks like the first.
+/// Returns the look of the series of a number: the fifth looks like the first.
 pub fn series(number: usize) -> Series {
     const GREYS: [Rgb; 4] = [INK.light, Rgb::hex(0x7c_8694), Rgb::hex(0x45_4d59), Rgb::hex(0x8a_94a3)];
     const CLASSES: [[&str; 2]; 4] = [

@@ -1,4 +1,4 @@
-//! How the total and the longest stages of a run are distributed.
+//! Distributions of the total and the longest stages of a run.
 
 use peernet_logger::stage;
 

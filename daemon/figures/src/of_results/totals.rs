@@ -1,4 +1,4 @@
-//! How the totals of configurations are distributed.
+//! Distributions of the totals of configurations.
 
 use peernet_statistics::number::{self, fixed};
 

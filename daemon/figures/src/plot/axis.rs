@@ -6,7 +6,7 @@ use peernet_statistics::number::{decimals, fixed};
 
 use crate::scale::{Scale, Tick};
 
-/// What is measured: how it is called and how a value in SI units becomes the number shown.
+/// A quantity: its name and the factor from a value in SI units to the number shown.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Unit {
     /// With the unit: `One-way delay, ms`.
@@ -42,7 +42,7 @@ impl Unit {
     }
 }
 
-/// Where an axis is marked.
+/// Places of the marks of an axis.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Marks {
     /// At round numbers, at most about so many.
@@ -56,15 +56,15 @@ pub enum Marks {
 /// An axis of a plot.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Axis {
-    /// Where values lie, in the unit that is shown.
+    /// Scale, in the unit that is shown.
     pub scale: Scale,
-    /// What it shows, with the unit; files write it out.
+    /// Name of the quantity with the unit; files write it out.
     pub title: String,
     /// The unit alone; pages name only that, because a panel's title says what is shown.
     pub unit: Cow<'static, str>,
-    /// Where it is marked.
+    /// Places of its marks.
     pub marks: Marks,
-    /// Whether its marks go through the plot.
+    /// True if its marks go through the plot.
     pub has_grid: bool,
 }
 
@@ -98,7 +98,7 @@ impl Axis {
         self.marked(Marks::At(ticks))
     }
 
-    /// Where it is marked if there is room for so many marks.
+    /// Returns its marks if there is room for so many.
     pub fn ticks(&self, room: usize) -> Vec<Tick> {
         match &self.marks {
             Marks::Round(most) => self.scale.ticks((*most).min(room.max(1))),

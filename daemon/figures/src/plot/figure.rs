@@ -7,16 +7,16 @@ use super::legend::Key;
 /// A strip of a plot, such as the distribution of one of its quantities; places are shares of the strip.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Strip {
-    /// What is drawn in it.
+    /// Its items.
     pub items: Vec<Item>,
-    /// How high, or beside the plot how wide, it is in a file, points.
+    /// Height in a file, or beside a plot its width, points.
     pub size: f64,
 }
 
-/// How high a plot is in a file.
+/// Height of a plot in a file.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Height {
-    /// What the figure has left.
+    /// The rest of the figure.
     Rest,
     /// So many points.
     Points(f64),
@@ -29,19 +29,19 @@ pub struct Plot {
     pub x: Axis,
     /// Vertical axis.
     pub y: Axis,
-    /// What is drawn in it, the lowest first.
+    /// Its items, the lowest first.
     pub items: Vec<Item>,
     /// Strip above, which shares the horizontal axis.
     pub above: Option<Strip>,
     /// Strip at the right, which shares the vertical axis.
     pub beside: Option<Strip>,
-    /// What is said above its right end, such as what lies beyond its axes.
+    /// Text above its right end, such as a count of values beyond its axes.
     pub remark: Option<String>,
     /// Lines of text that stand above the plot, such as those of quantiles.
     pub lines_above: usize,
-    /// How high it is in a file.
+    /// Height in a file.
     pub height: Height,
-    /// What is left free at its right in a file, points, for text that reaches over its end.
+    /// Points left free at its right in a file, for text that reaches over its end.
     pub free: f64,
 }
 
@@ -63,7 +63,7 @@ impl Plot {
     }
 }
 
-/// What is written below the plots as lines of columns: a key to numbers.
+/// Lines of columns below the plots: a key to numbers.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Table {
     /// Titles of the columns behind the names.
@@ -75,11 +75,11 @@ pub struct Table {
 /// A figure.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Figure {
-    /// What is shown.
+    /// Title.
     pub title: String,
-    /// What differs by colour, mark or dash.
+    /// Entries for all that differs by colour, mark or dash.
     pub legend: Vec<Key>,
-    /// How it is to be read, how many values there are and what is left out: for the text beside the figure.
+    /// Sentences for the text beside the figure: how to read it, numbers of values, what is left out.
     pub notes: Vec<String>,
     /// From above to below. Without one the figure says that there are no values.
     pub plots: Vec<Plot>,

@@ -1,4 +1,4 @@
-//! What is drawn in a plot.
+//! Items of a plot: shapes, lines and text.
 
 use super::path::Path;
 use crate::look::{Mark, Style, TextStyle};
@@ -30,7 +30,7 @@ impl At {
     }
 }
 
-/// Which point of a text stands at its place.
+/// Point of a text that stands at its place.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Anchor {
     /// Its beginning.
@@ -55,15 +55,15 @@ impl Anchor {
 /// A line of text.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Label {
-    /// Where it stands.
+    /// Its place.
     pub at: At,
     /// From there to its baseline, in its type size: to the right and downwards.
     pub shift: (f64, f64),
-    /// Which point of it stands there.
+    /// The point of it that stands there.
     pub anchor: Anchor,
     /// The text.
     pub words: String,
-    /// How it looks.
+    /// Look.
     pub style: TextStyle,
     /// Width of the picture from which on a page shows it, rem; always where it is 0, never where it is `None`.
     pub from: Option<u16>,
@@ -122,7 +122,7 @@ pub enum Item {
         to: At,
         /// Least width and height in a file.
         least: (f64, f64),
-        /// How it looks.
+        /// Look.
         style: Style,
     },
     /// A straight line.
@@ -131,14 +131,14 @@ pub enum Item {
         from: At,
         /// The other.
         to: At,
-        /// How it looks.
+        /// Look.
         style: Style,
     },
     /// Lines and areas of many points.
     Path {
         /// Its course.
         path: Path,
-        /// How it looks.
+        /// Look.
         style: Style,
     },
     /// A point.
@@ -149,7 +149,7 @@ pub enum Item {
         mark: Mark,
         /// Points.
         radius: f64,
-        /// How it looks.
+        /// Look.
         style: Style,
     },
     /// A text.

@@ -20,7 +20,7 @@ pub enum Swatch {
 pub struct Key {
     /// Its sample.
     pub swatch: Swatch,
-    /// What it means.
+    /// Its meaning.
     pub text: String,
 }
 

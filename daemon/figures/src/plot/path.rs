@@ -24,7 +24,7 @@ pub struct Path {
 type Point = (f64, f64);
 
 impl Path {
-    /// Whether there is nothing to be drawn.
+    /// Returns true if there is nothing to be drawn.
     pub fn is_empty(&self) -> bool {
         self.steps.is_empty()
     }

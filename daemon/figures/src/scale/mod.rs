@@ -10,13 +10,13 @@ pub use step::round_step;
 
 use peernet_statistics::number::{fixed, significant};
 
-/// What ends of scales are held within, and what counts as zero.
+/// Largest magnitude of an end of a scale, and the smallest that is not zero.
 const MOST: f64 = 1e150;
 const LEAST: f64 = 1e-150;
 /// Room beyond the values of a scale from zero, as a share of their range.
 const ROOM: f64 = 0.04;
 
-/// How values are spread along a scale.
+/// Spread of values along a scale.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Spread {
     Linear,
@@ -41,7 +41,7 @@ pub struct Scale {
 pub struct Tick {
     /// The value.
     pub value: f64,
-    /// Where it lies, from 0 to 1.
+    /// Its place, from 0 to 1.
     pub at: f64,
     /// Its label.
     pub text: String,
@@ -104,7 +104,7 @@ impl Scale {
         (self.lo, self.hi)
     }
 
-    /// Whether equal distances are equal factors.
+    /// Returns true if equal distances are equal factors.
     pub fn is_logarithmic(&self) -> bool {
         self.spread == Spread::Logarithmic
     }
@@ -121,7 +121,7 @@ impl Scale {
         }
     }
 
-    /// Whether a value lies on the scale.
+    /// Returns true if a value lies on the scale.
     pub fn has(&self, value: f64) -> bool {
         (self.lo..=self.hi).contains(&value)
     }

@@ -24,7 +24,7 @@ const HEADER: usize = 8 + 25;
 /// The chunk `pHYs` (ibid., 11.3.4.3): [`PIXELS_PER_INCH`] as 18,898 to the metre, and the checksum. Programs that set papers put
 /// a picture without it at the resolution of a screen.
 const DENSITY: [u8; 21] = *b"\0\0\0\x09pHYs\0\0\x49\xd2\0\0\x49\xd2\x01\xa8\x45\x8a\xf8";
-/// What each figure is written as: endings of its name. The text says that it is a figure's, because tables have the same names.
+/// Endings of the names of a figure's files. The text says that it is a figure's, because tables have the same names.
 pub const ENDINGS: [&str; 4] = [".png", ".svg", ".pdf", "-caption.txt"];
 
 /// A figure that could not be turned into another format.

@@ -1,4 +1,4 @@
-//! Sheets: what layouts are drawn on.
+//! Sheets: the two ways to draw a layout.
 //!
 //! [`page`] writes SVG for the dashboard: lengths in percent, text in the page's own size, classes instead of colours, and no style
 //! attribute, which the content security policy forbids. [`file`] writes a picture of a column's width in points with literal

@@ -42,7 +42,7 @@ fn random_kills_lose_and_duplicate_no_spooled_iteration() {
         }
     }
 
-    fleet.answers();
+    fleet.wait_until_ready();
     let accounts: Vec<EventCounts> = (0..AGENTS.len())
         .map(|agent| {
             fleet.agents[agent].stop();

@@ -132,7 +132,7 @@ impl Accuracy {
         self.shown().map(spot).collect()
     }
 
-    /// What the numbers stand for.
+    /// The key to the numbers.
     fn table(&self) -> Table {
         let has_late = self.shown().any(|(score, _)| score.late().is_some());
         let show = |value: f64| significant(value * self.unit.per_si);

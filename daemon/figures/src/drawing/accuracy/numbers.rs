@@ -14,7 +14,7 @@ const GAP: f64 = RADIUS + 0.9;
 const APART: f64 = 2.1;
 /// Points that are nearer to each other have their numbers on the sides that look away.
 const NEAR: f64 = 13.5;
-/// How far numbers go above the plot, beside the title of its axis, points.
+/// Height above the plot that numbers may take, beside the title of its axis, points.
 const ABOVE: f64 = 11.0;
 /// Between a number and what limits it, points.
 const EDGE: f64 = 0.6;

@@ -40,9 +40,9 @@ pub struct Course {
     pub is_counted: bool,
     /// The vertical axis.
     pub unit: Unit,
-    /// What is shown whole: the range of each column, and its median.
+    /// The total: the range of each column, and its median.
     pub total: Line,
-    /// What is shown beneath as medians.
+    /// Stages, shown as medians.
     pub stages: Vec<Line>,
     /// From when to when was warm-up.
     pub warm_up: Vec<(f64, f64)>,
@@ -190,7 +190,7 @@ impl Course {
         items
     }
 
-    /// What had no answer, above the plot.
+    /// Iterations without an answer, above the plot.
     fn rail(&self, plot: &Plot) -> Option<Strip> {
         if self.unanswered.is_empty() {
             return None;

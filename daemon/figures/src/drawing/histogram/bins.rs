@@ -64,7 +64,7 @@ impl Bins {
         self.from + self.width * self.counts.len() as f64
     }
 
-    /// Where a bin begins, and the one before it ends.
+    /// Returns the begin of a bin, which is the end of the one before it.
     pub fn edge(&self, number: usize) -> f64 {
         self.from + self.width * number as f64
     }

@@ -8,7 +8,7 @@ use crate::text::width;
 
 /// Share of the plot that the only bar takes.
 const ALONE: f64 = 0.1;
-/// What is there is seen in a file, be it one iteration in ten thousand: points.
+/// Least width and height of a bar in a file, points: one iteration in ten thousand is seen.
 const SEEN: (f64, f64) = (0.4, 0.45);
 /// From a line to its label and between labels, in their type size.
 const ASIDE: f64 = 0.3;
@@ -37,13 +37,13 @@ pub struct Distribution {
     pub beyond: (u64, u64),
     /// Name and value of the quantiles that have a line: `median`, `p95`, `p99`.
     pub quantiles: Vec<(&'static str, f64)>,
-    /// How values are shown.
+    /// Quantity and unit.
     pub unit: Unit,
     /// The stage whose colour the bars have.
     pub stage: Stage,
-    /// What the bars show.
+    /// Meaning of the bars.
     pub view: View,
-    /// Whether the scale of counts is logarithmic.
+    /// True for a logarithmic scale of counts.
     pub is_logarithmic: bool,
     /// Width of the plot in the type size of its labels, at the narrowest.
     pub ems: f64,
@@ -158,7 +158,7 @@ impl Distribution {
         (items, rows)
     }
 
-    /// What lies outside: `← 3 below 1.2 ms · 12 beyond 23.2 ms →`.
+    /// Counts of values outside: `← 3 below 1.2 ms · 12 beyond 23.2 ms →`.
     fn remark(&self) -> Option<String> {
         let ((below, above), (from, to)) = (self.beyond, self.ends());
         let below = (below > 0).then(|| format!("← {} below {}", count(below), self.unit.words(from, 0.0)));

@@ -71,7 +71,7 @@ impl Group {
 }
 
 impl Paired {
-    /// How the figure is to be read.
+    /// Sentences that say how to read the figure.
     fn reading(&self) -> Vec<String> {
         let mut notes = self.notes.clone();
         if !self.has_room_for_counts() {

@@ -1,4 +1,4 @@
-//! Where the parts of a figure lie.
+//! Places of the parts of a figure.
 
 use super::{EDGE, GAP, HEIGHT, LINE, SMALL, STRIP_GAP, TEXT, WIDTH, header, table};
 use crate::plot::{At, Figure, Height, Marks, Plot};
@@ -20,7 +20,7 @@ const CLOSE: f64 = 12.0;
 /// A plot is never lower, points.
 const LOWEST: f64 = 30.0;
 
-/// Where a plot lies, points from the left and from above.
+/// Area of a plot, points from the left and from above.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Area {
     /// Left end.
@@ -34,7 +34,7 @@ pub struct Area {
 }
 
 impl Area {
-    /// Returns where a place is.
+    /// Returns the point of a place.
     pub fn point(&self, at: At) -> (f64, f64) {
         (self.left + self.width * at.x + at.dx, self.top + self.height * at.y + at.dy)
     }
@@ -58,13 +58,13 @@ impl Area {
     }
 }
 
-/// Where all plots lie, and how high the paper is.
+/// Areas of all plots, and the height of the paper.
 pub(super) struct Places {
     pub(super) height: f64,
     pub(super) plots: Vec<Area>,
 }
 
-/// Returns where the plots of a figure lie, before anything is drawn in them: for kinds that look for free places.
+/// Returns the areas of the plots of a figure, before anything is drawn in them: for kinds that look for free places.
 pub fn areas(figure: &Figure) -> Vec<Area> {
     Places::of(figure).plots
 }
@@ -123,7 +123,7 @@ fn below(plot: &Plot) -> f64 {
     BELOW + labels * lines(plot) as f64 + title
 }
 
-/// Whether the horizontal axis has labels: those of several plots stand below the lowest.
+/// Returns true if the horizontal axis has labels: those of several plots stand below the lowest.
 fn has_labels(plot: &Plot) -> bool {
     match &plot.x.marks {
         Marks::Round(_) => true,

@@ -1,4 +1,4 @@
-//! What files get.
+//! Figures as files get them.
 
 use super::super::export::Exported;
 use super::*;

@@ -1,4 +1,4 @@
-//! What pages get.
+//! Plots as pages get them.
 
 use super::*;
 use crate::look::{Mark, Style, TextStyle, stage};
