@@ -2,8 +2,8 @@
 
 use std::sync::Arc;
 
-use peernet_analysis::delays::{round_trip, severity};
-use peernet_clock::{Interval, Offset, RelatedClocks, Span, WallTime};
+use peernet_analysis::delays::round_trip;
+use peernet_clock::{Offset, RelatedClocks, Span, WallTime};
 use peernet_store::{ClockPoint, ClockSeries};
 use peernet_stream::{DelaySecond, ProbeCounts};
 
@@ -98,21 +98,10 @@ pub(super) fn sum(counts: impl Iterator<Item = ProbeCounts>) -> ProbeCounts {
     })
 }
 
-/// The newest of several offsets with the widest bounds of any of them.
+/// The offset with the widest bounds, of equal ones the newest: as the store's buckets have it.
 fn widest(points: &[ClockPoint]) -> Option<Offset> {
-    let mut known = points.iter().rev().filter_map(|point| point.offset.as_ref());
-    let newest = known.next()?.clone();
-    let wider = known.fold(newest, |widest, one| {
-        // Around each its own estimate, so that a drift within the bucket does not widen it.
-        let (below, above) = (
-            (widest.estimate - widest.bounds.lo).max(one.estimate - one.bounds.lo),
-            (widest.bounds.hi - widest.estimate).max(one.bounds.hi - one.estimate),
-        );
-        let bounds = Interval { lo: widest.estimate - below, hi: widest.estimate + above };
-        let worse = severity(one.verdict) > severity(widest.verdict);
-        Offset { bounds, verdict: if worse { one.verdict } else { widest.verdict }, ..widest }
-    });
-    Some(wider)
+    let known = points.iter().filter_map(|point| point.offset.as_ref());
+    known.max_by_key(|offset| offset.bounds.width()).cloned()
 }
 
 fn delays(points: &[ClockPoint], way: Way) -> Option<DelaySecond> {
