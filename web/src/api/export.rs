@@ -43,9 +43,9 @@ struct Query {
     format: Format,
 }
 
-/// All iterations of a run as a table, in the format of the `data.csv` that a run leaves (docs/results.md): one row each,
-/// the published columns first, in seconds, bytes and bits per second. `peernet compare` and `peernet plot` read it. Of a
-/// run that goes on, what was stored when it was asked for.
+/// All iterations of a run as a table, in the format of the `data.csv` that a run writes (docs/results.md): one row each, the published
+/// columns first, in seconds, bytes and bits per second. `peernet compare` and `peernet plot` read it. For a run that has not ended, the
+/// table holds the iterations stored at the time of the request.
 #[utoipa::path(get, path = "/api/v1/runs/{run}/export", operation_id = "exportRun", tag = "runs", params(("run" = i64, Path), Query), responses(
     (status = 200, body = String, content_type = "text/csv"),
     (status = "default", body = ProblemDetails, content_type = "application/problem+json"),

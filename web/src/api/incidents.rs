@@ -1,4 +1,4 @@
-//! What happened beside the measurements.
+//! `GET /api/incidents`: events beside the measurements, such as a lost connection or a clock step.
 
 use axum::Json;
 use axum::extract::State;
@@ -23,7 +23,7 @@ pub(super) fn routes() -> OpenApiRouter<App> {
 #[serde(deny_unknown_fields, default)]
 #[into_params(parameter_in = Query)]
 struct Query {
-    /// At most so many, 1 to 1,000; 100 unless given.
+    /// Largest number of incidents returned, 1 to 1,000; 100 unless given.
     #[param(value_type = Option<u32>, minimum = 1, maximum = 1_000, default = 100)]
     limit: Option<String>,
     /// Only incidents before this id: `next` of the page before.
@@ -64,8 +64,8 @@ pub(crate) struct Incident {
     pub id: i64,
     /// On the reporting host's wall clock.
     pub at: String,
-    /// Of a host `disconnected`, `connected`, `refused`, `model-loaded`, `clock-step`, `gap`, `pipeline-failed` or
-    /// `control`; of the aggregator `clock-step`, `retention` or `storage`.
+    /// Kind of incident. Of a host: `disconnected`, `connected`, `refused`, `model-loaded`, `clock-step`, `gap`, `pipeline-failed` or
+    /// `control`; of the aggregator: `clock-step`, `retention` or `storage`.
     pub kind: String,
     /// Name of the reporting host; null: the aggregator itself.
     pub host: Option<String>,

@@ -5,7 +5,7 @@ use utoipa::OpenApi;
 use utoipa::openapi::path::Operation;
 use utoipa::openapi::{Content, HeaderBuilder, Ref, RefOr, Response, ResponseBuilder};
 
-/// What stands above the resources.
+/// Head of the document: title, description and tags.
 #[derive(OpenApi)]
 #[openapi(
     info(
@@ -39,7 +39,7 @@ const ERRORS: [(&str, &str, &str); 4] = [
 const FORBIDDEN: (&str, &str, &str) = ("403", "Forbidden", "the request comes from a page of another site");
 /// The same of operations about one thing.
 const NOT_FOUND: (&str, &str, &str) = ("404", "NotFound", "there is no such thing");
-/// What the server answers before it has read a request, without a body.
+/// Response that the server sends, without a body, before it has read a request: status, name and description.
 const TOO_LARGE: (&str, &str, &str) = (
     "431",
     "RequestHeaderFieldsTooLarge",

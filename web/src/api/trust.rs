@@ -52,7 +52,7 @@ pub(crate) struct Sentence {
     /// `good`, `unknown`, `doubtful` or `bad`.
     pub grade: &'static str,
     pub text: String,
-    /// What to do about it; may be empty.
+    /// Advice on what to do; may be empty.
     pub advice: String,
 }
 

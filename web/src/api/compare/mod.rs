@@ -24,7 +24,7 @@ pub(super) fn routes() -> OpenApiRouter<App> {
 #[derive(Clone, Debug, Default, Deserialize, IntoParams)]
 #[into_params(parameter_in = Query)]
 struct CompareQuery {
-    /// Numbers of runs, parted by commas, at most 12; each is a configuration of its own.
+    /// Numbers of runs, separated by commas, at most 12; each run is a separate configuration.
     #[allow(dead_code, reason = "describes the parameter")]
     #[param(pattern = "^[0-9]+(,[0-9]+){0,11}$")]
     runs: Option<String>,
@@ -61,12 +61,12 @@ async fn compare(
     Ok(Json(Comparison::new(&comparison, &differences)))
 }
 
-/// How many experiments.
+/// Query parameters of the list of experiments.
 #[derive(Clone, Debug, Default, Deserialize, IntoParams)]
 #[serde(deny_unknown_fields, default)]
 #[into_params(parameter_in = Query)]
 struct ExperimentsQuery {
-    /// At most so many, 1 to 1,000; 50 unless given.
+    /// Largest number of experiments returned, 1 to 1,000; 50 unless given.
     #[param(value_type = Option<u32>, minimum = 1, maximum = 1_000, default = 50)]
     limit: Option<String>,
 }

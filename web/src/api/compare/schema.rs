@@ -22,7 +22,7 @@ pub(crate) struct Experiment {
     pub name: String,
     /// Runs that began.
     pub runs: u64,
-    /// Of them those that have not ended.
+    /// Number of these runs that have not ended.
     pub open: u64,
     /// Number of its first run.
     pub oldest: i64,
@@ -44,7 +44,7 @@ impl From<&store::ExperimentSummary> for Experiment {
 pub(crate) struct Comparison {
     /// Id of the experiment that was asked for.
     pub experiment: Option<String>,
-    /// What the configurations differ in.
+    /// Names of the settings in which the configurations differ.
     pub axes: Vec<String>,
     pub configurations: Vec<Configuration>,
     /// Settings in which they differ as well, and those that the experiment declares for all alike.
@@ -58,7 +58,7 @@ pub(crate) struct Comparison {
     pub baseline: Option<String>,
     /// Each other configuration less the baseline, stage by stage, where the interval is known.
     pub differences: Vec<Difference>,
-    /// What keeps the figures from being taken as they stand, in sentences: starts that were skipped.
+    /// Reasons not to take the figures at face value, as sentences; for example starts that were skipped.
     pub doubts: Vec<String>,
     /// Runs of the experiment that do not count: those that were not measured to their end, and those that were measured again.
     pub left_out: Vec<LeftOut>,
@@ -80,7 +80,7 @@ pub(crate) struct LeftOut {
 pub(crate) struct Configuration {
     /// `A`, `B` and so on, in the order of the list.
     pub letter: String,
-    /// What differs from the others, in words; unique.
+    /// Settings in which this configuration differs from the others, in words; unique.
     pub name: String,
     /// Its value on each axis.
     pub values: Vec<String>,
@@ -88,9 +88,9 @@ pub(crate) struct Configuration {
     pub runs: Vec<i64>,
     /// Starts that came due, warm-up left out; in a closed loop as many as there are iterations.
     pub starts: u64,
-    /// Of them those that were skipped because the pipeline was too far behind.
+    /// Number of these starts that were skipped because the pipeline was too far behind.
     pub skipped_starts: u64,
-    /// How long an iteration may take, seconds; null without a deadline, and where its runs have different ones.
+    /// Deadline of an iteration, seconds; null without a deadline, and where its runs have different ones.
     pub deadline_s: Option<f64>,
     /// The miss rate: share of iterations that took longer than the deadline or have no answer, 0 to 1, warm-up left out; null
     /// without a deadline.

@@ -1,4 +1,4 @@
-//! What is said of hosts.
+//! Schema of hosts.
 
 use peernet_aggregator::{Arrivals, HostSnapshot};
 use peernet_clock::Span;
@@ -22,9 +22,9 @@ pub(crate) struct HostList {
 pub(crate) struct RefusedHost {
     /// The name that it gave.
     pub name: String,
-    /// Where it connected from, where the transport tells.
+    /// Address that the connection came from, if the transport reports it.
     pub address: Option<String>,
-    /// What was wrong and what to do about it.
+    /// Reason of the refusal, and what to do about it.
     pub reason: String,
     /// When it last tried, on the aggregator's wall clock.
     pub at: String,
@@ -57,7 +57,7 @@ pub(crate) struct Host {
     pub stored: Stored,
 }
 
-/// What a host told about itself.
+/// Description that a host sent of itself.
 #[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
 pub(crate) struct Description {
     /// Version of its agent.
@@ -77,13 +77,12 @@ pub(crate) struct Description {
     pub models: Vec<String>,
 }
 
-/// How a host fares. What it cannot read is null.
+/// Current state of a host. Values that the host cannot read are null.
 #[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
 pub(crate) struct Now {
     /// Its wall clock minus the aggregator's, seconds, by its last update: a hint, no measurement.
     pub clock_ahead_s: f64,
-    /// How far storing is behind measuring, seconds: age of the oldest event that waits, by the host's own clock; null
-    /// when nothing waits.
+    /// Delay of storing behind measuring, seconds: age of the oldest waiting event, by the host's own clock; null when nothing waits.
     pub behind_s: Option<f64>,
     /// Null while that does not fall, or is below five seconds.
     pub catching_up: Option<CatchingUp>,
@@ -100,16 +99,16 @@ pub(crate) struct Now {
     pub events: EventAccount,
 }
 
-/// What became of an agent's events since its spool was made, by its own account; produced = acknowledged + waiting + dropped.
+/// Counts of an agent's events since its spool was made, by its own account; produced = acknowledged + waiting + dropped.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, ToSchema)]
 pub(crate) struct EventAccount {
     /// Events that were made; gaps that are reported count as events of their own.
     pub produced: u64,
-    /// Of those, written to the spool, or stored without it while its disk failed.
+    /// Number of these written to the spool, or stored without it while its disk failed.
     pub spooled: u64,
-    /// Of those, sent at least once.
+    /// Number of these sent at least once.
     pub sent: u64,
-    /// Of those, acknowledged as stored.
+    /// Number of these acknowledged as stored.
     pub acknowledged: u64,
     /// Events that wait on the agent, in memory or in the spool.
     pub waiting: u64,
@@ -166,18 +165,18 @@ impl From<&Accounting> for EventAccount {
     }
 }
 
-/// How fast storing catches up with measuring.
+/// Rate at which storing catches up with measuring.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, ToSchema)]
 pub(crate) struct CatchingUp {
     /// Seconds by which the lag falls in a second, over the last 10 s or so.
     pub rate: f64,
     /// Events stored in a second, over the same time.
     pub events_per_second: f64,
-    /// Seconds until there is no lag, if it goes on like this.
+    /// Seconds until there is no lag, at the present rate.
     pub left_s: f64,
 }
 
-/// What the database holds of a host, by the aggregator's account.
+/// Contents of the database about a host, by the aggregator's account.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, ToSchema)]
 pub(crate) struct Stored {
     /// Events of all kinds.

@@ -41,7 +41,7 @@ struct Query {
     /// Only iterations of greater number: `next` of the page before.
     #[param(minimum = 0)]
     after: Option<u64>,
-    /// At most so many, 1 to 1,000; 100 unless given.
+    /// Largest number of iterations returned, 1 to 1,000; 100 unless given.
     #[param(value_type = Option<u32>, minimum = 1, maximum = 1_000, default = 100)]
     limit: Option<String>,
     /// Only iterations without an answer: failed, lost, timeout.

@@ -33,18 +33,18 @@ pub(crate) struct IterationSummary {
     pub total: Option<f64>,
     /// `total` over the run's median of it.
     pub factor: Option<f64>,
-    /// The first of `causes`; null where there is none.
+    /// First element of `causes`; null if `causes` is empty.
     pub blame: Option<Blame>,
-    /// What made it slow: the parts with the largest excess over their own medians, largest first, until they explain 80 % of
-    /// the excess of `total`. A part is a stage, `lateness`, `unattributed` (without lateness), or `upload + download`. Empty where it
-    /// took no longer than the run's median.
+    /// Causes of a slow iteration: the parts with the largest excess over their own medians, largest first, until they explain 80 % of
+    /// the excess of `total`. A part is a stage, `lateness`, `unattributed` (without lateness), or `upload + download`. Empty where the
+    /// iteration took no longer than the run's median.
     pub causes: Vec<Blame>,
     /// Seconds per stage, in their order.
     pub stages: Vec<StageTime>,
     /// Seconds that `total` holds beyond its stages.
     pub unattributed: Option<f64>,
-    /// Seconds of `upload` and `download` together where one of them has no value of its own: what the edge waited less
-    /// what the cloud took. `total` is this, `unattributed` and the other stages. Null where each is known.
+    /// Sum of `upload` and `download` where one of them has no value alone, seconds: the time that the edge waited less the time that the
+    /// cloud took. `total` is this, `unattributed` and the other stages. Null where each is known.
     pub both_ways: Option<f64>,
 }
 
@@ -54,31 +54,30 @@ pub(crate) struct StageTime {
     pub name: String,
     /// Null for a one-way delay of which nothing is known.
     pub seconds: Option<f64>,
-    /// How well a one-way delay is known; null for other stages.
+    /// Accuracy of a one-way delay; null for other stages.
     pub delay: Option<StageDelay>,
 }
 
-/// How well one one-way delay is known.
+/// Accuracy of a one-way delay.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, ToSchema)]
 pub(crate) struct StageDelay {
-    /// The receiver's stamp less the sender's, each of its own wall clock: may be negative.
+    /// Receiver's stamp less sender's stamp, each by the wall clock of its host, seconds; may be negative.
     pub raw_s: f64,
     /// The interval that contains the truth; null when nothing is known.
     pub lo_s: Option<f64>,
     pub hi_s: Option<f64>,
-    /// What the interval rests on: `same-clock`, `in-band`, `kernel`, `chrony`, `intersection` or `none`.
+    /// Source of the interval: `same-clock`, `in-band`, `kernel`, `chrony`, `intersection` or `none`.
     pub source: &'static str,
     /// `ok`, `limited`, `stale`, `unsynchronised`, `stepped` or `inconsistent`.
     pub verdict: &'static str,
     /// Whether the interval rests on what time daemons claim.
     pub claims_used: bool,
-    /// What the interval rests on beside the source; null where both ends are on one clock, and where no clock sample of its time is
-    /// stored.
+    /// Further assumptions of the interval; null where both ends are on one clock, and where no clock sample of its time is stored.
     pub assumptions: Option<Assumptions>,
 }
 
 impl StageDelay {
-    /// Of the iteration's one delay of that stage; several of one stage are added up, so that none stands for them.
+    /// Returns the iteration's delay of this stage. `None` where there are several: they are added up, so that none represents the sum.
     pub(crate) fn of(row: &store::IterationRow, stage: &Name) -> Option<Self> {
         let mut same = row.delays.iter().filter(|delay| delay.stage == *stage);
         let delay = same.next().filter(|_| same.next().is_none())?;

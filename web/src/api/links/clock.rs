@@ -14,13 +14,13 @@ pub(crate) struct ClockOffset {
     pub estimate_s: Option<f64>,
     pub lo_s: Option<f64>,
     pub hi_s: Option<f64>,
-    /// What the bounds rest on: `same-clock`, `in-band`, `kernel`, `chrony`, `intersection` or `none`.
+    /// Source of the bounds: `same-clock`, `in-band`, `kernel`, `chrony`, `intersection` or `none`.
     pub source: &'static str,
     /// Every source and what it says alone.
     pub sources: Vec<Source>,
     /// `ok`, `stale` or `inconsistent`.
     pub verdict: &'static str,
-    /// How fast the offset grows, parts per million; null before there are enough exchanges.
+    /// Rate at which the offset grows, parts per million; null before there are enough exchanges.
     pub skew_ppm: Option<f64>,
     /// Exchanges of the window.
     pub exchanges: u64,
@@ -28,7 +28,7 @@ pub(crate) struct ClockOffset {
     pub age_s: Option<f64>,
 }
 
-/// What one source says of an offset.
+/// Offset by one source.
 #[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
 pub(crate) struct Source {
     pub source: &'static str,
@@ -59,7 +59,7 @@ impl From<&Offset> for ClockOffset {
     }
 }
 
-/// What became of probes.
+/// Counts of probes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, ToSchema)]
 pub(crate) struct Probes {
     pub sent: u32,
@@ -92,7 +92,7 @@ impl From<stream::RoundTrip> for RoundTrip {
 /// The delays of data in one direction.
 #[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
 pub(crate) struct Delay {
-    /// How many were judged.
+    /// Number of judged delays.
     pub count: u32,
     /// The worst verdict that at least a twentieth of them were given.
     pub verdict: &'static str,

@@ -31,7 +31,7 @@ pub(crate) struct LinkConnection {
     pub late_messages: u64,
     /// Requests that will never be answered, because they or their answers were lost on the way or the connection ended.
     pub lost_messages: u64,
-    /// What the cloud counted at its end, a second or two ago; null where it did not tell: clouds of releases before 0.3 do not.
+    /// Counts of the cloud at its end, one to two seconds old; null where it reports none, as clouds before release 0.3 do.
     pub cloud: Option<LinkCloudEnd>,
 }
 

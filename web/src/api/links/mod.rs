@@ -63,12 +63,12 @@ struct ClockQuery {
     /// End; the newest sample unless given.
     #[param(format = DateTime)]
     to: Option<String>,
-    /// At most so many buckets, 1 to 2,000; 600 unless given.
+    /// Largest number of buckets, 1 to 2,000; 600 unless given.
     #[param(value_type = Option<u32>, minimum = 1, maximum = 2_000, default = 600)]
     points: Option<String>,
 }
 
-/// What was known of a link's clocks over time, and what the network did.
+/// A link's clock relation over time, and its network statistics.
 #[utoipa::path(get, path = "/api/v1/links/{link}/clock", operation_id = "getLinkClock", tag = "links",
     params(("link" = String, Path, description = "`EDGE~CLOUD`, or `EDGE~CLOUD~NETWORK`"), ClockQuery),
     responses(
@@ -93,7 +93,7 @@ async fn clock(
     Ok(Json(LinkSeries::from(&app.store().clock_series(&key, from, to, points).await?)))
 }
 
-/// What a link is known by, and its newest sample.
+/// Returns the key of a link and the time of its newest sample.
 async fn identify(app: &AppState, wanted: &str) -> Result<(LinkKey, WallTime), WebError> {
     if let Some(link) = find(&app.picture(), wanted) {
         let subject = Subject::live(link);

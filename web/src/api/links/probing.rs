@@ -1,4 +1,4 @@
-//! How a link is probed, and the reflector that is named for it.
+//! Schema of a link's probing, and of the reflector that is configured for it.
 
 use peernet_stream as stream;
 use serde::Serialize;
@@ -6,15 +6,15 @@ use utoipa::ToSchema;
 
 use super::clock::{ClockOffset, Probes, RoundTrip};
 
-/// How a link is probed.
+/// Probing of a link.
 #[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
 pub(crate) struct Probing {
     /// `on`, `unanswered` or `off`.
     pub state: &'static str,
-    /// Where to: `udp://host:port`; null when off.
+    /// Destination of the probes: `udp://host:port`; null when off.
     pub address: Option<String>,
     pub rate_hz: Option<f64>,
-    /// Where the stamps are made, in words.
+    /// Place where the stamps are made, in words.
     pub stamps: Option<String>,
     /// Why there are no probes, or what is known of why none is answered.
     pub reason: Option<String>,
@@ -49,7 +49,7 @@ pub(crate) struct Reflector {
     pub probing: Probing,
     /// Since the link was opened.
     pub probes: Probes,
-    /// Of the newest hundred answers; null before the first.
+    /// Round-trip times of the newest hundred answers; null before the first.
     pub round_trip: Option<RoundTrip>,
     /// The reflector's wall clock minus the edge's; null while nothing is known.
     pub offset: Option<ClockOffset>,

@@ -50,8 +50,8 @@ pub(crate) struct LinkNow {
     pub pipelines: Vec<String>,
     /// Whether it is proven at this moment that the processes of both hosts read one clock: then the offset is exactly zero.
     pub same_clock: bool,
-    /// That of the offset, or `unsynchronised` without one; `limited` where that is well and delays of the last ten
-    /// seconds are too short for its bound.
+    /// Verdict of the offset, or `unsynchronised` without one; `limited` where the offset is good and delays of the last ten seconds are
+    /// too short for its bound.
     pub verdict: Option<&'static str>,
     pub probing: Probing,
     pub edge_clock: Option<HostClock>,
@@ -68,7 +68,7 @@ pub(crate) struct LinkNow {
     pub second: LinkPoint,
 }
 
-/// What became of all exchanges so far.
+/// Counts of all exchanges so far.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, ToSchema)]
 pub(crate) struct Exchanges {
     pub taken: u64,
@@ -89,7 +89,7 @@ impl From<ExchangeCounts> for Exchanges {
     }
 }
 
-/// What was known at one time, and what the network did meanwhile.
+/// Clock relation at one time, and network statistics of the time around it.
 #[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
 pub(crate) struct LinkPoint {
     /// The end of the second or bucket, on the edge's wall clock.

@@ -74,7 +74,7 @@ struct Events;
 const PAUSE: Duration = Duration::from_millis(250);
 /// Most bytes that one listener is sent in a second, on average: large pictures come less often.
 const RATE: usize = 512 << 10;
-/// At most so many different topics on one stream: a page needs one.
+/// Largest number of different topics on one stream. A page needs one.
 const TOPICS: usize = 16;
 /// Seconds of each pipeline that are sent at most to one who was away.
 const HISTORY: usize = 600;
@@ -83,7 +83,7 @@ const CATCH_UP: usize = 10_000;
 /// Time between two signs of life while nothing changes.
 const HEARTBEAT: Duration = Duration::from_secs(2);
 
-/// What to listen to.
+/// Query parameters of the live stream.
 #[derive(Clone, Debug, Default, Deserialize, IntoParams)]
 #[serde(deny_unknown_fields, default)]
 #[into_params(parameter_in = Query)]
@@ -96,7 +96,7 @@ struct Query {
     last_event_id: Option<String>,
 }
 
-/// What a listener is sent.
+/// Subject of the events that a listener receives.
 #[derive(Clone, Debug, PartialEq)]
 enum Topic {
     Picture,
@@ -118,9 +118,9 @@ impl Topic {
     }
 }
 
-/// Live figures as server-sent events: `status` always, `picture` and `page` by topic. At most four of each a
-/// second, fewer where they make more than 512 KiB a second; a listener that cannot follow gets the newest and misses those between.
-/// Of one address at most 32 streams are open, in all a quarter of the server's connections; further ones are answered with 503.
+/// Live figures as server-sent events: `status` always, `picture` and `page` by topic. At most four of each are sent a second, fewer
+/// where they make more than 512 KiB a second. A listener that is too slow receives the newest events and misses those between. At most
+/// 32 streams of one address are open, and in all a quarter of the server's connections; further ones are answered with 503.
 #[utoipa::path(get, path = "/api/v1/live", operation_id = "streamLive", tag = "pipelines", params(Query), responses(
     (status = 200, description = "`event: status` (StatusEvent), `event: picture` (PictureEvent), `event: page`, `event: heartbeat`", body = String, content_type = "text/event-stream"),
     (status = "default", body = ProblemDetails, content_type = "application/problem+json"),
@@ -153,7 +153,7 @@ fn event_time(id: &str) -> Result<WallTime, WebError> {
     })
 }
 
-/// How many seconds of each pipeline a listener needs who has them until then.
+/// Returns how many seconds of each pipeline are new to a listener that has them up to `after`.
 fn seconds_since(after: WallTime, picture: &LiveState) -> usize {
     let missed = (picture.at - after).seconds().ceil();
     // An id from the future is of another clock: all there is.
@@ -188,7 +188,7 @@ struct Listener {
     next: Instant,
     /// Until when the listener has heard everything, before the first event.
     after: Option<WallTime>,
-    /// What was sent last of each part of each topic's page.
+    /// Version last sent, by index of the topic and part of its page.
     sent: HashMap<(usize, &'static str), u64>,
     /// Held for as long as the stream is open.
     _place: Option<Place>,
@@ -223,7 +223,7 @@ fn events(
     batches.flatten().take_until(stop.cancelled_owned())
 }
 
-/// Time from events of so many bytes to the next.
+/// Returns the time to wait after events of `bytes` bytes.
 fn pause(bytes: usize) -> Duration {
     PAUSE.max(Duration::from_secs_f64(bytes as f64 / RATE as f64))
 }
@@ -235,7 +235,7 @@ fn hash(text: &str) -> u64 {
 }
 
 impl Listener {
-    /// What to send of a picture, and how many bytes that is.
+    /// Returns the events to send of a picture, and their size in bytes.
     async fn events(&mut self, picture: &LiveState) -> (Vec<Event>, usize) {
         let seconds = self.after.take().map_or(PipelineList::SECONDS, |after| seconds_since(after, picture));
         let readiness = self.ready.borrow_and_update().clone();

@@ -13,11 +13,11 @@ use crate::view::storing;
 pub(crate) struct PictureEvent {
     #[serde(flatten)]
     pub pipelines: PipelineList,
-    /// How each host fares.
+    /// Current state of each host.
     pub hosts: Vec<HostNow>,
 }
 
-/// How a host fares.
+/// Current state of a host.
 #[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
 pub(crate) struct HostNow {
     pub name: String,
@@ -29,7 +29,7 @@ pub(crate) struct HostNow {
 }
 
 impl PictureEvent {
-    /// With so many of each pipeline's last seconds.
+    /// Converts a picture, with the last `seconds` seconds of each pipeline.
     pub(crate) fn new(picture: &LiveState, seconds: usize) -> Self {
         let hosts = picture.hosts.iter().map(|host| HostNow {
             name: host.description.name.to_string(),
@@ -53,7 +53,7 @@ pub(crate) struct StatusEvent {
     pub hosts: usize,
     /// Seconds since the quietest of the connected hosts was heard of.
     pub behind_s: Option<f64>,
-    /// What is said of clocks that are made wrong on purpose, a sentence per host.
+    /// Clock faults injected on purpose, a sentence per host.
     pub rehearsals: Vec<String>,
     /// Why events are not being stored, in a sentence; null while they are.
     pub not_storing: Option<String>,

@@ -25,7 +25,7 @@ const WINDOWS: [&str; 3] = ["1", "10", "60"];
 /// Seconds of one pipeline where no window is chosen.
 const HISTORY: usize = 600;
 
-/// What of a pipeline is wanted; all of it where nothing is said.
+/// Parts of a pipeline to return; all of them unless given.
 #[derive(Clone, Debug, Default, Deserialize, IntoParams)]
 #[serde(deny_unknown_fields, default)]
 #[into_params(parameter_in = Query)]
@@ -33,7 +33,7 @@ struct Query {
     /// Only this window: 1, 10 or 60 seconds; of `seconds` then at most as many.
     #[param(pattern = "^(1|10|60)$")]
     window: Option<String>,
-    /// Only nodes of these names, parted by commas, at most 20: `total,upload`. A name that nobody measured has no values.
+    /// Names of nodes, separated by commas, at most 20: `total,upload`. A name that was never measured has no values.
     #[param(pattern = "^,*[^,]+(,+[^,]+){0,19},*$")]
     stage: Option<String>,
 }
@@ -56,7 +56,7 @@ impl Part {
         Ok(Self { window, names: query.stage.as_deref().map(|text| names("stage", text)).transpose()? })
     }
 
-    /// The pipeline with at most so many seconds, and what is wanted of it.
+    /// Returns the selected parts of the pipeline, with at most `seconds` seconds.
     fn take(&self, picture: &PipelineSnapshot, seconds: usize) -> Pipeline {
         let seconds = self.window.map_or(seconds, |window| seconds.min(window as usize));
         let mut taken = Pipeline::new(picture, seconds);

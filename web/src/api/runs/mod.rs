@@ -37,7 +37,7 @@ struct Query {
     pipeline: Option<String>,
     /// Only runs of the edge host of this name or id.
     host: Option<String>,
-    /// At most so many, 1 to 1,000; 50 unless given.
+    /// Largest number of runs returned, 1 to 1,000; 50 unless given.
     #[param(value_type = Option<u32>, minimum = 1, maximum = 1_000, default = 50)]
     limit: Option<String>,
     /// Only runs before this number: `next` of the page before.

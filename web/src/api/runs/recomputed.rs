@@ -46,9 +46,9 @@ pub(crate) struct RecomputedStage {
 /// Delays and how well they are known.
 #[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
 pub(crate) struct Judgement {
-    /// Of the delays that have a value, seconds.
+    /// Delays that have a value, seconds.
     pub delay: Option<Figures>,
-    /// Of half the width of their bounds, seconds.
+    /// Half widths of their bounds, seconds.
     pub half_width: Option<Figures>,
     pub verdicts: Vec<VerdictCount>,
 }
@@ -78,8 +78,8 @@ impl From<&store::Recomputed> for Recomputed {
     }
 }
 
-/// The one-way delays of a run as they were judged while it ran, and again with the exchanges that came after them.
-/// What was stamped is never touched.
+/// One-way delays of a run as judged while it ran, and judged again with the exchanges that came after them. The stamps stay as they were
+/// measured.
 #[utoipa::path(get, path = "/api/v1/runs/{run}/recomputed", operation_id = "getRunRecomputed", tag = "runs", params(("run" = i64, Path)), responses(
     (status = 200, body = Recomputed),
     (status = "default", body = ProblemDetails, content_type = "application/problem+json"),

@@ -1,4 +1,4 @@
-//! What is said of stored runs.
+//! Schema of stored runs.
 
 use peernet_analysis::deadline::Misses;
 use peernet_store::{self as store, Figures};
@@ -28,7 +28,7 @@ pub(crate) struct Run {
     pub placement: Placement,
     /// On the edge's wall clock.
     pub started: String,
-    /// Null while it goes on, and where no end was reported because the agent was killed or is away.
+    /// Time of the end; null while the run has not ended, and where no end was reported because the agent was killed or is away.
     pub ended: Option<String>,
     /// `finished`, `stopped`, or what went wrong.
     pub reason: Option<String>,
@@ -40,12 +40,12 @@ pub(crate) struct Run {
     /// Starts of an open loop that were skipped because the pipeline was too far behind, whatever became of the iterations
     /// after them; warm-up left out.
     pub skipped_starts: u64,
-    /// How long an iteration may take, seconds; null without a deadline.
+    /// Deadline of an iteration, seconds; null without a deadline.
     pub deadline_s: Option<f64>,
     /// The miss rate: share of iterations that took longer than the deadline or have no answer, 0 to 1, warm-up left out; null
     /// without a deadline, and before the first iteration.
     pub miss_rate: Option<f64>,
-    /// Of `total`, seconds; successful iterations only.
+    /// Statistics of `total`, seconds; successful iterations only.
     pub total: Option<Figures>,
     /// Whether the clock of one of its hosts was made wrong on purpose.
     pub rehearsed: bool,
@@ -64,7 +64,7 @@ pub(crate) struct ExperimentPlace {
     pub name: String,
     /// The same for all runs of one execution.
     pub id: String,
-    /// What distinguishes this configuration from the others.
+    /// Facts that distinguish this configuration from the others.
     pub configuration: Vec<Fact>,
     /// From 0.
     pub repeat: u32,
@@ -115,7 +115,7 @@ pub(crate) struct RunDetail {
     pub configuration: String,
     /// Version of the agent.
     pub version: String,
-    /// What was found of the hosts before it began; empty when nobody looked.
+    /// Conditions of the hosts before the run began; empty when they were not checked.
     pub conditions: Vec<Condition>,
     pub gaps: Vec<Gap>,
 }

@@ -54,7 +54,7 @@ struct SeriesQuery {
     /// Node names, parted by commas; `total` unless given, at most 20.
     #[param(pattern = "^,*[^,]+(,+[^,]+){0,19},*$")]
     stages: Option<String>,
-    /// At most so many buckets, 1 to 2,000; 300 unless given.
+    /// Largest number of buckets, 1 to 2,000; 300 unless given.
     #[param(value_type = Option<u32>, minimum = 1, maximum = 2_000, default = 300)]
     points: Option<String>,
 }
@@ -83,7 +83,7 @@ async fn series(
 struct HistogramQuery {
     /// A node name; `total` unless given.
     stage: Option<String>,
-    /// At most so many bins, 1 to 500; 50 unless given.
+    /// Largest number of bins, 1 to 500; 50 unless given.
     #[param(value_type = Option<u32>, minimum = 1, maximum = 500, default = 50)]
     bins: Option<String>,
 }
@@ -113,7 +113,7 @@ async fn histogram(
 #[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
 pub(crate) struct StageList {
     pub stages: Vec<Stage>,
-    /// How well the one-way delays are known, also where none has a value.
+    /// Accuracy of the one-way delays, also where none has a value.
     pub bounds: Vec<Bound>,
     pub speed_while_sending: SpeedWhileSending,
 }
@@ -145,7 +145,7 @@ pub(crate) struct Stage {
     pub is_stage: bool,
     #[serde(flatten)]
     pub figures: Figures,
-    /// Of `total`, 0 to 1, for durations.
+    /// Share of `total`, 0 to 1; for durations only.
     pub share: Option<f64>,
     pub bound: Option<Bound>,
 }

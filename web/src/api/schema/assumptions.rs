@@ -1,22 +1,22 @@
-//! What the bounds of one-way delays rest on.
+//! Assumptions behind the bounds of one-way delays.
 
 use peernet_store::DelayAssumptions;
 use serde::Serialize;
 use utoipa::ToSchema;
 
-/// What the bounds of one-way delays rest on, beside the exchanges between the two hosts.
+/// Assumptions behind the bounds of one-way delays, beside the exchanges between the two hosts.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, ToSchema)]
 pub(crate) struct Assumptions {
     /// The clocks of edge and cloud that were related: `raw` (the free-running clocks of both), `raw-to-wall` (that of the edge and the
     /// wall clock of the cloud) or `wall` (the wall clocks of both, recorded before release 0.3.0).
     pub clocks: &'static str,
-    /// The fastest that these clocks may drift apart, ρ; parts per million. Null where it was not told.
+    /// Largest rate at which these clocks may drift apart, ρ; parts per million. Null where it was not reported.
     pub max_drift_ppm: Option<f64>,
-    /// How fast that rate may change, κ; parts per million per second. Null where nothing was assumed of it.
+    /// Largest change of that rate, κ; parts per million per second. Null where nothing was assumed of it.
     pub max_drift_change_ppm_per_s: Option<f64>,
-    /// Whether claims of time daemons might narrow the bounds; null where it was not told (releases before 0.3.0).
+    /// `true` if claims of time daemons may narrow the bounds; null where it was not reported (releases before 0.3.0).
     pub claims_trusted: Option<bool>,
-    /// Whether the probes were authenticated; null where there were none or it was not told.
+    /// `true` if the probes were authenticated; null where there were none or it was not reported.
     pub probes_authenticated: Option<bool>,
 }
 

@@ -1,4 +1,4 @@
-//! What is known of hosts' wall clocks.
+//! Schema of hosts' wall clocks.
 
 use peernet_clock::{ClockFaults, Discipline, Interval};
 use peernet_stream as stream;
@@ -23,16 +23,16 @@ impl From<Interval> for Bounds {
 /// One host's wall clock, by its own account.
 #[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
 pub(crate) struct HostClock {
-    /// What its time daemon, or the kernel, claims; null when it is not synchronised or nobody says.
+    /// Claim of its time daemon, or of the kernel; null when it is not synchronised or nothing is reported.
     pub discipline: Option<Claim>,
     /// In words: `chrony, stratum 2, to 10.0.0.1`, `not synchronised`.
     pub text: String,
-    /// How often the clock was found stepped, run off or asleep, since the agent started.
+    /// Number of times that the clock was found stepped, drifting too fast or suspended since the agent started.
     pub epoch: u32,
-    /// How it is made wrong on purpose; null when it is not.
+    /// Clock fault injected on purpose; null without one.
     pub rehearsal: Option<Rehearsal>,
-    /// What the kernel reads the time from, such as `tsc`; null where it does not tell. By any other than `tsc` and `arch_sys_counter`
-    /// the clock is supplied by the hypervisor.
+    /// Clock source of the kernel, such as `tsc`; null where it is not reported. With any other than `tsc` and `arch_sys_counter` the
+    /// hypervisor supplies the clock.
     pub clocksource: Option<String>,
 }
 
@@ -44,22 +44,22 @@ pub(crate) struct Claim {
     pub error: Bounds,
 }
 
-/// How a clock is made wrong on purpose.
+/// Clock fault injected on purpose.
 #[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
 pub(crate) struct Rehearsal {
     /// Ahead from the start.
     pub offset_s: f64,
-    /// Runs fast by so many parts per million.
+    /// Drift, parts per million; positive if the clock runs fast.
     pub drift_ppm: f64,
     pub steps: Vec<RehearsalStep>,
-    /// What the true clock showed at the start.
+    /// Reading of the true clock at the start.
     pub since: String,
 }
 
 /// A step of a clock that is made wrong on purpose.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, ToSchema)]
 pub(crate) struct RehearsalStep {
-    /// So long after the start.
+    /// Time since the start, seconds.
     pub at_s: f64,
     /// By so much.
     pub by_s: f64,

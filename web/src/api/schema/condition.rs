@@ -1,4 +1,4 @@
-//! What was found of the hosts of a run.
+//! Conditions of the hosts of a run.
 
 use peernet_stream as stream;
 use serde::Serialize;
@@ -9,13 +9,13 @@ use utoipa::ToSchema;
 pub(crate) struct Condition {
     /// Name of the host.
     pub host: String,
-    /// What was looked at: `CPU governor`, `competing load`.
+    /// Subject of the check: `CPU governor`, `competing load`.
     pub about: String,
     /// In words, with unit.
     pub found: String,
     /// `good`, `unknown`, `doubtful` or `bad`.
     pub grade: &'static str,
-    /// What to do about it; may be empty.
+    /// Advice on what to do; may be empty.
     pub advice: String,
 }
 

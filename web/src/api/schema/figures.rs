@@ -22,7 +22,7 @@ impl NodeFigures {
     }
 }
 
-/// How well the one-way delays of one direction are known.
+/// Accuracy of the one-way delays of one direction.
 #[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
 pub(crate) struct Bound {
     /// `upload` or `download`.
@@ -32,7 +32,7 @@ pub(crate) struct Bound {
     pub verdicts: Vec<VerdictCount>,
 }
 
-/// How often a verdict was given.
+/// Number of times that a verdict was given.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, ToSchema)]
 pub(crate) struct VerdictCount {
     /// `ok`, `limited`, `stale`, `unsynchronised`, `stepped` or `inconsistent`.
@@ -72,7 +72,7 @@ impl From<stream::OutcomeCounts> for Counts {
     }
 }
 
-/// Where a pipeline computes.
+/// Hosts on which a pipeline computes.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, ToSchema)]
 pub(crate) struct Placement {
     /// `local`, `remote`, or `none` for a sensor alone.

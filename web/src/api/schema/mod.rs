@@ -1,5 +1,4 @@
-//! What several resources say the same way: the aggregator's answers in a form that stays the same when the inside
-//! changes.
+//! Schema that several resources share. It is separate from the aggregator's own types, so that answers stay the same when those change.
 //!
 //! Values are in SI base units (seconds, bytes, bits per second, watts, °C), names with hyphens, times in RFC
 //! 3339 with nanoseconds, in UTC.

@@ -75,7 +75,7 @@ impl TotalOverTime {
     }
 }
 
-/// What happened within the last seconds of the edge's wall clock.
+/// Statistics of the last seconds of the edge's wall clock.
 #[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
 pub(crate) struct Window {
     /// Complete seconds: 1, 10 or 60.
@@ -90,14 +90,14 @@ pub(crate) struct Window {
     /// The miss rate: share of iterations that took longer than the pipeline's deadline or have no answer, 0 to 1; null without a
     /// deadline, and when there were none.
     pub miss_rate: Option<f64>,
-    /// Of single iterations: for the speed over the window take `transfers`, not the mean of `upload-throughput`, which is
-    /// a mean of ratios.
+    /// Statistics of single iterations. For the speed over the window take `transfers`, not the mean of `upload-throughput`, which is a
+    /// mean of ratios.
     pub values: Vec<NodeFigures>,
     pub transfers: TransferRates,
     pub bounds: Vec<Bound>,
 }
 
-/// How fast messages went, and how much they carried.
+/// Throughput and sizes of messages.
 #[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
 pub(crate) struct TransferRates {
     /// From the edge to the cloud; null when nothing was sent.
@@ -125,7 +125,7 @@ impl TransferRates {
     }
 }
 
-/// What was sent within a second, in sums that can be added up.
+/// Messages sent within a second, as sums that can be added up.
 #[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
 pub(crate) struct Transfers {
     /// From the edge to the cloud; null when nothing was sent.
@@ -165,7 +165,7 @@ pub(crate) struct Second {
     /// Means by node name, of single iterations: for a speed take `transfers`.
     pub means: BTreeMap<String, f64>,
     /// 95th percentile of `total` within the second, seconds; null below 60 successful iterations. For a line over time take
-    /// `total_over_time`: a mean of percentiles is none.
+    /// `total_over_time`: percentiles cannot be averaged.
     pub total_p95: Option<f64>,
     pub transfers: Transfers,
 }
