@@ -48,24 +48,24 @@ const LISTED: usize = 8;
 struct Compare {
     shell: Shell,
     title: String,
-    /// What is compared.
+    /// Subject of the comparison.
     crumb: String,
     facts: Vec<String>,
     cut: Option<u32>,
     left_out: Vec<LeftOut>,
     table: Table,
-    /// What speaks against the means.
+    /// Caveats about the means.
     doubts: Option<(Chip, String)>,
-    /// What the table does not show of how they differ.
+    /// Names of further differences, which the table does not show.
     also: String,
-    /// Of samples without a score.
+    /// Remarks on samples without a score.
     unknown: Vec<String>,
     stacks: Vec<StackRow>,
     axes: Axes,
     /// The total of each configuration.
     boxes: Vec<BoxRow>,
     boxes_axes: Axes,
-    /// Of each run.
+    /// Distributions of each run.
     distributions: Option<Distributions>,
     /// Each run over time.
     over_time: Option<OverTime>,
@@ -77,15 +77,15 @@ struct Compare {
     names: Vec<String>,
     payload: Option<(Scatter, Vec<String>)>,
     throughput: Option<Throughput>,
-    /// How long answers of different length take.
+    /// Latency by length of the answer.
     lengths: Option<Lengths>,
     users: Option<(Scatter, Vec<UsersRow>)>,
     accuracy: Option<Scatter>,
-    /// What asks of every iteration.
+    /// Commands that compare the runs by all their iterations.
     commands: Option<String>,
 }
 
-/// What the configurations are compared with, and how they differ from it.
+/// The configuration that others are compared with, and their differences from it.
 struct Baseline {
     name: String,
     /// Each configuration with the number of its first run, by which it is chosen, and whether it is the baseline.
@@ -221,7 +221,7 @@ impl Baseline {
     }
 }
 
-/// What all runs share: their pipeline, where it is one.
+/// Returns what all runs have in common: their pipeline, if it is one.
 fn common(comparison: &Comparison) -> Vec<String> {
     let mut pipelines: Vec<String> = comparison.runs().map(|run| run.pipeline.to_string()).collect();
     pipelines.dedup();

@@ -84,7 +84,7 @@ async fn show(State(app): State<App>, name: Result<Path<String>, PathRejection>)
     page(&past_page(&app, &picture, &row))
 }
 
-/// What of the page changed.
+/// Renders the changed parts of the page.
 pub(super) fn update(app: &AppState, picture: &LiveState, name: &str) -> Result<Update, WebError> {
     let host =
         live(picture, name).ok_or_else(|| WebError::NotFound(format!("no host {name} reports here")))?;
@@ -129,7 +129,7 @@ fn agent(description: &HostDescription) -> Pairs {
     ]
 }
 
-/// How often the clock was found stepped, in words.
+/// Returns the number of clock steps found, in words.
 fn steps(clock: &HostClock) -> String {
     match clock.epoch {
         0 => "none since the agent started".to_owned(),

@@ -57,7 +57,7 @@ async fn show(State(app): State<App>) -> Page {
     page(&hosts(&app, &app.picture(), &stored))
 }
 
-/// What of the page changed.
+/// Renders the changed parts of the page.
 pub(super) fn update(app: &AppState, picture: &LiveState) -> Result<Update, WebError> {
     let page = hosts(app, picture, &[]);
     let parts = vec![

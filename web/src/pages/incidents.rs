@@ -39,7 +39,7 @@ const KINDS: [&str; 10] = [
 /// Incidents per page.
 const ROWS: u32 = 100;
 
-/// What the address may ask for.
+/// Query parameters.
 #[derive(Clone, Debug, Default, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub(crate) struct Query {
@@ -60,7 +60,7 @@ struct Incidents {
     /// Whether any of them belongs to a run.
     runs: bool,
     older: Option<i64>,
-    /// What may be chosen, and whether it is.
+    /// Kinds that can be selected; `true` for the selected one.
     kinds: Vec<(&'static str, bool)>,
     hosts: Vec<(String, bool)>,
     filter: IncidentFilter,

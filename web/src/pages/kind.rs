@@ -1,4 +1,4 @@
-//! What a page registers: its routes, its entry in the navigation, its topic of the live stream.
+//! Registration of a page: its routes, its entry in the navigation, its topic of the live stream.
 
 use std::fmt;
 
@@ -16,7 +16,7 @@ pub(crate) struct PageKind {
     pub routes: fn() -> Router<App>,
     /// Its entry in the navigation; `None` for a page that belongs to the entry of another.
     pub entry: Option<NavigationEntry>,
-    /// What changes it while it is shown; `None` for a page that stays as it was when it was asked for.
+    /// Topic that updates the page while it is shown; `None` for a page that is not updated.
     pub topic: Option<LiveTopic>,
 }
 
@@ -31,7 +31,7 @@ pub(crate) struct NavigationEntry {
 
 /// The updates of a page on the live stream.
 pub(crate) struct LiveTopic {
-    /// How the topic is written: `hosts`, or `host/HOST` where what follows the first slash says which page it is.
+    /// Form of the topic: `hosts`, or `host/HOST` where the text after the first slash identifies the page.
     pub form: &'static str,
     /// Renders what changes, from a picture and what follows the first slash.
     pub update: for<'a> fn(&'a AppState, &'a LiveState, &'a str) -> UpdateFuture<'a>,
@@ -43,7 +43,7 @@ pub(crate) type UpdateFuture<'a> = BoxFuture<'a, Result<Update, WebError>>;
 #[derive(Clone)]
 pub(crate) struct PageTopic {
     topic: &'static LiveTopic,
-    /// What follows the first slash.
+    /// Text after the first slash.
     rest: String,
 }
 
@@ -58,7 +58,7 @@ impl PageTopic {
         topics.find(is_meant).map(|topic| Self { topic, rest: rest.unwrap_or_default().to_owned() })
     }
 
-    /// What of the page changed.
+    /// Renders the changed parts of the page.
     pub(crate) async fn update(&self, app: &AppState, picture: &LiveState) -> Result<Update, WebError> {
         (self.topic.update)(app, picture, &self.rest).await
     }

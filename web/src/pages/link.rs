@@ -50,7 +50,7 @@ const POINTS: u32 = 360;
 const INCIDENTS: u32 = 1_000;
 const LISTED: usize = 8;
 
-/// What the address may ask for.
+/// Query parameters.
 #[derive(Clone, Copy, Debug, Default, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub(crate) struct Query {
@@ -60,7 +60,7 @@ pub(crate) struct Query {
     offset: OffsetView,
 }
 
-/// How far back the picture reaches.
+/// Time range of the picture.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
 enum Range {
     #[default]
@@ -178,7 +178,7 @@ async fn stored(app: &AppState, subject: &Subject<'_>, range: Range) -> Result<C
     Ok(Course::stored(series, from, to))
 }
 
-/// What of the page changed.
+/// Renders the changed parts of the page.
 pub(super) async fn update(app: &AppState, picture: &LiveState, rest: &str) -> Result<Update, WebError> {
     let mut parts = rest.splitn(3, '/');
     let (Some(wanted), Some(range), Some(view)) = (parts.next(), parts.next(), parts.next()) else {

@@ -45,7 +45,7 @@ async fn show(State(app): State<App>) -> Page {
     page(&links(&app, &app.picture(), &stored))
 }
 
-/// What of the page changed.
+/// Renders the changed parts of the page.
 pub(super) fn update(app: &AppState, picture: &LiveState) -> Result<Update, WebError> {
     let page = links(app, picture, &[]);
     let parts = vec![("title", page.as_title().render()?), ("list", page.as_list().render()?)];

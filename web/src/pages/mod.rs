@@ -68,7 +68,7 @@ fn live_topics() -> impl Iterator<Item = &'static LiveTopic> {
     PAGES.iter().filter_map(|page| page.topic.as_ref())
 }
 
-/// How the topics of live pages are written.
+/// Returns the forms of the topics of live pages.
 pub(crate) fn topic_forms() -> impl Iterator<Item = &'static str> {
     live_topics().map(|topic| topic.form)
 }
@@ -87,7 +87,7 @@ fn path<T>(path: Result<Path<T>, PathRejection>) -> Result<T, WebError> {
     path.map(|Path(value)| value).map_err(|rejection| WebError::NotFound(rejection.body_text()))
 }
 
-/// What of a live page changed.
+/// Changed parts of a live page.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub(crate) struct Update {
     /// Changes when the page must be fetched again, because its parts are others.

@@ -58,7 +58,7 @@ pub(super) struct Empty {
     since: Moment,
     refused: Vec<RefusedLine>,
     title: &'static str,
-    /// Said of hosts that are known from before; the way to a first host then helps nobody.
+    /// Sentence about hosts that connected before. It replaces the instructions for a first host.
     known: Option<String>,
 }
 
@@ -72,7 +72,7 @@ async fn show(State(app): State<App>) -> Page {
     page(&overview(&app, &picture, incidents)?)
 }
 
-/// What of the page changed.
+/// Renders the changed parts of the page.
 pub(super) async fn update(app: &AppState, picture: &LiveState) -> Result<Update, WebError> {
     if picture.hosts.is_empty() && picture.pipelines.is_empty() {
         let page = empty(app, picture);

@@ -51,7 +51,7 @@ const TOPIC: &str = "pipeline";
 /// Runs listed on the page.
 const RUNS: u32 = 20;
 
-/// What the address may ask for.
+/// Query parameters.
 #[derive(Clone, Copy, Debug, Default, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub(crate) struct Query {
@@ -91,7 +91,7 @@ struct Stat {
     name: &'static str,
     number: String,
     unit: &'static str,
-    /// Why there is none.
+    /// Reason why there is no figure; empty if there is one.
     title: String,
 }
 
@@ -110,7 +110,7 @@ async fn show(
     page(&pipeline_page(&app, &picture, pipeline, query.window.unwrap_or(10), &runs, &marks)?)
 }
 
-/// What of the page changed.
+/// Renders the changed parts of the page.
 pub(super) fn update(app: &AppState, picture: &LiveState, rest: &str) -> Result<Update, WebError> {
     let mut parts = rest.splitn(3, '/');
     let (Some(host), Some(name), Some(seconds)) = (parts.next(), parts.next(), parts.next()) else {

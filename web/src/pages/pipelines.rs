@@ -46,7 +46,7 @@ struct Line {
     route: String,
     model: String,
     load: String,
-    /// What it does, with the reason where it does not run.
+    /// State of the pipeline, with the reason where it does not run.
     state: String,
     run: Option<i64>,
 }
@@ -65,7 +65,7 @@ async fn show(State(app): State<App>) -> Page {
     page(&pipelines(&app, &app.picture()))
 }
 
-/// What of the page changed.
+/// Renders the changed parts of the page.
 pub(super) fn update(app: &AppState, picture: &LiveState) -> Result<Update, WebError> {
     let page = pipelines(app, picture);
     let parts = vec![("title", page.as_title().render()?), ("list", page.as_list().render()?)];

@@ -49,11 +49,11 @@ const UNANSWERED: u32 = 8;
 const NO_LENGTH: &str =
     "how long it ran is not known: it has no end yet, its clock was set, or it stood still";
 
-/// What the address may ask for.
+/// Query parameters.
 #[derive(Clone, Debug, Default, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub(crate) struct Query {
-    /// Whose distribution is shown; `total` unless given.
+    /// Stage whose distribution is shown; `total` unless given.
     stage: Option<String>,
     /// `histogram` or `cumulative`.
     view: DistributionView,
@@ -99,7 +99,7 @@ struct Run {
     buckets: Vec<Bucket>,
     /// Episodes, and what had no answer.
     parted: Vec<String>,
-    /// What is marked in the picture over time.
+    /// Marks in the picture over time.
     marked: Marked,
     /// Whether any bucket has enough samples for a 95th percentile.
     has_p95: bool,
@@ -115,7 +115,7 @@ struct Run {
     data: JsonBlock,
 }
 
-/// What stands in the picture over time beside its lines.
+/// Kinds of marks in the picture over time.
 struct Marked {
     borders: bool,
     warm_up: bool,
@@ -202,7 +202,7 @@ fn missed(run: &RunSummary) -> Option<(String, String)> {
     Some((rate, words))
 }
 
-/// How many starts were skipped and what share of all that came due.
+/// Returns the number of skipped starts, and their share of all starts that came due.
 fn skipped(starts: &Starts) -> Option<(String, String)> {
     let share = percent(starts.skipped_share());
     (starts.skipped > 0).then(|| (count(starts.skipped), format!("{share}{SPACE}% of those that came due")))
@@ -307,7 +307,7 @@ fn assemble(
     })
 }
 
-/// How often the model was right, where samples had labels.
+/// Returns the accuracy of the model, where samples had labels.
 fn accuracies(stages: &[StageStatistics]) -> Vec<(&'static str, String, Option<String>)> {
     let known = look::ACCURACIES.into_iter().filter_map(|(name, shown)| {
         let figures = stages.iter().find(|stage| stage.stage == *name)?.figures;

@@ -25,7 +25,7 @@ pub(super) const PAGE: PageKind = PageKind {
 /// Runs per page.
 const ROWS: u32 = 50;
 
-/// What the address may ask for.
+/// Query parameters.
 #[derive(Clone, Debug, Default, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub(crate) struct Query {

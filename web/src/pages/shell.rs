@@ -1,4 +1,4 @@
-//! What surrounds every page.
+//! Frame around every page.
 
 use peernet_aggregator::LiveState;
 
@@ -27,7 +27,7 @@ pub(crate) struct Shell {
     pub topic: Option<String>,
     /// Whether any host ever reported.
     pub waiting: bool,
-    /// What is said about clocks that are made wrong on purpose.
+    /// Sentences about injected clock faults, one per host.
     pub rehearsals: Vec<String>,
     /// Said while events are not being stored.
     pub not_storing: Option<String>,

@@ -15,7 +15,7 @@ use super::*;
 use crate::tests::samples::{self, HOSTILE, figures, host, incident, picture, pipeline, placement, refused};
 use crate::view::now::{Cell, NowTable};
 
-/// What holds for every page, whatever it shows.
+/// Checks what holds for every page.
 fn check(html: &str) {
     assert!(!html.contains(" style="), "inline styles are refused by the policy: {html}");
     assert!(!html.contains("<script>alert") && !html.contains("onmouseover=\""), "not escaped: {html}");

@@ -38,7 +38,7 @@ impl Scale {
         value <= self.max
     }
 
-    /// Where a value lies; values beyond either end lie at that end.
+    /// Returns the position of a value; values beyond either end are placed at that end.
     pub(crate) fn at(&self, value: f64) -> Percent {
         Percent((value / self.max * 100.0).clamp(0.0, 100.0))
     }
@@ -87,7 +87,7 @@ struct Label {
     text: Fitted,
 }
 
-/// What a label takes up on both sides of its position, rem.
+/// Returns the width that a label takes up on either side of its position, rem.
 fn sides(text: &str, anchor: &str) -> [f64; 2] {
     match anchor {
         "start" => [0.0, width(text)],

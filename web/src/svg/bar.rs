@@ -19,7 +19,7 @@ pub(crate) struct Part {
     pub name: String,
     /// Its length, seconds.
     pub seconds: f64,
-    /// How far its length may be off either way, seconds: for one-way delays.
+    /// Half width of the bound of its length, seconds; for one-way delays.
     pub bound: Option<f64>,
 }
 
@@ -32,7 +32,7 @@ pub(crate) struct Bar {
     grid: Vec<Percent>,
     segments: Vec<Segment>,
     whiskers: Vec<Whisker>,
-    /// Where a one-way delay ends or begins, within its clock bound: from and to.
+    /// Clock bounds of the ends of one-way delays: from and to.
     bounds: Vec<(Percent, Percent)>,
     /// An error bar about the end of the whole: from and to.
     spread: Option<(Percent, Percent)>,
@@ -54,12 +54,12 @@ struct Segment {
 }
 
 impl Segment {
-    /// The value, and the bar's width from which on it is shown.
+    /// Returns the value and the smallest width of the bar that shows it.
     fn written(&self) -> Option<(&str, u16)> {
         self.value.as_ref()?.shown()
     }
 
-    /// The same of the name, which stands before the value.
+    /// Returns the name, which is drawn before the value, and the smallest width of the bar that shows it.
     fn named(&self) -> Option<(&str, u16)> {
         self.name.as_ref()?.shown()
     }

@@ -43,7 +43,7 @@ impl Five {
         Some(Self { count: summary.count(), mean: summary.moments.mean, middle: [p25?, p50?, p75?], tails })
     }
 
-    /// How far its picture reaches.
+    /// Returns the largest value that the plot draws.
     pub(crate) fn top(&self) -> f64 {
         self.tails.map_or(self.middle[2], |(_, p95)| p95).max(self.mean)
     }

@@ -9,9 +9,9 @@ use super::pen::{self, At, SHEET};
 pub(super) const MANY: usize = 400;
 /// Cells across and upright.
 const CELLS: (u16, u16) = (50, 25);
-/// How many shades of cells there are.
+/// Number of shades of cells.
 const SHADES: u8 = 6;
-/// How dark a single point is, of one.
+/// Opacity of a cell with a single point, 0 to 1.
 const FAINTEST: f64 = 0.18;
 
 /// Points as paths.
@@ -24,7 +24,7 @@ pub(super) struct Cloud {
 }
 
 impl Cloud {
-    /// Of points on the sheet.
+    /// Draws points of the sheet: one dot each if there are few, shaded cells otherwise.
     pub(super) fn of(points: &[At]) -> Self {
         if points.len() < MANY {
             let dots = (!points.is_empty()).then(|| pen::dots(points.iter().copied()));

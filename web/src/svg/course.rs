@@ -1,4 +1,4 @@
-//! One run over time beside others on the same axes.
+//! Plot of one run over time; several runs share their axes.
 
 use askama::Template;
 
@@ -6,18 +6,18 @@ use super::pen::{self, At};
 use super::{Axis, Part, Percent, Scale};
 use crate::look;
 
-/// The vertical axis goes on beyond the largest quantile by this share of it.
+/// Share of the largest quantile by which the vertical axis extends beyond it.
 const MARGIN: f64 = 0.05;
-/// Units of time, each up to so many seconds: seconds in it, and what it is called.
+/// Units of time: longest axis that the unit is used for, seconds; length of the unit, seconds; its name.
 const UNITS: [(f64, f64, &str); 4] = [
     (180.0, 1.0, "seconds"),
     (10_800.0, 60.0, "minutes"),
     (259_200.0, 3_600.0, "hours"),
     (f64::INFINITY, 86_400.0, "days"),
 ];
-/// A course shorter than this share of the axis is said to be short.
+/// Courses shorter than this share of the axis are reported as short.
 const SHORT: f64 = 0.02;
-/// Marks on the rail closer than this share of it are one.
+/// Marks on the rail that are closer than this share of it are merged.
 const TOUCHING: f64 = 0.005;
 
 /// Where a stack stands among others, from below.
@@ -46,10 +46,10 @@ impl CourseBucket {
 /// A run over time; moments are seconds since its first iteration.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct CourseData {
-    /// What it shows, in words.
+    /// Description of the plot in words.
     pub label: String,
     pub length: f64,
-    /// Of one bucket.
+    /// Width of a bucket, seconds.
     pub width: f64,
     /// Oldest first.
     pub buckets: Vec<CourseBucket>,
@@ -113,7 +113,7 @@ impl CourseAxes {
         known.then(|| Self { length: most(|one| one.length), top: if top > 0.0 { top } else { 1e-3 } })
     }
 
-    /// What the axis across counts.
+    /// Returns the unit of the horizontal axis.
     pub(crate) fn unit(&self) -> &'static str {
         self.times().1
     }
@@ -123,7 +123,7 @@ impl CourseAxes {
         UNITS.iter().find(fits).map_or((1.0, "seconds"), |(_, seconds, name)| (*seconds, *name))
     }
 
-    /// How many buckets of a course have a mean beyond the upper end.
+    /// Returns the number of buckets of a course whose mean is beyond the upper end.
     pub(crate) fn beyond(&self, course: &CourseData) -> usize {
         course.buckets.iter().filter(|bucket| bucket.mean() > self.top).count()
     }

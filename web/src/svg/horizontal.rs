@@ -9,7 +9,7 @@ const DECADE: f64 = 10.0;
 /// Decades from which on only powers of ten have a tick.
 const MANY: f64 = 2.5;
 
-/// Where values lie across.
+/// Horizontal axis.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) enum Horizontal {
     /// From zero.
@@ -32,7 +32,7 @@ impl Horizontal {
         Self::Linear(Scale::fit(most * 1.02, 6))
     }
 
-    /// Reaches from one value to another, with about so many ticks where it is linear.
+    /// Returns an axis from one value to another, with about `ticks` ticks where it is linear.
     pub(crate) fn around(lo: f64, hi: f64, ticks: usize) -> Self {
         if lo > 0.0 && hi > lo * DECADE && hi.is_finite() {
             return Self::Logarithmic(lo, hi);
@@ -54,7 +54,7 @@ impl Horizontal {
         matches!(self, Self::Logarithmic(..))
     }
 
-    /// Where a value lies.
+    /// Returns the position of a value.
     pub(crate) fn at(&self, value: f64) -> Percent {
         match self {
             Self::Linear(scale) => scale.at(value),

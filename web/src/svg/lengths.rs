@@ -11,15 +11,15 @@ use super::{Axis, Horizontal, Percent, pen};
 const BINS: u32 = 40;
 /// Above this quantile an axis only counts, so that one straggler does not squeeze all others into a corner.
 const ENDS_AT: f64 = 0.99;
-/// The axis goes on beyond that quantile by this share of its length; what lies within so much more than its length is
-/// no straggler.
+/// Share of its length by which the axis extends beyond that quantile. A largest value that is at most [`WORTH`] times this length is not
+/// a straggler.
 const MARGIN: f64 = 0.1;
 const WORTH: f64 = 1.5;
 /// Room on both sides of values that lie far from zero, of their range.
 const ROOM: f64 = 0.05;
 /// Ends within this share of each other are one end.
 const ROUNDING: f64 = 1e-9;
-/// What is this share of the largest value has a place at zero: no logarithm of it is worth an axis.
+/// Smallest value, as a share of the largest, that is not taken as zero. Without this limit such a value would make the axis logarithmic.
 const NOTHING: f64 = 1e-12;
 /// Points of a line that is drawn: on a logarithmic axis a straight line is a curve.
 const STEPS: u32 = 64;
@@ -67,17 +67,17 @@ impl LengthAxis {
         format!("{}{scale}", self.unit)
     }
 
-    /// Where values end that have a place, in the unit that is measured.
+    /// Returns the largest value that has a place on the axis, in the unit that is measured.
     fn end(&self) -> f64 {
         self.edges.last().map_or(f64::INFINITY, |end| (end + end.abs() * ROUNDING) / self.per_si)
     }
 
-    /// Where a value lies, as a share of the axis; `None` beyond its end.
+    /// Returns the position of a value as a share of the axis; `None` beyond its end.
     fn at(&self, value: f64) -> Option<f64> {
         (value <= self.end()).then(|| self.on.at(value * self.per_si).0 / 100.0)
     }
 
-    /// How many values lie beyond its end.
+    /// Returns the number of values beyond its end.
     pub(crate) fn beyond(&self, values: &Summary) -> u64 {
         let inside = values.fraction_below(self.end()).unwrap_or(1.0);
         ((1.0 - inside) * values.count() as f64).round() as u64
@@ -97,7 +97,7 @@ impl LengthAxis {
     }
 }
 
-/// What a plot shows.
+/// Values of a plot.
 pub(crate) struct LengthValues<'a> {
     /// Some of the iterations: both quantities as measured.
     pub points: &'a [(f64, f64)],
@@ -120,9 +120,9 @@ pub(crate) struct LengthPlot {
     columns: Axis,
     cloud: Cloud,
     line: Option<String>,
-    /// Of the bars above: left, width, top, height.
+    /// Bars above the plot: left, width, top, height.
     above: Vec<[Percent; 4]>,
-    /// Of those beside: top, height, width.
+    /// Bars to the right of the plot: top, height, width.
     beside: Vec<[Percent; 3]>,
 }
 

@@ -1,10 +1,10 @@
-//! How far something that has a limit is full.
+//! Bar that shows a share of a limit.
 
 use askama::Template;
 
 use super::Percent;
 
-/// From this share on it is told as nearly full.
+/// Share from which on the meter is marked as nearly full.
 const NEARLY: f64 = 0.9;
 
 /// A bar from nothing to the limit.
@@ -19,7 +19,7 @@ pub(crate) struct Meter {
 impl askama::filters::HtmlSafe for Meter {}
 
 impl Meter {
-    /// The bar of a share, 0 to 1. What is not empty can be seen.
+    /// Draws a share, 0 to 1. A share above zero has a visible width.
     pub(crate) fn new(label: String, share: f64) -> Self {
         let share = if share.is_finite() { share.clamp(0.0, 1.0) } else { 0.0 };
         let width = if share > 0.0 { (share * 100.0).max(2.0) } else { 0.0 };

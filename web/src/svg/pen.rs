@@ -5,7 +5,7 @@ use std::fmt::Write as _;
 /// Length of both sides of the sheet.
 pub(crate) const SHEET: f64 = 1_000.0;
 
-/// Where a point lies, as shares of the sheet from the left and from above.
+/// Position of a point, as shares of the sheet from the left and from above.
 pub(crate) type At = (f64, f64);
 
 fn put(path: &mut String, command: char, (x, y): At) {

@@ -73,7 +73,8 @@ impl Ruler {
         if value.abs() < self.step * 1e-6 { "0".to_owned() } else { fixed(value, decimals) }
     }
 
-    /// How far below the upper end a value lies, as a share of the whole; beyond an end a little outside of it.
+    /// Returns the distance of a value from the upper end, as a share of the whole; values beyond an end are placed slightly outside of
+    /// it.
     pub(crate) fn below(&self, value: f64) -> f64 {
         ((self.hi - value) / (self.hi - self.lo)).clamp(-0.05, 1.05)
     }

@@ -9,7 +9,7 @@ const STEPS: u32 = 64;
 /// Room that a letter takes on a narrow plot, percent of its width and height: less than a name above or below its point
 /// is away from it.
 const LETTER: (f64, f64) = (2.4, 6.0);
-/// How far a name stands from the middle of its point.
+/// Distance of a name from the middle of its point.
 const AWAY: (f64, f64) = (2.2, 6.5);
 /// Most names that stand as one; the table has all.
 const MOST_NAMES: usize = 2;
@@ -38,7 +38,7 @@ impl askama::filters::HtmlSafe for Scatter {}
 pub(crate) struct ScatterSeries {
     /// The class of their colour.
     pub look: &'static str,
-    /// What they are, in the key.
+    /// Name of the series in the key.
     pub name: String,
     pub points: Vec<ScatterPoint>,
     /// Straight lines through them.
@@ -52,12 +52,12 @@ pub(crate) struct ScatterPoint {
     pub y: f64,
     /// Lower and upper end of its error bar.
     pub ends: Option<(f64, f64)>,
-    /// Stands beside it, unless it is empty.
+    /// Label beside the point; none if empty.
     pub name: String,
 }
 
 impl ScatterPoint {
-    /// How far it and its error bar reach.
+    /// Returns the upper end of the point and its error bar.
     pub(crate) fn top(&self) -> f64 {
         self.ends.map_or(self.y, |(_, high)| high)
     }
@@ -97,7 +97,7 @@ struct Label {
     dot: (Percent, Percent),
     /// From there, in ems: a wide plot needs no more distance than a narrow one.
     shift: (&'static str, &'static str),
-    /// Where it then stands on a narrow plot, so that what is free there is free everywhere.
+    /// Position on a narrow plot, the worst case: a place that is free there is free at every width.
     x: Percent,
     y: Percent,
     anchor: &'static str,

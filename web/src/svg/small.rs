@@ -9,12 +9,12 @@ use super::{Axis, Horizontal, Percent, shown_in};
 const BINS: u32 = 48;
 /// Above this quantile an axis only counts, so that one straggler does not squeeze all others into a bin.
 const ENDS_AT: f64 = 0.99;
-/// The axis goes on beyond that quantile by this share of its length.
+/// Share of its length by which the axis extends beyond that quantile.
 const MARGIN: f64 = 0.1;
 /// Ends within this share of each other are one end.
 const ROUNDING: f64 = 1e-9;
 
-/// How one run's samples lie, as tall as its fullest bin.
+/// Histogram of one run's samples; its fullest bin has the full height.
 #[derive(Clone, Debug, PartialEq, Template)]
 #[template(path = "svg/small.html")]
 pub(crate) struct SmallHistogram {
@@ -22,7 +22,7 @@ pub(crate) struct SmallHistogram {
     label: String,
     grid: Vec<Percent>,
     bars: Vec<[Percent; 4]>,
-    /// Where the median may lie, and how wide that is.
+    /// Left end and width of the interval of the median.
     within: Option<(Percent, Percent)>,
     median: Option<Percent>,
     axis: Axis,
@@ -37,7 +37,7 @@ pub(crate) struct SmallAxis {
     /// In the unit that is shown.
     edges: Vec<f64>,
     unit: String,
-    /// What an SI value is multiplied with to be shown.
+    /// Factor from an SI value to the shown value.
     factor: f64,
 }
 
@@ -58,7 +58,7 @@ impl SmallAxis {
         Some(Self { edges: edges.collect(), across, unit, factor })
     }
 
-    /// What its labels count, for people: `ms`, `MB/s, logarithmic`.
+    /// Returns the unit of the labels, for people: `ms`, `MB/s, logarithmic`.
     pub(crate) fn unit(&self) -> String {
         // Equal distances are equal factors.
         let logarithmic = if self.across.is_logarithmic() { "logarithmic" } else { "" };
@@ -66,7 +66,7 @@ impl SmallAxis {
         parts.into_iter().filter(|part| !part.is_empty()).collect::<Vec<_>>().join(", ")
     }
 
-    /// How many samples lie beyond its end.
+    /// Returns the number of samples beyond its end.
     pub(crate) fn beyond(&self, samples: &Summary) -> u64 {
         let below = self.si(samples).last().and_then(|end| samples.fraction_below(*end)).unwrap_or(1.0);
         ((1.0 - below) * samples.count() as f64).round() as u64
@@ -81,7 +81,7 @@ impl SmallAxis {
         edges
     }
 
-    /// Where an SI value lies, at an end where it is beyond it.
+    /// Returns the position of an SI value; values beyond an end are placed at that end.
     fn at(&self, value: f64) -> Percent {
         Percent(self.across.at(value * self.factor).0.clamp(0.0, 100.0))
     }

@@ -8,7 +8,7 @@ use super::{Percent, Ruler};
 #[derive(Clone, Debug, Default, PartialEq, Template)]
 #[template(path = "svg/tracks.html")]
 pub(crate) struct Tracks {
-    /// What they show, in words.
+    /// Description of the plot in words.
     pub label: String,
     pub signs: Vec<RailSign>,
     pub gaps: Vec<Gap>,
@@ -56,7 +56,7 @@ pub(crate) struct Segment {
 }
 
 impl Segment {
-    /// What a text takes of the narrowest plot on a desk, percent; on a phone it takes twice as much.
+    /// Returns the width of a text on the narrowest desktop plot, percent; on a phone it takes twice as much.
     pub(crate) fn room(text: &str) -> f64 {
         const LETTER: f64 = 1.05;
         const MARGIN: f64 = 2.0;
@@ -73,7 +73,7 @@ impl Segment {
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Track {
     pub title: String,
-    /// What the lines are.
+    /// Description of the lines.
     pub note: String,
     /// `tall` or nothing.
     pub class: &'static str,

@@ -153,7 +153,7 @@ fn event_time(id: &str) -> Result<WallTime, WebError> {
     })
 }
 
-/// Returns how many seconds of each pipeline are new to a listener that has them up to `after`.
+/// Returns how many last seconds of each pipeline to send to a listener that has received everything up to `after`.
 fn seconds_since(after: WallTime, picture: &LiveState) -> usize {
     let missed = (picture.at - after).seconds().ceil();
     // An id from the future is of another clock: all there is.

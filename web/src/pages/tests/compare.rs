@@ -234,7 +234,7 @@ async fn totals_and_inferences_are_boxes() {
     assert_eq!(html.matches("class=\"stages thin boxed\"").count(), 4, "two totals, two inferences: {html}");
 }
 
-/// What stands in the panel of distributions.
+/// Returns the panel of distributions.
 fn panel(html: &str) -> &str {
     let panel = html.split("id=\"distributions\"").nth(1).expect("a panel");
     panel.split("</section>").next().expect("its end")

@@ -1,4 +1,4 @@
-//! What became of events, in every state.
+//! Tests of the account of events, in every state.
 
 use super::*;
 
