@@ -26,7 +26,7 @@ fn host_of(authority: &str) -> Option<&str> {
     (valid && port).then_some(host)
 }
 
-/// Whether a text is a number from 0 to 65535; one with a sign is not.
+/// Returns whether a text is a number from 0 to 65535; one with a sign is not.
 fn is_port(text: &str) -> bool {
     text.bytes().all(|digit| digit.is_ascii_digit()) && text.parse::<u16>().is_ok()
 }

@@ -11,7 +11,7 @@ pub use self::warn::WarnConfig;
 use crate::server_names;
 use crate::zone::Zone;
 
-/// Where and how the dashboard and the REST API are served.
+/// Configuration of the dashboard and the REST API.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct WebConfig {
@@ -33,7 +33,7 @@ pub struct WebConfig {
 pub struct Problem {
     /// The key within the `[web]` table.
     pub key: &'static str,
-    /// What is wrong and what to do.
+    /// Description of the problem, and what to do about it.
     pub message: String,
 }
 

@@ -1,12 +1,11 @@
-//! The accept loop: what a connection may cost while it asks for nothing, and how all of them end.
+//! The accept loop, the limits of a connection that sends no request, and the shutdown of all connections.
 //!
-//! At most [`Limits::connections`] are open at a time, and addresses share them ([`FairPlaces`]): a further one closes the
-//! oldest of the address that has most, or is closed itself.
-//! Of the streams that go on for ever, at most [`Limits::streams`] are open, shared in the same way, and
-//! [`Limits::streams_per_address`] of one address, so that they leave connections and processor to all other requests;
-//! further ones are answered with 503.
-//! A connection that does not complete the header of its first or next request within [`Limits::silence`] is
-//! closed, whether it is idle or sends byte by byte; so is one whose peer takes in nothing for [`Limits::unread`].
+//! At most [`Limits::connections`] are open at a time, and addresses share them ([`FairPlaces`]): a further connection closes the oldest
+//! one of the address that has most, or is closed itself.
+//! Of the streams that never end, at most [`Limits::streams`] are open, shared in the same way, and [`Limits::streams_per_address`] of
+//! one address, so that connections and processor time remain for all other requests; further streams are answered with 503.
+//! A connection that does not complete the header of its first or next request within [`Limits::silence`] is closed, whether it is idle
+//! or sends byte by byte. A connection whose peer reads nothing for [`Limits::unread`] is closed as well.
 
 use std::io;
 use std::net::SocketAddr;
@@ -40,20 +39,20 @@ const SHORTAGE: Duration = Duration::from_secs(1);
 /// Most streams of one address: what one host may have the server compute four times a second.
 const STREAMS: usize = 32;
 
-/// What connections may cost.
+/// Limits of connections.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Limits {
     /// Connections open at a time.
     pub connections: usize,
     /// Streams open at a time.
     pub streams: usize,
-    /// Of them those of one address.
+    /// Streams open at a time from one address.
     pub streams_per_address: usize,
     /// Longest time without a complete header while no request is in progress.
     pub silence: Duration,
-    /// How long a peer may leave what was sent to it unread (`TCP_USER_TIMEOUT`).
+    /// Longest time that a peer may leave sent data unread (`TCP_USER_TIMEOUT`).
     pub unread: Duration,
-    /// How long requests in progress may go on after the server was asked to stop.
+    /// Longest time that requests in progress may take after the server was asked to stop.
     pub grace: Duration,
 }
 
@@ -147,7 +146,7 @@ struct Acceptor {
 }
 
 impl Acceptor {
-    /// The next connection that there is a place for.
+    /// Accepts connections until one gets a place, and returns it.
     async fn next(&mut self, listener: &TcpListener) -> Accepted {
         loop {
             match listener.accept().await {
@@ -176,7 +175,7 @@ impl Acceptor {
     }
 }
 
-/// Whether the other side gave up before it was accepted.
+/// Returns whether the other side gave up before it was accepted.
 fn gone(error: &io::Error) -> bool {
     use io::ErrorKind::{ConnectionAborted, ConnectionRefused, ConnectionReset};
     matches!(error.kind(), ConnectionAborted | ConnectionRefused | ConnectionReset)

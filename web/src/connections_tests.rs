@@ -107,7 +107,7 @@ impl Server {
     }
 }
 
-/// What came until the other side closed.
+/// Returns the data received until the other side closed.
 async fn rest(mut stream: TcpStream) -> String {
     let mut rest = String::new();
     stream.read_to_string(&mut rest).await.expect("closed in order");

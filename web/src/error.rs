@@ -75,9 +75,9 @@ pub(crate) struct ProblemDetails {
     title: String,
     /// The HTTP status code.
     status: u16,
-    /// What is wrong with this request, and what to do about it.
+    /// Description of what is wrong with this request, and what to do about it.
     detail: String,
-    /// Under which the cause stands in the server's log, for problems of the server.
+    /// Identifier of the cause in the server's log, for problems of the server.
     #[serde(skip_serializing_if = "Option::is_none")]
     id: Option<String>,
 }
@@ -108,7 +108,8 @@ impl WebError {
         }
     }
 
-    /// What the outside learns. Logs what it does not learn; what fails again and again, once a minute with a count.
+    /// Converts the error to the answer for the client. Logs the details that the answer omits; a repeated failure is logged once a
+    /// minute, with a count.
     pub(crate) fn to_problem(&self, app: &AppState) -> ProblemDetails {
         let status = self.status();
         if !status.is_server_error() {

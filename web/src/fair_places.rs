@@ -1,7 +1,7 @@
 //! Places that addresses share: when all are taken, the address that has most of them gives one up.
 //!
-//! So hosts that do nothing with what they hold, by silence or by reading slowly, cannot keep the next host out: with
-//! `n` addresses each has a share of `1/n`, whatever the others do (max-min fairness).
+//! Hosts that hold places without use, by silence or by reading slowly, therefore cannot exclude other hosts: with `n` addresses each has
+//! a share of `1/n`, whatever the others do (max-min fairness).
 
 use std::collections::{BTreeMap, HashMap};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -10,12 +10,12 @@ use peernet_networks::AddressGroup;
 use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 use tokio_util::sync::CancellationToken;
 
-/// A number of places, and who has them.
+/// A fixed number of places, and the addresses that hold them.
 #[derive(Clone, Debug)]
 pub(crate) struct FairPlaces {
     count: usize,
     of_one_address: usize,
-    /// Those that nobody uses; behind `held` for as long as one that was given up is still in use.
+    /// Places that are not in use. It lags behind `held` as long as a place that was given up is still in use.
     free: Arc<Semaphore>,
     held: Arc<Mutex<HeldPlaces>>,
 }
@@ -24,11 +24,11 @@ pub(crate) struct FairPlaces {
 struct HeldPlaces {
     next: u64,
     count: usize,
-    /// What ends the use of each place, oldest first.
+    /// Tokens that end the use of each place, oldest first.
     by_address: HashMap<AddressGroup, BTreeMap<u64, CancellationToken>>,
 }
 
-/// Why there is no place.
+/// Reason why there is no place.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum NoPlace {
     /// The address has as many as one may have.
@@ -44,7 +44,7 @@ pub(crate) struct Place {
     _permit: OwnedSemaphorePermit,
 }
 
-/// What [`HeldPlaces`] knows of a place, for as long as it is wanted.
+/// Entry of a place in [`HeldPlaces`]; removed when dropped.
 #[derive(Debug)]
 struct Entry {
     address: AddressGroup,
@@ -53,7 +53,7 @@ struct Entry {
 }
 
 impl FairPlaces {
-    /// So many places, at least one, and at most so many of one address.
+    /// Creates `count` places, at least one, of which one address has at most `of_one_address`.
     pub(crate) fn new(count: usize, of_one_address: usize) -> Self {
         let count = count.max(1);
         Self { count, of_one_address, free: Arc::new(Semaphore::new(count)), held: Arc::default() }
@@ -139,7 +139,7 @@ mod tests {
         AddressGroup::of(format!("{text}:1").parse().expect("an address"))
     }
 
-    /// What `take` returns without waiting.
+    /// Returns the result of `take` if it is ready at once.
     fn take(places: &FairPlaces, address: &str) -> (Option<Result<Place, NoPlace>>, CancellationToken) {
         let leave = CancellationToken::new();
         (places.take(group(address), leave.clone()).now_or_never(), leave)

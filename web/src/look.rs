@@ -1,4 +1,4 @@
-//! What the stages look like: the class that carries their colour in every picture.
+//! Appearance of the stages: the class that carries their colour in every picture.
 
 use std::sync::LazyLock;
 
@@ -13,7 +13,7 @@ pub(crate) static STACK: LazyLock<Vec<&'static str>> =
 /// Both directions of the network together, where the clocks cannot tell them apart.
 pub(crate) const NETWORK: &str = peernet_analysis::slowness::BOTH_WAYS;
 
-/// What is left of an iteration when neither the directions nor what no stage accounts for are known.
+/// Rest of an iteration where neither the directions nor the unattributed time are known.
 pub(crate) const NETWORK_AND_REST: &str = "upload + download + unattributed";
 
 /// From the intended start to the real one: a named part of what is unattributed.
@@ -32,8 +32,8 @@ pub(crate) fn key() -> impl Iterator<Item = &'static str> {
     STACK.iter().copied().filter(|name| class(name) == *name)
 }
 
-/// What an entry of the key stands for, in words: a model in a process of its own has `ipc` in the colour of `encode`, and
-/// nobody would guess that.
+/// Returns the label of an entry of the key. The entry of `encode` names `ipc` too: the time in a model's separate process has the same
+/// colour.
 pub(crate) fn entry(name: &str) -> &str {
     if name == "encode" { "encode, ipc" } else { name }
 }
@@ -53,12 +53,12 @@ pub(crate) fn class(name: &str) -> &'static str {
     }
 }
 
-/// Whether the fill is so pale on paper that it carries a darker edge.
+/// Returns whether the fill is so pale on paper that it carries a darker edge.
 pub(crate) fn is_pale(name: &str) -> bool {
     matches!(class(name), "encode" | "queue" | "preprocessing" | "unattributed")
 }
 
-/// Whether the node is a message's way between hosts.
+/// Returns whether the node is a message's way between hosts.
 pub(crate) fn is_one_way(name: &str) -> bool {
     name == stage::UPLOAD.as_str() || name == stage::DOWNLOAD.as_str()
 }

@@ -49,7 +49,7 @@ pub struct Running {
 }
 
 impl Running {
-    /// Where it listens, with the port really taken.
+    /// Returns the address that the server listens on, with the actual port.
     pub fn address(&self) -> SocketAddr {
         self.address
     }

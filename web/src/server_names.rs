@@ -2,13 +2,13 @@
 
 use std::net::IpAddr;
 
-/// What is wrong with a configured name, if anything.
+/// Returns the problem of a configured name, if there is one.
 pub(crate) fn wrong_name(name: &str) -> Option<String> {
     (!is_name(name))
         .then(|| format!("{name:?} is not a host name: write it like robot.example.org, without a port"))
 }
 
-/// Whether a text has the form of a host name or an IPv4 address.
+/// Returns whether a text has the form of a host name or an IPv4 address.
 pub(crate) fn is_name(text: &str) -> bool {
     let letter = |letter: u8| letter.is_ascii_alphanumeric() || matches!(letter, b'.' | b'-' | b'_');
     !text.is_empty() && text.bytes().all(letter)
@@ -31,7 +31,7 @@ impl ServerNames {
         Self(configured.iter().cloned().chain(own).collect())
     }
 
-    /// Whether requests to a host are answered.
+    /// Returns whether requests to a host are answered.
     pub(crate) fn contains(&self, host: &str) -> bool {
         let name = host.strip_suffix('.').unwrap_or(host).to_ascii_lowercase();
         let address = name.strip_prefix('[').and_then(|rest| rest.strip_suffix(']')).unwrap_or(&name);

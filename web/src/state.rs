@@ -1,4 +1,4 @@
-//! What every handler may use.
+//! State that all handlers share.
 
 use std::sync::{Arc, PoisonError};
 
@@ -33,9 +33,9 @@ pub(crate) struct AppState {
 }
 
 impl AppState {
-    /// How many incidents a live page shows.
+    /// Number of incidents that a live page shows.
     const INCIDENTS: usize = 6;
-    /// How many are looked through for those that a live page is about.
+    /// Number of newest incidents among which a live page finds its own.
     const RECENT: u32 = 200;
     const INCIDENTS_FRESH: Span = Span::from_seconds(2);
 
@@ -63,7 +63,7 @@ impl AppState {
         Arc::clone(&self.aggregator.live().borrow())
     }
 
-    /// What is stored.
+    /// Returns the store.
     pub(crate) fn store(&self) -> &Store {
         self.aggregator.store()
     }
@@ -81,8 +81,8 @@ impl AppState {
         Ok(recent.iter().take(Self::INCIDENTS).cloned().collect())
     }
 
-    /// What the store says of something that a live page shows beside its figures: nothing while the database is not
-    /// open, which a banner on the page says.
+    /// Returns an answer of the store that a live page shows beside its figures. While the database is not open, the answer is empty: a
+    /// banner on the page reports that.
     pub(crate) fn beside_live<T: Default>(answer: Result<T, StoreError>) -> Result<T, StoreError> {
         match answer {
             Err(StoreError::Closed { .. }) => Ok(T::default()),
@@ -90,8 +90,8 @@ impl AppState {
         }
     }
 
-    /// The incidents of late. Asked for by every live page four times a second, so they are read from the
-    /// database once every two seconds for all of them.
+    /// Returns the newest incidents. Every live page needs them four times a second, so they are read from the database once every two
+    /// seconds for all pages.
     pub(crate) async fn recent_incidents(&self) -> Result<Arc<Vec<IncidentRow>>, StoreError> {
         let mut cached = self.incidents.lock().await;
         let now = self.clock.mono();

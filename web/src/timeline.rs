@@ -23,7 +23,7 @@ pub(crate) struct Placed {
     pub median: Option<f64>,
 }
 
-/// Where a node happened.
+/// Place where a node happened.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Where {
     /// On the host of that index; 0 is the edge.
@@ -32,7 +32,7 @@ pub(crate) enum Where {
     Network,
 }
 
-/// What is known of a one-way delay. Seconds.
+/// One-way delay; times in seconds.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Delay {
     /// The receiver's wall clock less the sender's.
@@ -48,11 +48,11 @@ pub(crate) struct Delay {
 pub(crate) struct Visit {
     /// When the message was handed to the network, on the edge's time line.
     pub left: f64,
-    /// When it arrived, by the estimate; the middle of what is possible when there is none.
+    /// Estimated time of its arrival; the middle of the possible interval if there is no estimate.
     pub arrived: f64,
     /// When the answer left, and when the edge had it.
     pub answered: Option<(f64, f64)>,
-    /// How far the stay as a whole may lie earlier and later.
+    /// Largest shift of the whole visit to an earlier and to a later time.
     pub shift: (f64, f64),
     /// Upload and download together: free of any clock.
     pub network: Option<f64>,
@@ -157,7 +157,7 @@ impl Timeline {
         }
     }
 
-    /// Where another host's zero lies on the edge's time line.
+    /// Returns the position of another host's zero on the edge's time line.
     fn zero(&self, host: HostIndex) -> Option<f64> {
         match usize::from(host.0).checked_sub(1) {
             None => Some(0.0),

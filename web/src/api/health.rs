@@ -18,7 +18,7 @@ pub(super) fn routes() -> OpenApiRouter<App> {
     OpenApiRouter::new().routes(routes!(alive)).routes(routes!(ready))
 }
 
-/// Whether the process answers.
+/// Returns whether the process answers.
 #[utoipa::path(get, path = "/healthz", operation_id = "isAlive", tag = "health", responses((status = 200, body = String, content_type = "text/plain")))]
 async fn alive() -> &'static str {
     "alive\n"
@@ -27,7 +27,7 @@ async fn alive() -> &'static str {
 /// Whether events are being stored, for programs.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, ToSchema)]
 struct Readiness {
-    /// Whether batches are stored and acknowledged.
+    /// `true` if batches are stored and acknowledged.
     ready: bool,
     /// Why not, in words; null when they are.
     reason: Option<String>,
@@ -57,7 +57,7 @@ async fn ready(State(app): State<App>, headers: HeaderMap) -> Response {
     }
 }
 
-/// Whether JSON is named among what the request takes.
+/// Returns whether JSON is named among what the request takes.
 fn accepts_json(headers: &HeaderMap) -> bool {
     let named = headers.get_all(ACCEPT).iter().filter_map(|value| value.to_str().ok());
     named.flat_map(|value| value.split(',')).any(|kind| {

@@ -33,7 +33,7 @@ impl Default for WarnConfig {
 }
 
 impl WarnConfig {
-    /// What cannot be a limit.
+    /// Returns a problem for each value that cannot be a limit.
     pub(crate) fn check(&self) -> Vec<Problem> {
         let Self { p99_over_median, cpu_percent, unattributed_percent, skipped_percent, late_percent } =
             *self;

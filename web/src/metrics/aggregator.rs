@@ -1,4 +1,4 @@
-//! Of the aggregator itself.
+//! Metrics of the aggregator.
 
 use peernet_aggregator::{LiveState, Totals};
 use peernet_networks::zmtp::{Rejection, RejectionCounts};
@@ -15,7 +15,7 @@ pub(super) struct AggregatorFigures {
     pub(super) known: u64,
     /// Hosts that were turned away lately.
     pub(super) refused: u64,
-    /// Size of the database's files; `None` while there is none.
+    /// Size of the database's files; `None` if there are none.
     pub(super) database_bytes: Option<u64>,
     /// Connections turned away, by reason.
     pub(super) rejected: Vec<(&'static str, u64)>,

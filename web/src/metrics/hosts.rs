@@ -1,4 +1,4 @@
-//! Of hosts.
+//! Metrics of hosts.
 
 use peernet_aggregator::HostSnapshot;
 use peernet_clock::Span;
@@ -11,7 +11,7 @@ pub(super) fn each(scrape: &Scrape, to: &mut Sink<'_>, of: impl Fn(&HostSnapshot
     scrape.hosts.iter().for_each(|host| to(&[host.description.name.as_str()], of(host)));
 }
 
-/// How far storing is behind measuring.
+/// Returns the delay of storing behind measuring, seconds.
 pub(super) fn lag(host: &HostSnapshot) -> Sample {
     Sample::Value(host.behind.map_or(0.0, Span::seconds))
 }

@@ -1,4 +1,4 @@
-//! Of links.
+//! Metrics of links.
 
 use peernet_aggregator::LinkSnapshot;
 use peernet_clock::Span;
@@ -53,7 +53,7 @@ pub(super) enum End {
 }
 
 impl End {
-    /// What it counted; `None` where it did not tell.
+    /// Returns the counts of this end; `None` if it reported none.
     const fn account(self, connection: &Connection) -> Option<&ConnectionStatistics> {
         match self {
             Self::Edge => Some(&connection.statistics),

@@ -1,4 +1,4 @@
-//! Of pipelines.
+//! Metrics of pipelines.
 
 use peernet_aggregator::{PipelineSnapshot, Window};
 use peernet_analysis::transfer::Transfer;
@@ -8,14 +8,14 @@ use peernet_stream::PipelineState;
 use super::scrape::Scrape;
 use super::table::{Sample, Sink};
 
-/// Windows that are told, with the values of their label.
+/// Windows in seconds, with the values of their label.
 const WINDOWS: [(u32, &str); 2] = [(10, "10s"), (60, "60s")];
 
 fn names(one: &PipelineSnapshot) -> [&str; 2] {
     [one.host_name.as_str(), one.pipeline.as_str()]
 }
 
-/// Whether each measures.
+/// Returns whether each measures.
 pub(super) fn running(scrape: &Scrape, to: &mut Sink<'_>) {
     for one in &scrape.pipelines {
         to(&names(one), Sample::truth(one.state == PipelineState::Running));

@@ -1,4 +1,4 @@
-//! What one answer is made from: one snapshot, within limits.
+//! Data of one answer: one snapshot, cut to the limits of an answer.
 
 use std::collections::{BTreeMap, HashSet};
 use std::sync::Arc;
@@ -77,7 +77,7 @@ impl Scrape {
             .filter_map(|(link, place)| Some((&**link, link.live.connections.get(*place)?)))
     }
 
-    /// What did not fit, by kind.
+    /// Writes the number of items beyond the limits, by kind.
     pub(super) fn omitted(&self, to: &mut Sink<'_>) {
         self.omitted.iter().for_each(|(kind, many)| to(&[kind], Sample::Size(*many as u64)));
     }

@@ -13,11 +13,11 @@ pub(super) enum Kind {
 /// One figure.
 #[derive(Clone, Copy, Debug)]
 pub(super) enum Sample {
-    /// Of a counter.
+    /// Value of a counter.
     Count(u64),
-    /// Of a gauge that is whole.
+    /// Integer value of a gauge.
     Size(u64),
-    /// Of any other gauge.
+    /// Any other value of a gauge.
     Value(f64),
 }
 
@@ -28,7 +28,7 @@ impl Sample {
     }
 }
 
-/// Where samples go: the values of the metric's labels, in their order, and the figure.
+/// Receiver of samples: the values of the metric's labels, in their order, and the figure.
 pub(super) type Sink<'a> = dyn FnMut(&[&str], Sample) + 'a;
 
 /// One metric; its full name is `peernet_<name>_<unit>`, of a counter with `_total`.

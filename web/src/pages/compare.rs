@@ -92,7 +92,7 @@ struct Baseline {
     choices: Vec<(String, i64, bool)>,
     address: Address,
     others: Vec<OtherRow>,
-    /// Whether a difference has no interval.
+    /// `true` if a difference has no interval.
     is_too_short: bool,
 }
 

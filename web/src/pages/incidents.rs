@@ -57,7 +57,7 @@ struct Incidents {
     shell: Shell,
     title: &'static str,
     lines: Vec<IncidentLine>,
-    /// Whether any of them belongs to a run.
+    /// `true` if any of them belongs to a run.
     runs: bool,
     older: Option<i64>,
     /// Kinds that can be selected; `true` for the selected one.

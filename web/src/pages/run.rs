@@ -101,7 +101,7 @@ struct Run {
     parted: Vec<String>,
     /// Marks in the picture over time.
     marked: Marked,
-    /// Whether any bucket has enough samples for a 95th percentile.
+    /// `true` if any bucket has enough samples for a 95th percentile.
     has_p95: bool,
     axis: Axis,
     slowest: Vec<Slow>,

@@ -25,7 +25,7 @@ pub(crate) struct Shell {
     pub aggregator: String,
     /// Topic whose live updates change this page, if any.
     pub topic: Option<String>,
-    /// Whether any host ever reported.
+    /// `true` if any host ever reported.
     pub waiting: bool,
     /// Sentences about injected clock faults, one per host.
     pub rehearsals: Vec<String>,

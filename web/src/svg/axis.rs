@@ -33,7 +33,7 @@ impl Scale {
         Self { max, step: max }
     }
 
-    /// Whether a value lies on the scale.
+    /// Returns whether a value lies on the scale.
     pub(crate) fn holds(&self, value: f64) -> bool {
         value <= self.max
     }

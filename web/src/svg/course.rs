@@ -20,7 +20,7 @@ const SHORT: f64 = 0.02;
 /// Marks on the rail that are closer than this share of it are merged.
 const TOUCHING: f64 = 0.005;
 
-/// Where a stack stands among others, from below.
+/// Returns the position of a stage in a stack, counted from below.
 fn place(name: &str) -> usize {
     // Both ways together stand where the upload would.
     let name = if name == look::NETWORK { "upload" } else { name };
@@ -128,7 +128,7 @@ impl CourseAxes {
         course.buckets.iter().filter(|bucket| bucket.mean() > self.top).count()
     }
 
-    /// Whether a course is so short beside the longest that it can hardly be seen.
+    /// Returns whether a course is so short beside the longest that it can hardly be seen.
     pub(crate) fn is_short(&self, course: &CourseData) -> bool {
         course.length < self.length * SHORT
     }

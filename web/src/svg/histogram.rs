@@ -34,7 +34,7 @@ pub(crate) struct HistogramPlot {
     bars: Vec<[Percent; 4]>,
     marks: Vec<Mark>,
     beyond: Option<String>,
-    /// Whether a mark's label stands where this one would.
+    /// `true` if a mark's label stands where this one would.
     beyond_lower: bool,
 }
 

@@ -49,7 +49,7 @@ impl Horizontal {
         }
     }
 
-    /// Whether equal distances are equal factors.
+    /// Returns whether equal distances are equal factors.
     pub(crate) const fn is_logarithmic(&self) -> bool {
         matches!(self, Self::Logarithmic(..))
     }

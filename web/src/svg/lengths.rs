@@ -163,7 +163,7 @@ impl LengthPlot {
         }
     }
 
-    /// Whether the points are counted into cells.
+    /// Returns whether the points are counted into cells.
     pub(crate) fn is_counted(&self) -> bool {
         !self.cloud.cells.is_empty()
     }

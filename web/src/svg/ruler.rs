@@ -53,7 +53,7 @@ impl Ruler {
         Self { signed: true, ..self }
     }
 
-    /// Whether a value lies between its ends.
+    /// Returns whether a value lies between its ends.
     pub(crate) fn holds(&self, value: f64) -> bool {
         (self.lo..=self.hi).contains(&value)
     }

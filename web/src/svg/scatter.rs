@@ -125,7 +125,7 @@ impl Label {
         left < x + half && x - half < left + width && (self.y.0 - y).abs() < LETTER.1
     }
 
-    /// Whether something that is drawn there runs through it.
+    /// Returns whether something that is drawn there runs through it.
     fn is_crossed(&self, (x, y): (f64, f64)) -> bool {
         let (middle, height, letters) = self.place();
         (middle - x).abs() < LETTER.0 * letters / 2.0 && (height - y).abs() < LETTER.1 / 2.0

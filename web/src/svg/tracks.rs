@@ -26,7 +26,7 @@ pub(crate) struct RailSign {
     pub x: Percent,
     pub sign: &'static str,
     pub tone: &'static str,
-    /// Whether its sign is shown: where many stand together, one is.
+    /// `true` if its sign is shown: where many stand together, one is.
     pub shown: bool,
 }
 
@@ -63,7 +63,7 @@ impl Segment {
         MARGIN + LETTER * text.chars().count() as f64
     }
 
-    /// Whether there is no room for its text on a phone.
+    /// Returns whether there is no room for its text on a phone.
     fn is_short(&self) -> bool {
         self.text.as_deref().is_some_and(|text| self.width.0 < 2.0 * Self::room(text))
     }

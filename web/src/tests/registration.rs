@@ -8,7 +8,7 @@ struct Registry {
     folder: &'static str,
     /// Modules of the folder that register nothing: what all the others use.
     shared: &'static [&'static str],
-    /// What follows a module's name where it is registered.
+    /// Text after a module's name in its registration.
     registered: &'static str,
 }
 

@@ -1,4 +1,4 @@
-//! What the aggregator might say, for rendering every page in every state.
+//! Answers of the aggregator, from which tests render every page in every state.
 
 use std::sync::Arc;
 
@@ -78,7 +78,7 @@ const MEANS: [(&str, f64); 11] = [
     ("unattributed", 0.0001),
 ];
 
-/// So many messages of 150 kB upwards that take `upload` seconds each, where that is known.
+/// Returns the sums of messages of 150 kB and more that take `upload` seconds each, if that is known.
 fn transfers(messages: u64, upload: Option<f64>) -> Transfers {
     Transfers::of(|name| match name.as_str() {
         "upload-bytes" => (messages > 0).then_some((messages, 149_625.0)),
@@ -240,8 +240,8 @@ pub(crate) fn picture(hosts: Vec<HostSnapshot>, pipelines: Vec<PipelineSnapshot>
     }
 }
 
-/// What is known of a cloud's clock at one time: bounds of `half` seconds about an offset of 1.204 s that grows with
-/// 12.4 ppm, delays of 6.3 and 0.6 ms; nothing without bounds.
+/// Returns a sample of a cloud's clock: bounds of `half` seconds about an offset of 1.204 s that grows with 12.4 ppm, delays of 6.3 and
+/// 0.6 ms; no offset without bounds.
 pub(crate) fn clock_sample(at: WallTime, window: u64, half: Option<f64>) -> ClockSample {
     let seconds = Span::from_seconds_f64;
     let estimate = seconds(1.204 + 12.4e-6 * (at - NOW).seconds());
@@ -431,7 +431,7 @@ pub(crate) fn incident(kind: &str, text: &str) -> IncidentRow {
     }
 }
 
-/// An iteration of a run of its own, with an empty tree.
+/// Returns the only iteration of a run, with an empty tree.
 pub(crate) fn iteration() -> IterationDetail {
     IterationDetail {
         row: IterationRow {

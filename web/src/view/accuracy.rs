@@ -1,4 +1,4 @@
-//! How often a model was right, in words.
+//! Accuracy of a model in words.
 
 use peernet_analysis::accuracy::Accuracy;
 use peernet_statistics::number::{SPACE, share};

@@ -5,12 +5,12 @@ use peernet_clock::{Span, WallTime};
 
 use super::counted;
 
-/// Said instead of that nobody has reported, or that nothing runs.
+/// Sentence shown in place of those that no host has reported or that nothing runs.
 pub(crate) const WAITING: &str = "Waiting for agents to report";
-/// Agents try again every few seconds; after so long, one that has not come is away.
+/// Time after which an agent that has not reported is absent; agents reconnect every few seconds.
 const PATIENCE: Span = Span::from_seconds(15);
 
-/// Whether agents may still be on their way to an aggregator that serves since then: what it does not see is not
+/// Returns whether agents may still be on their way to an aggregator that serves since then: what it does not see is not
 /// known to be missing.
 pub(crate) fn starting(picture: &LiveState, since: WallTime) -> bool {
     let known = picture.absent > 0 || !picture.hosts.is_empty();

@@ -29,7 +29,7 @@ pub(crate) struct Mark {
     pub at: i64,
     /// Name of its sign.
     pub sign: &'static str,
-    /// Whose charts it stands in: the reporting host.
+    /// Reporting host; the mark is drawn in the charts of this host.
     pub host: String,
     /// The pipeline alone that it concerns, if one.
     pub pipeline: Option<String>,
@@ -59,7 +59,7 @@ pub(crate) struct ChartCard {
     pub name: String,
     pub href: String,
     pub about: String,
-    /// What the chart shows, in words.
+    /// Description of the chart in words.
     pub finding: String,
     /// Columns of the table view: the stages that occur.
     pub columns: Vec<&'static str>,
@@ -97,7 +97,7 @@ struct ChartData {
     gpu: Vec<(i64, Short)>,
 }
 
-/// What was sent second by second: bytes of known delay, and the sum of these delays in µs.
+/// Messages sent in each second: bytes of known delay, and the sum of these delays in µs.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 struct TransferData {
     up: Vec<Option<(Short, Short)>>,
@@ -131,7 +131,7 @@ fn drawn() -> impl Iterator<Item = &'static str> {
     look::STACK.iter().copied().chain(["total"])
 }
 
-/// What was sent in one direction and its delays, where they are known.
+/// Returns bytes and delays of one direction, if the delays are known.
 fn timed(transfer: Option<Transfer>) -> Option<(Short, Short)> {
     let transfer = transfer.filter(|transfer| transfer.speed().is_some())?;
     Some((Short(Some(transfer.timed_bytes)), Short(Some(transfer.seconds * 1e6))))

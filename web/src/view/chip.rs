@@ -3,7 +3,7 @@
 use askama::Template;
 use peernet_clock::Verdict;
 
-/// How much a state wants to be looked at.
+/// Severity of a state.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(crate) enum Tone {
     /// As it should be.
@@ -28,7 +28,7 @@ impl Tone {
     }
 }
 
-/// A verdict or state as it stands in tables and notes.
+/// Verdict or state, as shown in tables and notes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Template)]
 #[template(
     ext = "html",

@@ -1,4 +1,4 @@
-//! How well one-way delays are known, in a cell of a table.
+//! Accuracy of one-way delays, in a cell of a table.
 
 use peernet_analysis::delays::{prevailing, severity};
 use peernet_clock::Verdict;
@@ -26,7 +26,7 @@ pub(crate) fn verdict(bound: &Bound) -> Option<Verdict> {
     prevailing(&bound.verdicts)
 }
 
-/// What a verdict means and what to make of it, in a sentence for people who meet it for the first time.
+/// Returns the meaning of a verdict, in a sentence for first-time readers.
 pub(crate) const fn meaning(verdict: Verdict) -> &'static str {
     match verdict {
         Verdict::Ok => {

@@ -4,7 +4,7 @@ use peernet_statistics::number::count;
 
 /// Pipelines, and hosts, on the overview.
 pub(crate) const OVERVIEW: usize = 100;
-/// Rows of a list that has a page of its own.
+/// Rows of a list on a separate page.
 pub(crate) const LIST: usize = 500;
 
 /// `the first 100 of 5,000`, where not all of a list are shown.

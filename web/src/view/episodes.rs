@@ -1,4 +1,4 @@
-//! What stands beside the course of a run over time, in words.
+//! Texts beside the time series of a run.
 
 use peernet_statistics::number::count;
 use peernet_store::{Episodes, RunSummary};

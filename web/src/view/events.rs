@@ -1,4 +1,4 @@
-//! What became of a host's events, from measuring to the database, in figures that add up.
+//! Account of a host's events, from measuring to the database, in figures that add up.
 
 use std::cmp::Reverse;
 
@@ -13,7 +13,7 @@ use super::counted;
 use crate::svg::Meter;
 use crate::zone::Zone;
 
-/// Storing further behind measuring than this is worth a note.
+/// Delay of storing behind measuring from which on a note is shown.
 pub(crate) const FAR_BEHIND: Span = Span::from_seconds(5);
 /// A spool fuller than this has room for little more.
 const NEARLY_FULL: f64 = 0.95;
@@ -40,7 +40,7 @@ impl Remark {
 pub(crate) struct Step {
     pub name: &'static str,
     pub number: String,
-    /// What of the step before is not there yet.
+    /// Number of events of the previous step that have not reached this one, in words.
     pub about: String,
 }
 
@@ -60,7 +60,7 @@ pub(crate) struct Events {
     pub behind: (String, String),
 }
 
-/// How full a spool is.
+/// Fill level of a spool.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Spool {
     /// Percent of its limit.
@@ -200,7 +200,7 @@ pub(crate) fn stored(
     pairs
 }
 
-/// The account of one host as a row of a table; figures without their unit, which stands in the header.
+/// Event account of one host as a row of a table; figures are without their unit, which the header shows.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct EventLine {
     pub name: String,

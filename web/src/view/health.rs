@@ -14,7 +14,7 @@ use super::{awaited, link, place, warnings};
 use crate::config::WarnConfig;
 use crate::zone::Zone;
 
-/// At most so many notes are shown; the others are counted.
+/// Largest number of notes shown; further notes are counted.
 const NOTES: usize = 5;
 /// A share of lost iterations worth a note.
 const MANY_LOST: f64 = 0.001;
@@ -25,7 +25,7 @@ pub(crate) struct Health {
     pub title: String,
     /// The title in the past tense, for when the connection is lost.
     pub past: String,
-    /// Whether agents may still be on their way.
+    /// `true` if agents may still be on their way.
     pub starting: bool,
     pub notes: Vec<Note>,
     /// Notes beyond those shown.

@@ -12,7 +12,7 @@ use super::rehearsal;
 use crate::svg::Spark;
 use crate::zone::{Moment, Zone};
 
-/// One host, now. Texts are figures without their unit, which stands in the header.
+/// Current state of one host. Texts are figures without their unit, which the header shows.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct HostLine {
     pub name: String,
@@ -104,8 +104,8 @@ pub(crate) fn hardware_name(hardware: &Hardware) -> String {
         .join(" ")
 }
 
-/// What is known of a host's wall clock beside the aggregator's own. Processes of one machine tell the same boot id, which a copied
-/// virtual machine does as well: a clock that is far away is another one.
+/// Describes a host's wall clock relative to the aggregator's. Processes of one machine report the same boot id, but so does a copied
+/// virtual machine: a clock that is far away is therefore a different clock.
 pub(crate) fn clock_words(theirs: &ClockIdentity, ours: &ClockIdentity, ahead: Span) -> (String, String) {
     if theirs == ours {
         return ("the aggregator's".to_owned(), "it reads the same clock as the aggregator".to_owned());
@@ -125,7 +125,7 @@ pub(crate) fn clock_words(theirs: &ClockIdentity, ours: &ClockIdentity, ahead: S
 }
 
 impl HostLine {
-    /// The first so many hosts of a picture.
+    /// Returns the first `most` hosts of a picture.
     pub(crate) fn first(most: usize, picture: &LiveState, ours: &ClockIdentity, zone: Zone) -> Vec<Self> {
         picture.hosts.iter().take(most).map(|host| Self::new(host, ours, zone)).collect()
     }

@@ -43,7 +43,7 @@ impl IncidentLine {
         }
     }
 
-    /// Who reported it, in words.
+    /// Returns the reporter of the incident, in words.
     pub(crate) fn reporter(&self) -> &str {
         self.host.as_deref().unwrap_or("aggregator")
     }

@@ -1,4 +1,4 @@
-//! What several pages say the same way.
+//! Views that several pages share.
 
 pub(crate) mod accuracy;
 pub(crate) mod awaited;

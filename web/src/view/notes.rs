@@ -12,7 +12,7 @@ use super::clocks;
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct Note {
     pub chip: Chip,
-    /// What the sentence is about, as a link in front of it.
+    /// Subject of the sentence, a link before it.
     pub subject: String,
     /// Empty on the page of the subject itself.
     pub href: String,
@@ -21,7 +21,7 @@ pub(crate) struct Note {
     pub link: Option<String>,
 }
 
-/// What is to be said of one-way delays whose verdicts are not `ok`: chip and sentence.
+/// Returns the notes on one-way delays whose verdicts are not `ok`: chip and sentence.
 pub(crate) fn of_delays(bounds: &[Bound], of: impl Fn(&Name) -> Option<Figures>) -> Vec<(Chip, String)> {
     let unsure: Vec<(&Bound, Verdict)> = bounds
         .iter()

@@ -1,4 +1,4 @@
-//! Where the time goes now: pipelines as stage bars on one scale, with their figures.
+//! Current pipelines as stage bars on one scale, with their figures.
 
 use peernet_aggregator::{PipelineSnapshot, Window};
 use peernet_logger::stage;
@@ -14,7 +14,7 @@ use super::stack::Stack;
 use crate::look;
 use crate::svg::{Axis, Bar, Scale};
 
-/// How many times as long as the longest bar a whisker may make the axis.
+/// Largest length of the axis that a whisker may cause, as a multiple of the longest bar.
 const TAIL: f64 = 2.0;
 /// Seconds of the window of every figure: the shortest that holds enough iterations for a p99 at 5 Hz. Bars, quantiles and
 /// whiskers come from one window, since figures of different windows cannot be compared.
@@ -29,7 +29,7 @@ pub(crate) struct NowTable {
     pub rows: Vec<NowRow>,
     /// The stages that any of the rows has: columns of the table view.
     pub columns: Vec<&'static str>,
-    /// Whether a pipeline has a deadline.
+    /// `true` if a pipeline has a deadline.
     pub has_deadlines: bool,
 }
 
@@ -58,7 +58,7 @@ pub(crate) struct NowRow {
     pub total: String,
 }
 
-/// A figure, or the reason why there is none.
+/// Figure, or the reason why there is none.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct Cell {
     pub text: String,
@@ -87,7 +87,7 @@ pub(crate) fn state_chip(state: &PipelineState) -> Option<Chip> {
     Some(Chip::new(tone, icon, state.name()))
 }
 
-/// What keeps a pipeline from running, in words: `waits: the cloud loads its model`.
+/// Returns the reason why a pipeline does not run, in words: `waits: the cloud loads its model`.
 pub(crate) fn trouble(state: &PipelineState) -> Option<String> {
     let what = match state {
         PipelineState::Failed(_) => "stopped",

@@ -1,4 +1,4 @@
-//! Where a pipeline computes, in words.
+//! Placement of a pipeline in words.
 
 use peernet_aggregator::Window;
 use peernet_logger::stage;

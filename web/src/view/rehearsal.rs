@@ -58,7 +58,7 @@ impl Rehearsed {
         Self(heard.chain(told).collect())
     }
 
-    /// What the banner on every page says, a sentence per host.
+    /// Returns the sentences of the banner on every page, one per host.
     pub(crate) fn banner(&self) -> Vec<String> {
         let sentence = |(name, how): (&String, &String)| {
             format!("Rehearsal: {name}'s clock is made wrong on purpose ({how}). Its delays should not move.")
@@ -66,7 +66,7 @@ impl Rehearsed {
         self.0.iter().map(sentence).collect()
     }
 
-    /// Whether a host of one of these names is rehearsed.
+    /// Returns whether a host of one of these names is rehearsed.
     pub(crate) fn concerns(&self, names: &[&str]) -> bool {
         names.iter().any(|name| self.0.contains_key(*name))
     }

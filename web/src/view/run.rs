@@ -1,4 +1,4 @@
-//! What the page of a run shows of the store's answers.
+//! View of a stored run.
 
 use peernet_analysis::accuracy::{ACCURACIES, UNKNOWN_LABEL};
 use peernet_analysis::deadline::DEADLINE_MISSED;
@@ -29,7 +29,7 @@ const MANY: u64 = 100;
 /// Seconds that no wait for an answer or a model explains.
 const LONG: f64 = 600.0;
 
-/// What the store says about a run.
+/// Stored data of a run.
 pub(crate) struct Stored<'a> {
     pub run: &'a RunDetail,
     pub known: &'a RunStatistics,
@@ -40,7 +40,7 @@ pub(crate) struct Stored<'a> {
     pub episodes: &'a Episodes,
 }
 
-/// What was measured beside durations.
+/// Statistics of a quantity that is not a duration.
 pub(crate) struct Other {
     pub name: String,
     pub mean: String,
@@ -107,7 +107,7 @@ impl Stored<'_> {
         self.unanswered.iter().map(row).collect()
     }
 
-    /// How many episodes there are, how much had no answer, and for how long nothing happened.
+    /// Returns sentences about the number of episodes, the iterations without an answer, and the longest time without iterations.
     pub(crate) fn parted(&self) -> Vec<String> {
         let unanswered = episodes::unanswered(self.episodes, &self.run.summary);
         let still = self
@@ -168,7 +168,7 @@ impl Stored<'_> {
         rows.collect()
     }
 
-    /// What was measured beside durations.
+    /// Returns the statistics of quantities that are not durations.
     pub(crate) fn others(&self) -> Vec<Other> {
         // What is counted is told above, as a share or a sum: quantiles of counts say little.
         let counts = [SKIPPED_STARTS, UNKNOWN_LABEL, DEADLINE_MISSED].into_iter().chain(ACCURACIES);
@@ -292,7 +292,8 @@ mod tests {
     use super::*;
     use crate::view::compare::tests::run;
 
-    /// What is said of a run of so many iterations whose points begin after so many seconds, and its length.
+    /// Returns the standstill of a run of `iterations` iterations with points at `points` seconds after its start and a length of
+    /// `seconds`.
     fn standstill(iterations: u64, bucket_s: u32, points: &[i64], seconds: i64, lost: &[i64]) -> Option<f64> {
         let mut summary = run(1, PlacementKind::Remote);
         let after = |seconds: i64| summary.started + Span::from_seconds(seconds);

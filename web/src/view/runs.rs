@@ -16,10 +16,10 @@ use crate::zone::{Moment, Zone};
 /// The chip of a run of which retention deletes nothing.
 pub(crate) const PINNED: Chip = Chip::new(Tone::Quiet, "pin", "pinned");
 
-/// What is known of a run's end.
+/// End of a run.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) enum End {
-    /// It goes on: its host says so.
+    /// The run has not ended: its host reports it.
     GoesOn,
     /// It ended, for this reason.
     Told(String),
@@ -41,7 +41,7 @@ impl End {
     }
 }
 
-/// Where in its experiment a run belongs.
+/// Place of a run in its experiment.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Labels {
     pub name: String,
@@ -103,7 +103,7 @@ pub(crate) fn reject_deleted(
     )))
 }
 
-/// What retention deleted of a run: which iterations, and what of them.
+/// Returns a note about the iterations that retention deleted.
 pub(crate) fn trimmed(run: &RunSummary, retention: &RetentionConfig) -> Option<Note> {
     let which = match run.nodes_from {
         0 => return None,
@@ -119,7 +119,7 @@ pub(crate) fn trimmed(run: &RunSummary, retention: &RetentionConfig) -> Option<N
     })
 }
 
-/// What of a run was not recorded: by reason how many events, and from when to when some are missing.
+/// Returns notes about events that were not recorded: for each reason their number, and the time from the first gap to the last.
 pub(crate) fn unrecorded(gaps: &[GapRow], zone: Zone) -> Vec<Note> {
     let mut reasons: Vec<&str> = gaps.iter().map(|gap| gap.reason.as_str()).collect();
     reasons.sort_unstable();

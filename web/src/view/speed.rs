@@ -32,7 +32,7 @@ impl Way {
         }
     }
 
-    /// What was sent in this direction.
+    /// Returns the messages sent in this direction.
     pub(crate) const fn of(self, transfers: &Transfers) -> Option<Transfer> {
         match self {
             Self::Up => transfers.up,

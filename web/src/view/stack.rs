@@ -68,7 +68,7 @@ impl Stack {
         Self { parts, total: None }
     }
 
-    /// Where the bar ends, ms.
+    /// Returns the position of the end of the bar, ms.
     pub(crate) fn end_ms(&self) -> f64 {
         self.parts.iter().map(|part| part.seconds).sum::<f64>() * 1e3
     }
@@ -89,7 +89,7 @@ impl Stack {
         Bar::new(class, self.finding((None, None)), &self.parts, &scale).without_grid()
     }
 
-    /// What the bar shows, in words.
+    /// Returns the description of the bar in words.
     pub(crate) fn finding(&self, (p95, p99): (Option<f64>, Option<f64>)) -> String {
         let Some(total) = &self.total else { return "no successful iteration in this time".to_owned() };
         let mut text = format!("Median {}", duration(total.p50));
@@ -108,8 +108,8 @@ impl Stack {
     }
 }
 
-/// What the mean of the total is made of, in the order of [`look::STACK`]; nothing without a total. `of` tells how many
-/// samples of a name there are, and their mean in seconds; `sent` whether anything went to another host.
+/// Returns the parts of the mean of the total, in the order of [`look::STACK`]; empty without a total. `of` gives the number of samples
+/// of a name and their mean in seconds; `sent` is `true` if anything was sent to another host.
 pub(crate) fn parts(sent: bool, of: impl Fn(&str) -> Option<(u64, f64)>) -> Vec<Part> {
     let Some((count, total)) = of("total") else { return Vec::new() };
     let mut left = total;
@@ -141,8 +141,8 @@ pub(super) fn shared((count, mean): (u64, f64), of: u64) -> f64 {
     mean * count as f64 / of.max(1) as f64
 }
 
-/// What both directions take together in the mean, seconds, where the clocks tell neither; `None` when one is known
-/// or nothing was sent.
+/// Returns the mean time of both directions together, seconds, where the clocks give neither; `None` when one is known or nothing was
+/// sent.
 fn both_ways(of: impl Fn(&str) -> Option<(u64, f64)>, sent: bool) -> Option<f64> {
     let (count, total) = of(&stage::TOTAL)?;
     if !sent || of(&stage::UPLOAD).is_some() || of(&stage::DOWNLOAD).is_some() {

@@ -58,7 +58,7 @@ impl StageRow {
         }
     }
 
-    /// Whether there are samples, so that there is a distribution.
+    /// Returns whether there are samples, so that there is a distribution.
     pub(crate) fn measured(&self) -> bool {
         self.p50 != NONE
     }

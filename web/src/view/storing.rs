@@ -1,4 +1,4 @@
-//! That events are not being stored: said on every page for as long as it is so.
+//! Notice on every page while events are not being stored.
 
 use peernet_aggregator::Readiness;
 

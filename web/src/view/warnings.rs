@@ -17,7 +17,7 @@ const BUSY_FOR: Span = Span::from_seconds(10);
 /// Less unattributed time or lateness than this, seconds, is that of single instructions and of the scheduler.
 const LEAST_S: f64 = 1e-4;
 
-/// That a host's processors have been busy for ten seconds.
+/// Returns a warning if a host's processors have been busy for ten seconds.
 pub(crate) fn of_host(host: &HostSnapshot, now: WallTime, warn: &WarnConfig) -> Option<(Chip, String)> {
     let limit = warn.cpu_percent / 100.0;
     let current = host.metrics.cpu.filter(|_| host.connected)?;
@@ -40,7 +40,7 @@ pub(crate) fn of_host(host: &HostSnapshot, now: WallTime, warn: &WarnConfig) -> 
     (least > limit).then(|| (Chip::new(Tone::Warn, "remark", "busy"), text()))
 }
 
-/// What is to be said of a pipeline's last minute.
+/// Returns the warnings about a pipeline's last minute.
 pub(crate) fn of_pipeline(minute: &Window, warn: &WarnConfig) -> Vec<(Chip, String)> {
     [tail(minute, warn), unattributed(minute, warn), skipped(minute, warn), late(minute, warn)]
         .into_iter()

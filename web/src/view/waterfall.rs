@@ -36,7 +36,7 @@ pub(crate) struct Row {
     pub median: String,
 }
 
-/// How a one-way delay came about. Times in ms.
+/// Computation of a one-way delay; times in ms.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct DelayRow {
     pub name: String,
@@ -46,7 +46,7 @@ pub(crate) struct DelayRow {
     pub lo: String,
     pub hi: String,
     pub source: &'static str,
-    /// What the bounds rest on; empty where that is not stored.
+    /// Assumptions behind the bounds; empty where they are not stored.
     pub basis: String,
     pub chip: Chip,
 }
@@ -103,11 +103,11 @@ pub(crate) fn rows(
     rows
 }
 
-/// What the stages leave of a total.
+/// Parts of a total that no stage accounts for.
 struct Left {
-    /// What is known of the directions together, where one of them is not known: by its name, seconds.
+    /// Name and seconds of the directions together, where one of them is not known.
     network: Option<(&'static str, f64)>,
-    /// What no stage accounts for, if that is known and anything.
+    /// Time that no stage accounts for, if it is known and above zero.
     rest: Option<f64>,
 }
 
@@ -205,7 +205,7 @@ fn digits(seconds: f64, bounds: Option<(f64, f64)>) -> String {
     bounds.map_or_else(|| fixed(seconds * 1e3, 2), |bounds| within_ms(seconds, bounds))
 }
 
-/// Where the delays came from.
+/// Returns the computation of each one-way delay.
 pub(crate) fn delays(timeline: &Timeline, judged: &[peernet_store::DelayRow]) -> Vec<DelayRow> {
     let known = timeline.nodes.iter().filter_map(|node| Some((node, node.delay?)));
     let shown = known.map(|(node, delay)| {
@@ -251,7 +251,7 @@ pub(crate) fn journey(timeline: &Timeline, edge: &str, cloud: &str) -> String {
     )
 }
 
-/// What the uncertainty of the clocks means for the picture.
+/// Returns the effect of the clocks' uncertainty on the picture, in a sentence.
 pub(crate) fn footnote(timeline: &Timeline, cloud: &str) -> Option<String> {
     let visit = timeline.visit()?;
     let (earlier, later) = visit.shift;

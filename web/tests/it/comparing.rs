@@ -63,7 +63,7 @@ async fn starts_that_were_skipped_before_unanswered_iterations_are_told_everywhe
     assert_eq!(bed.get("/api/v1/compare?runs=1").await.json()["doubts"], serde_json::json!([]));
 }
 
-/// What stands in the panel of distributions.
+/// Returns the panel of distributions.
 fn distributions(page: &str) -> &str {
     let panel = page.split("id=\"distributions\"").nth(1).expect("a panel");
     panel.split("</section>").next().expect("its end")

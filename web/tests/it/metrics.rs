@@ -7,7 +7,7 @@ use peernet_clock::Span;
 use crate::bed::Bed;
 use crate::factory::Line;
 
-/// What is said of one metric.
+/// Lines of one metric.
 #[derive(Debug, Default, PartialEq)]
 struct Family {
     kind: String,

@@ -3,7 +3,7 @@
 use crate::bed::Bed;
 use crate::factory::Line;
 
-/// What an SVG path holds as attribute `d`, of the first element with this class.
+/// Returns attribute `d` of the first SVG path with this class.
 fn path<'a>(html: &'a str, class: &str) -> &'a str {
     let rest = html.split(&format!("<path class=\"{class}\" d=\"")).nth(1).unwrap_or_default();
     rest.split('"').next().unwrap_or_default()

@@ -44,7 +44,7 @@ async fn asked(server: std::net::SocketAddr, from: &str, head: &str) -> TcpStrea
     stream
 }
 
-/// What is heard until it contains this.
+/// Returns the received text up to and including `sign`.
 async fn until(stream: &mut TcpStream, sign: &str) -> String {
     let mut heard = String::new();
     while !heard.contains(sign) {

@@ -62,7 +62,7 @@ pub(crate) struct Comparison {
     pub doubts: Vec<String>,
     /// Runs of the experiment that do not count: those that were not measured to their end, and those that were measured again.
     pub left_out: Vec<LeftOut>,
-    /// Whether there were more runs than are compared.
+    /// `true` if there were more runs than are compared.
     pub cut: bool,
 }
 
@@ -126,7 +126,7 @@ pub(crate) struct Difference {
     pub value: f64,
     /// Lower and upper end of the 95 % interval.
     pub interval: [f64; 2],
-    /// Whether zero lies outside the interval.
+    /// `true` if zero lies outside the interval.
     pub certain: bool,
 }
 

@@ -46,7 +46,7 @@ impl From<&peernet_aggregator::RefusedHost> for RefusedHost {
 pub(crate) struct Host {
     pub id: String,
     pub name: String,
-    /// Whether it reports now.
+    /// `true` if it reports now.
     pub connected: bool,
     pub last_seen: String,
     pub description: Description,
@@ -124,7 +124,7 @@ pub(crate) struct EventAccount {
     pub memory_bytes: u64,
     /// When the oldest event that waits came, on the agent's wall clock; null when none waits.
     pub oldest: Option<String>,
-    /// Whether batches travel compressed: they wait for the link or the aggregator.
+    /// `true` if batches travel compressed: they wait for the link or the aggregator.
     pub compressed: bool,
     /// Why the spool cannot be written or read, in words; null while it works.
     pub trouble: Option<String>,

@@ -70,7 +70,7 @@ pub(crate) struct StageDelay {
     pub source: &'static str,
     /// `ok`, `limited`, `stale`, `unsynchronised`, `stepped` or `inconsistent`.
     pub verdict: &'static str,
-    /// Whether the interval rests on what time daemons claim.
+    /// `true` if the interval rests on what time daemons claim.
     pub claims_used: bool,
     /// Further assumptions of the interval; null where both ends are on one clock, and where no clock sample of its time is stored.
     pub assumptions: Option<Assumptions>,

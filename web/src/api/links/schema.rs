@@ -30,7 +30,7 @@ pub(crate) struct Link {
     pub cloud_id: String,
     /// Kind of network, such as `zmq-tcp`.
     pub network: String,
-    /// Whether the edge tells of it now.
+    /// `true` if the edge tells of it now.
     pub connected: bool,
     /// Its newest sample, on the edge's wall clock.
     pub last_sample: String,
@@ -48,7 +48,7 @@ pub(crate) struct LinkNow {
     /// Kinds of network in use: that of the link.
     pub networks: Vec<String>,
     pub pipelines: Vec<String>,
-    /// Whether it is proven at this moment that the processes of both hosts read one clock: then the offset is exactly zero.
+    /// `true` if it is proven at this moment that the processes of both hosts read one clock: then the offset is exactly zero.
     pub same_clock: bool,
     /// Verdict of the offset, or `unsynchronised` without one; `limited` where the offset is good and delays of the last ten seconds are
     /// too short for its bound.

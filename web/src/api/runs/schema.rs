@@ -47,9 +47,9 @@ pub(crate) struct Run {
     pub miss_rate: Option<f64>,
     /// Statistics of `total`, seconds; successful iterations only.
     pub total: Option<Figures>,
-    /// Whether the clock of one of its hosts was made wrong on purpose.
+    /// `true` if the clock of one of its hosts was made wrong on purpose.
     pub rehearsed: bool,
-    /// Whether it is kept (pinned): retention deletes nothing of it.
+    /// `true` if it is kept (pinned): retention deletes nothing of it.
     pub pinned: bool,
     /// Iterations up to and including this number were deleted because of their age or for want of room, their statistics
     /// remain; 0: none.

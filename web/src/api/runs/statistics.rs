@@ -141,7 +141,7 @@ pub(crate) struct Stage {
     pub name: String,
     /// `s`, `B`, `bit/s` or the user's own.
     pub unit: String,
-    /// Whether it is one of the stages that add up to `stages-total`.
+    /// `true` if it is one of the stages that add up to `stages-total`.
     pub is_stage: bool,
     #[serde(flatten)]
     pub figures: Figures,

@@ -1,4 +1,4 @@
-//! What the means of stored runs leave open: starts that were skipped, samples without a score, and how to ask of every
+//! Caveats about the means of stored runs (skipped starts, samples without a score), and the commands that compare runs by every
 //! iteration.
 
 use peernet_analysis::accuracy::{UNKNOWN_LABEL, UnknownLabels};
@@ -9,10 +9,10 @@ use peernet_stream::OutcomeCounts;
 
 use super::Comparison;
 
-/// Where a dashboard is when a request does not say it in plain letters.
+/// Address of the dashboard in commands if the request's Host header is not plain text.
 const USUAL: &str = "127.0.0.1:8040";
 
-/// What speaks against the means: runs without their end, starts that were skipped, and iterations without an answer.
+/// Returns the caveats about the means: runs without their end, starts that were skipped, and iterations without an answer.
 pub(crate) fn doubts(comparison: &Comparison) -> Vec<String> {
     let configurations = &comparison.configurations;
     let unfinished: Vec<String> = comparison
@@ -54,8 +54,8 @@ pub(crate) fn unknown_labels(comparison: &Comparison) -> Vec<String> {
     of.collect()
 }
 
-/// Commands that fetch the runs from this dashboard, which the browser reaches as `host`, and compare them by all their
-/// iterations. `None` of an experiment, which has results of its own, and where there is nothing to compare.
+/// Returns the commands that fetch the runs from this dashboard, which the browser reaches as `host`, and compare them by all their
+/// iterations. `None` for an experiment, which has results that its own command wrote, and where there is nothing to compare.
 pub(crate) fn commands(comparison: &Comparison, host: &str) -> Option<String> {
     let runs: Vec<String> = comparison.runs().map(|run| run.number.to_string()).collect();
     (comparison.experiment.is_none() && runs.len() > 1).then_some(())?;

@@ -1,4 +1,4 @@
-//! How far the means of configurations differ, and whether that is more than chance.
+//! Differences of the configurations' means, and their significance.
 
 use std::collections::HashMap;
 
@@ -56,7 +56,7 @@ pub(crate) struct StageDifference {
 }
 
 impl StageDifference {
-    /// Whether the difference is more than chance; `None` where that cannot be told.
+    /// Returns whether the difference is significant; `None` if that cannot be determined.
     pub(crate) fn is_distinct(&self) -> Option<bool> {
         self.found.and_then(|found| found.is_distinct())
     }

@@ -1,4 +1,4 @@
-//! What the runs of a comparison differ in.
+//! Settings in which the runs of a comparison differ.
 
 use peernet_analysis::compare::{ChosenColumns, Column, choose_columns};
 use peernet_statistics::number::NONE;
@@ -6,14 +6,14 @@ use peernet_store::RunDetail;
 
 use crate::view::place;
 
-/// What tells runs apart.
+/// Settings that distinguish runs.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub(super) struct Differing {
-    /// What becomes a column.
+    /// Names of the settings that become columns.
     pub(super) axes: Vec<String>,
     /// The value of each run on each axis.
     pub(super) values: Vec<Vec<String>>,
-    /// What differs as well, or is declared and the same for all; a value for each run.
+    /// Further settings that differ, and those that an experiment declares and that are the same for all; a value for each run.
     pub(super) settings: Vec<Column>,
     /// Names of what differs as well, in hashes, paths or lists that no table has room for.
     pub(super) also: Vec<String>,

@@ -17,10 +17,10 @@ use crate::view::counted;
 /// Most pictures with which all quantities are drawn at once.
 const AT_ONCE: usize = 24;
 
-/// What is drawn, and what else there is.
+/// Distributions that are drawn, and links to others.
 pub(crate) struct Distributions {
     pub groups: Vec<Group>,
-    /// What may be asked for; nothing where there is no choice.
+    /// Quantities that can be selected; empty where there is no choice.
     pub choices: Vec<Choice>,
     /// The part of the address that says what is compared.
     pub address: Address,
@@ -56,11 +56,11 @@ pub(crate) struct Choice {
     pub is_shown: bool,
 }
 
-/// What an address compares.
+/// Subject of a comparison as in an address.
 pub(crate) enum Address {
     /// Id of an experiment.
     Experiment(String),
-    /// Numbers of runs, parted by commas.
+    /// Numbers of runs, separated by commas.
     Runs(String),
 }
 
@@ -89,7 +89,7 @@ impl Quantity {
         all.map(|(name, title)| Self { name, title: title.to_owned() }).collect()
     }
 
-    /// How many runs have it.
+    /// Returns the number of runs that have this quantity.
     fn runs(&self, comparison: &Comparison) -> usize {
         comparison.runs().filter(|run| comparison.known(run.number, &self.name).is_some()).count()
     }
@@ -137,7 +137,7 @@ impl Quantity {
         })
     }
 
-    /// That the clocks tell it of none of a run's iterations.
+    /// Returns a sentence about runs in which the clocks give no value of this quantity.
     fn untold(&self, comparison: &Comparison) -> Option<String> {
         let (_, delay) = CROSSING.iter().find(|(known, _)| *known == self.name)?;
         let runs = comparison.runs().filter(|run| {
@@ -149,11 +149,11 @@ impl Quantity {
     }
 }
 
-/// The quantity that is asked for; without one all of them where there is room, else the total. `None` where nothing was
-/// measured.
+/// Returns the distributions of the selected quantity; without a selection of all quantities where there is room, else of the total.
+/// `None` where nothing was measured.
 ///
 /// # Errors
-/// When the quantity is none of the usual ones and no run has it.
+/// Returns an error when the quantity is not a usual one and no run has it.
 pub(crate) fn distributions(
     comparison: &Comparison,
     asked: Option<&str>,

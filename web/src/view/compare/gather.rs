@@ -18,7 +18,7 @@ pub(crate) const MOST_TYPED: usize = 12;
 /// Most runs of an experiment that are compared.
 pub(crate) const MOST_RUNS: u32 = 200;
 
-/// What an address asks to compare.
+/// Selection of what to compare, as in an address.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) enum Which {
     /// These runs, each for itself.
@@ -28,11 +28,11 @@ pub(crate) enum Which {
 }
 
 impl Which {
-    /// Reads `runs=1,2&runs=3` or `experiment=ID`; of anything else the error names `parameters`, which there are. `None`
-    /// when nothing is asked for.
+    /// Reads `runs=1,2&runs=3` or `experiment=ID`. `None` without a selection.
     ///
     /// # Errors
-    /// When a number is none, when there are too many, when both are given, and when something else is.
+    /// Returns an error when a number is invalid, when there are too many, when both are given, and when there is another parameter; the
+    /// error then lists `parameters`, the names of all.
     pub(crate) fn of(pairs: &[(String, String)], parameters: &str) -> Result<Option<Self>, WebError> {
         let bad = |text: String| Err(WebError::BadRequest(format!("query parameter {text}")));
         let (mut runs, mut experiment) = (Vec::<i64>::new(), None);

@@ -22,7 +22,7 @@ const MOST_DRAWN: usize = 6;
 /// Most iterations that a page reads, and most of one configuration.
 const MOST_READ: u64 = 1_500;
 const MOST_EACH: u64 = 750;
-/// From so many bytes on lengths are shown in kB.
+/// Smallest longest answer, bytes, from which on lengths are shown in kB.
 const KILOBYTES: f64 = 10_000.0;
 
 /// A configuration whose answers differ in length.
@@ -46,7 +46,8 @@ impl<'a> Varying<'a> {
         comparison.configurations.iter().filter_map(Self::of).collect()
     }
 
-    /// What lengths are counted in: its name, how many of them one measured unit is, and so many that a slope is given for.
+    /// Returns the unit of lengths: its name, its factor from the measured value, the unit of the slope, and the measured length that the
+    /// slope is given for.
     fn unit(&self, longest: f64) -> (String, f64, &'static str, f64) {
         if is_tokens(self.length) {
             (self.length.replace(['-', '_'], " "), 1.0, "token", 1.0)
@@ -66,18 +67,18 @@ impl<'a> Varying<'a> {
     }
 }
 
-/// What was read of a configuration's iterations.
+/// Iterations read of a configuration.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(crate) struct Answers {
     /// Its name.
     pub name: String,
     /// Length, as measured, and seconds.
     pub points: Vec<(f64, f64)>,
-    /// Whether all that are stored were read.
+    /// `true` if all that are stored were read.
     pub is_whole: bool,
 }
 
-/// Whether a number is in the statistics, and so has a place on an axis.
+/// Returns whether a number is in the statistics, and so has a place on an axis.
 fn counts(value: f64) -> bool {
     Summary::accepts(value)
 }
@@ -111,7 +112,7 @@ pub(crate) async fn answers(store: &Store, comparison: &Comparison) -> Result<Ve
 pub(crate) struct LengthRow {
     pub name: String,
     pub plot: LengthPlot,
-    /// What it shows, and what it rests on.
+    /// Sentences about the contents of the plot and its basis.
     pub said: Vec<String>,
 }
 
@@ -120,7 +121,7 @@ pub(crate) struct Lengths {
     pub rows: Vec<LengthRow>,
     /// Names of the configurations for which there is no room.
     pub others: Option<String>,
-    /// Whether points are counted into cells.
+    /// `true` if points are counted into cells.
     pub is_counted: bool,
 }
 
@@ -179,7 +180,7 @@ fn sums(it: &Varying<'_>) -> String {
     )
 }
 
-/// How many of the iterations are points.
+/// Returns a sentence about the number of iterations that are drawn as points.
 fn amount(it: &Varying<'_>, known: &Answers) -> String {
     let points = known.points.len() as u64;
     let (all, answered) = (it.x.count().min(it.y.count()), it.x.count().max(it.y.count()));
@@ -214,7 +215,7 @@ fn amount(it: &Varying<'_>, known: &Answers) -> String {
     }
 }
 
-/// How many values the axes leave out.
+/// Returns a sentence about the number of values beyond the axes; `None` if there are none.
 fn beyond(it: &Varying<'_>, (across, up): (&LengthAxis, &LengthAxis)) -> Option<String> {
     let lost = [(across.beyond(it.x), "length", "lengths"), (up.beyond(it.y), "latency", "latencies")];
     let told: Vec<String> = lost

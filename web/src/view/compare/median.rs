@@ -12,7 +12,7 @@ use crate::svg::shown_in;
 use crate::view::chip::Chip;
 use crate::view::clocks;
 
-/// What crosses between clocks, and the delay that it is made of.
+/// Quantities that depend on two clocks, each with the delay that it is computed from.
 pub(super) static CROSSING: [(Name, Name); 4] = [
     (stage::UPLOAD, stage::UPLOAD),
     (stage::DOWNLOAD, stage::DOWNLOAD),
@@ -25,9 +25,9 @@ pub(super) static CROSSING: [(Name, Name); 4] = [
 pub(super) struct Median {
     /// With its unit, and with what the clocks leave open. Where that is too much, as an interval alone.
     pub said: String,
-    /// Where it may lie by the clocks, SI; `None` where they leave nothing open.
+    /// Interval of the median by the clock bounds, SI; `None` where they leave no uncertainty.
     pub within: Option<(f64, f64)>,
-    /// A verdict that is to be looked at.
+    /// Verdict that needs attention.
     pub doubt: Option<Chip>,
 }
 

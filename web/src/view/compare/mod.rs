@@ -48,12 +48,12 @@ use peernet_stream::PlacementKind;
 
 use crate::error::WebError;
 
-/// What is compared.
+/// Configurations to compare.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Comparison {
     /// The experiment that all runs belong to, name and id, where one was asked for.
     pub experiment: Option<(String, String)>,
-    /// What the configurations differ in.
+    /// Names of the settings in which the configurations differ.
     pub axes: Vec<String>,
     /// Settings in which configurations differ as well, and those that an experiment declares for all alike.
     pub settings: Vec<Setting>,
@@ -65,7 +65,7 @@ pub(crate) struct Comparison {
     pub kept: HashMap<i64, Arc<MergeableStatistics>>,
     /// Runs of the experiment that do not count, oldest first.
     pub left_out: Vec<LeftOut>,
-    /// Whether there were more runs than are compared.
+    /// `true` if there were more runs than are compared.
     pub cut: bool,
 }
 
@@ -88,19 +88,19 @@ pub(crate) struct Setting {
 /// Runs of one configuration, taken together.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Configuration {
-    /// What differs from the others, in words; unique.
+    /// Differences from the other configurations in words; unique.
     pub name: String,
     /// Its value on each axis.
     pub values: Vec<String>,
     /// Oldest first.
     pub runs: Vec<RunSummary>,
-    /// Of all its runs together.
+    /// Statistics of all its runs together.
     pub stages: Vec<StageStatistics>,
-    /// How well the one-way delays are known.
+    /// Accuracy of the one-way delays.
     pub bounds: Vec<Bound>,
     /// All that is kept of its runs together.
     pub kept: Arc<MergeableStatistics>,
-    /// Whether its model computes something, and does not only answer what it was sent.
+    /// `true` if its model computes something, and does not only answer what it was sent.
     pub computes: bool,
 }
 
@@ -120,7 +120,7 @@ impl Configuration {
         self.figures("total").or_else(|| self.figures("sensing"))
     }
 
-    /// What became of the starts that an open loop ordered.
+    /// Returns the counts of the starts that an open loop ordered.
     pub(crate) fn starts(&self) -> Starts {
         let of_runs = self.runs.iter().map(Starts::from);
         of_runs.fold(Starts::default(), |all, run| Starts {
@@ -130,7 +130,7 @@ impl Configuration {
         })
     }
 
-    /// How many iterations of its runs missed their deadline; `None` where no run has one.
+    /// Returns the number of iterations that missed their deadline; `None` where no run has one.
     pub(crate) fn misses(&self) -> Option<Misses> {
         Misses::together(self.runs.iter().filter_map(|run| run.misses))
     }

@@ -1,4 +1,4 @@
-//! How much longer an iteration takes than one of the baseline, as distributions on one axis.
+//! Distributions of the difference between an iteration and one of the baseline, on one axis.
 
 use peernet_analysis::compare::PairwiseDifference;
 use peernet_logger::stage;

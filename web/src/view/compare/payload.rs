@@ -13,7 +13,7 @@ use crate::view::accuracy;
 
 /// Sizes within this factor are one size.
 const ALIKE: f64 = 1.1;
-/// Most groups that have lines of their own; with more nobody can tell them apart.
+/// Largest number of groups with separate lines; more lines could not be told apart.
 const MOST_GROUPS: usize = 3;
 /// Name of the values that tell how often the first answer was right.
 const TOP_1: &str = look::ACCURACIES[0].0;

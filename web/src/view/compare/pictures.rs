@@ -40,11 +40,11 @@ pub(crate) struct Pair {
     pub places: Vec<PlaceRow>,
 }
 
-/// Where a model ran.
+/// Row of a model's host.
 pub(crate) struct PlaceRow {
     /// Name of its configuration.
     pub configuration: String,
-    /// Where the model ran, and for which hosts.
+    /// Host of the model, and the hosts that it serves.
     pub place: String,
     pub inference: (String, Option<String>),
     pub spread: BoxPlot,
@@ -96,7 +96,7 @@ fn label(one: &Configuration, parts: &[Part]) -> String {
     format!("{}: mean {} of {} iterations. {stages}.", one.name, duration(total.mean), total.count)
 }
 
-/// Where all runs that are taken together went: `user-1, user-2 → rack-a`.
+/// Returns the routes of all runs of the configuration: `user-1, user-2 → rack-a`.
 fn routes(one: &Configuration) -> String {
     let mut ways: Vec<(&Placement, Vec<String>)> = Vec::new();
     for run in &one.runs {

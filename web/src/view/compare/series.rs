@@ -1,4 +1,4 @@
-//! How the runs of a comparison went over time: buckets and single rows, however long a run was.
+//! Runs of a comparison over time, from stored buckets and single rows, at any length of a run.
 
 use std::collections::HashMap;
 
@@ -19,15 +19,15 @@ const FEWEST: u64 = 20;
 const SAMPLES: u64 = 60;
 /// A run of fewer points than this is not drawn: its length in time says nothing.
 const FEWEST_POINTS: usize = 3;
-/// A run shorter than so many points is drawn longer or shorter than it was, by part of a point at each end.
+/// Number of points below which the drawn length of a run is inexact, by part of a point at each end.
 const FEW: f64 = 5.0;
 
-/// What the store knows of a run over time.
+/// Stored data of a run over time.
 #[derive(Clone, Debug)]
 pub(crate) struct RunCourse {
-    /// Of the total, or of a sensor alone.
+    /// Time series of the total, or of the sensor in a run without a model.
     pub series: Series,
-    /// Of the stages and the total, in the buckets of `series`.
+    /// Means of the stages and the total, in the buckets of `series`.
     pub means: Vec<StageMeans>,
     pub episodes: Episodes,
 }
@@ -38,13 +38,13 @@ pub(crate) type RunCourses = HashMap<i64, RunCourse>;
 /// Runs over time, side by side.
 pub(crate) struct OverTime {
     pub runs: Vec<RunPicture>,
-    /// What the axes across count.
+    /// Unit of the horizontal axes.
     pub unit: &'static str,
     pub has_p95: bool,
     pub has_borders: bool,
     pub has_warm_up: bool,
     pub has_unanswered: bool,
-    /// How many runs there are, where not all are drawn.
+    /// Number of runs, if not all are drawn.
     pub of: Option<usize>,
     /// A sentence about runs without a single answer.
     pub missing: Option<String>,

@@ -1,4 +1,4 @@
-//! How the totals of a comparison spread, from what is kept of each over its whole length: no iteration is read.
+//! Spread of the totals of a comparison, from the statistics stored of each whole run. No iteration is read.
 
 use peernet_logger::stage;
 use peernet_statistics::number::milliseconds;

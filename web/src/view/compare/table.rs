@@ -32,9 +32,9 @@ pub(crate) struct Header {
     pub axes: Vec<String>,
     pub columns: Vec<&'static str>,
     pub accuracies: Vec<&'static str>,
-    /// Whether something was sent.
+    /// `true` if something was sent.
     pub sent: bool,
-    /// Whether a run has a deadline.
+    /// `true` if a run has a deadline.
     pub missed: bool,
 }
 
@@ -127,7 +127,7 @@ pub(crate) struct Changed {
     /// The second less the first, with its interval where there are enough values. Nothing where only one has it.
     pub difference: String,
     pub interval: Option<String>,
-    /// Whether it is more than chance; `None` where that cannot be told.
+    /// `true` if the difference is significant; `None` if that cannot be determined.
     pub certain: Option<bool>,
 }
 

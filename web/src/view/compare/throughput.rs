@@ -117,7 +117,7 @@ pub(crate) fn throughput(comparison: &Comparison) -> Option<Throughput> {
     Some(Throughput { plot: Scatter::new(label, (unit, &across), ("MB/s", &up), &series), rows, said })
 }
 
-/// What each further byte costs, as a level line: the throughput that is left when messages are large.
+/// Returns a level line at the throughput of large messages, by the delay of each further byte.
 fn level(
     comparison: &Comparison,
     way: &Name,

@@ -1,4 +1,4 @@
-//! What a comparison found, in a sentence.
+//! Title of a comparison: its finding in a sentence.
 
 use peernet_analysis::compare::{Difference, Ranking};
 use peernet_statistics::number::{Estimate, SPACE, duration};

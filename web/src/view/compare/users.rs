@@ -10,7 +10,7 @@ use crate::look;
 use crate::svg::{Horizontal, Ruler, Scatter, ScatterLine, ScatterPoint, ScatterSeries};
 use crate::view::runs;
 
-/// A configuration with so many users.
+/// Row of a configuration with a number of users.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct UsersRow {
     pub name: String,
@@ -43,7 +43,7 @@ pub(crate) fn users(comparison: &Comparison) -> Option<(Scatter, Vec<UsersRow>)>
     Some((plot(&curves), rows.collect()))
 }
 
-/// What each user of a configuration got.
+/// Returns the answers per second of each user of a configuration, and its totals.
 fn line(one: &Configuration) -> UsersLine {
     let repeat = |run: &RunSummary| run.experiment.as_ref().map_or(0, |place| place.repeat);
     let runs: Vec<(u32, Option<Share>)> = one.runs.iter().map(|run| (repeat(run), share(run))).collect();

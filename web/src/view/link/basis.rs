@@ -1,4 +1,4 @@
-//! What the bounds of one-way delays rest on, in words.
+//! Assumptions behind the bounds of one-way delays, in words.
 
 use peernet_clock::{DelaySource, Offset, RelatedClocks, Span};
 use peernet_statistics::number::{SPACE, figure, fixed, length};
@@ -42,7 +42,7 @@ pub(crate) fn promise(assumptions: &DelayAssumptions) -> String {
     format!("Each interval contains the true delay as long as {}, and {last}.", conditions.join(", "))
 }
 
-/// What a delay rests on, in words.
+/// Returns the source of a delay in words.
 pub(crate) const fn source_words(source: DelaySource) -> &'static str {
     match source {
         DelaySource::SameClock => "one clock",
@@ -54,7 +54,7 @@ pub(crate) const fn source_words(source: DelaySource) -> &'static str {
     }
 }
 
-/// What a reader of the figures must know at once: claims that narrow the bounds, probes that anybody can forge.
+/// Returns the facts that a reader of the figures must know at once: claims that narrow the bounds, probes that anyone can forge.
 pub(crate) fn facts(subject: &Subject<'_>) -> Vec<String> {
     let mut facts = Vec::new();
     let claimed = |offset: &Offset| {
@@ -129,7 +129,7 @@ pub(crate) fn pairs(subject: &Subject<'_>, course: &Course) -> Pairs {
     pairs
 }
 
-/// What the newest sample of a link says of its exchanges.
+/// Facts of a link's newest sample about its exchanges.
 #[derive(Clone, Copy, Default)]
 struct Newest {
     proven_skew_ppm: Option<(f64, f64)>,

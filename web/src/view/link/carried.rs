@@ -1,4 +1,4 @@
-//! What a link carries, pipeline by pipeline: messages of different sizes have no speed in common.
+//! Traffic of a link by pipeline. Pipelines are separate rows because a mean speed over messages of different sizes has no meaning.
 
 use peernet_aggregator::{LiveState, PipelineSnapshot};
 use peernet_logger::stage;

@@ -15,7 +15,7 @@ use super::{Subject, known, offset};
 use crate::svg::{Gap, Percent, RailSign, Ruler, Segment, Strip, Track, Tracks, pen};
 use crate::zone::Zone;
 
-/// How an offset is drawn.
+/// View of an offset.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub(crate) enum OffsetView {
@@ -42,7 +42,7 @@ const WHISKERS: f64 = 60.0;
 const REASON_FITS: f64 = 8.0;
 /// Signs closer to each other than this would overlap.
 const SIGN_FITS: f64 = 2.2;
-/// A value beyond so many times what nineteen of twenty stay below leaves the scale to the others.
+/// A value larger than this multiple of the 95th percentile does not extend the scale.
 const TAIL: f64 = 3.0;
 
 pub(super) struct Plan<'a> {
@@ -98,7 +98,7 @@ pub(super) fn reach(values: impl Iterator<Item = f64>) -> f64 {
     if most > 0.0 { largest.min(most * TAIL) } else { largest }
 }
 
-/// How many values lie beyond the end of a scale, in words.
+/// Returns the number of values beyond the end of a scale, in words.
 pub(super) fn beyond(values: impl Iterator<Item = f64>, ruler: &Ruler, unit: &str) -> Option<String> {
     let many = values.filter(|value| *value > ruler.end()).count() as u64;
     (many > 0).then(|| format!("{} beyond {}{SPACE}{unit} ↑", count(many), ruler.end_label()))

@@ -19,7 +19,7 @@ pub(crate) struct DirectionRow {
     pub counts: Vec<Count>,
 }
 
-/// A count with the name of its column; what is not known has a reason instead.
+/// Count with the name of its column; without a value the page shows the reason.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct Count {
     pub name: &'static str,
@@ -33,7 +33,7 @@ pub(crate) struct Route {
     pub words: String,
 }
 
-/// Both directions of each connection by the account of the edge, and by that of the cloud where it told.
+/// Returns both directions of each connection by the counts of the edge, and by those of the cloud if it reported any.
 pub(crate) fn rows(subject: &Subject<'_>) -> Vec<DirectionRow> {
     let (edge, cloud) = (subject.edge.as_str(), subject.cloud.as_str());
     let of_connection = |connection: &Connection| {
@@ -117,7 +117,7 @@ fn trip(connection: &Connection) -> Option<String> {
     Some(format!("round trip of its packets {}{least}", ms(trip.smoothed)))
 }
 
-/// What went wrong with messages, where anything did.
+/// Returns the errors that affected messages, if any.
 fn mishaps(connection: &Connection) -> impl Iterator<Item = String> {
     let statistics = connection.statistics;
     let counts = [

@@ -32,7 +32,7 @@ impl Course {
         Self { from, to, bucket: 1, points: shown.collect() }.thinned(2)
     }
 
-    /// What is stored of a link. It begins with the first point where that is later: nothing was lost before.
+    /// Converts stored samples of a link. The range begins with the first point if that is later: nothing was lost before it.
     pub(crate) fn stored(series: ClockSeries, from: WallTime, to: WallTime) -> Self {
         let bucket = i64::from(series.bucket_s.max(1));
         let first = series.points.first().map(|point| point.at - Span::from_seconds(bucket));
@@ -59,7 +59,7 @@ impl Course {
         Self { bucket: self.bucket.max(seconds), points, ..*self }
     }
 
-    /// Where points are missing: from the last one before to the first one after.
+    /// Returns the times without points: from the last point before to the first one after.
     pub(crate) fn gaps(&self) -> Vec<(WallTime, WallTime)> {
         let usual = Span::from_seconds_f64(self.bucket as f64 * 1.5 + 1.0);
         let between = self.points.windows(2).map(|pair| (pair[0].at, pair[1].at));
@@ -67,8 +67,8 @@ impl Course {
         between.chain(last).filter(|(from, to)| *to - *from > usual).collect()
     }
 
-    /// What the edge's wall clock showed when the cloud's showed `at`, by the offset known nearest to that moment. An offset of free-running clocks
-    /// tells nothing of it: then the two are taken to show the same.
+    /// Returns the time of the edge's wall clock when the cloud's showed `at`, by the offset known nearest to that moment. An offset of
+    /// free-running clocks says nothing about wall clocks: then both are taken to show the same time.
     pub(crate) fn on_the_edge(&self, at: WallTime) -> WallTime {
         let of_wall_clocks = self.points.iter().filter(|point| point.clocks == RelatedClocks::Wall);
         let known = of_wall_clocks.filter_map(|point| point.offset.as_ref());

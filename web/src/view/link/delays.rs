@@ -10,11 +10,11 @@ use super::super::chip::Chip;
 use super::super::clocks;
 use super::super::speed::Way;
 
-/// What is known of them together.
+/// Statistics of the judged delays of one direction.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Delays {
     pub way: Way,
-    /// How many were judged.
+    /// Number of judged delays.
     pub count: u64,
     /// The median, with the bounds of that very one.
     pub median: Option<DelayPoint>,

@@ -1,4 +1,4 @@
-//! What a link's page says in its title, and what each verdict means on it.
+//! Title of a link's page, and the meaning of each verdict there.
 
 use peernet_clock::Verdict;
 use peernet_statistics::number::{SPACE, bound, ends_ms, interval_ms};
@@ -73,7 +73,7 @@ pub(crate) fn title(subject: &Subject<'_>, zone: Zone) -> String {
     }
 }
 
-/// What a verdict means for one direction, with its numbers.
+/// Meaning of a verdict for one direction, with its numbers.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Meaning {
     pub chip: Option<Chip>,

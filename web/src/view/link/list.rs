@@ -19,7 +19,7 @@ pub(crate) struct LinkLine {
     pub name: String,
     pub href: String,
     pub chip: Option<Chip>,
-    /// What the verdict means.
+    /// Meaning of the verdict.
     pub meaning: &'static str,
     /// `last seen …`, for a link whose edge does not report.
     pub away: Option<Moment>,
@@ -47,7 +47,7 @@ fn cell(known: Option<String>, why: &str) -> Cell {
 }
 
 impl LinkLine {
-    /// The first so many links of a picture.
+    /// Returns the first `most` links of a picture.
     pub(crate) fn first(most: usize, picture: &LiveState, zone: Zone) -> Vec<Self> {
         let rehearsed = Rehearsed::of(picture);
         picture.links.iter().take(most).map(|link| Self::new(link, &rehearsed, zone)).collect()
@@ -112,7 +112,7 @@ pub(super) fn no_offset(subject: &Subject<'_>) -> &'static str {
     }
 }
 
-/// What a link's verdict means as long as it is young.
+/// Meaning of a link's verdict while the link is young.
 pub(super) const TOO_YOUNG: &str =
     "too few exchanges yet: fewer than three since the link came up or a clock was stepped";
 

@@ -26,7 +26,7 @@ use super::speed::Way;
 use crate::error::WebError;
 use delays::Delays;
 
-/// Figures are of so many seconds.
+/// Time span of the figures.
 const LATELY: Span = Span::from_seconds(10);
 
 /// Between the names that make up that of a link: it cannot occur in any of them.
@@ -84,7 +84,7 @@ pub(crate) fn find<'a>(picture: &'a LiveState, wanted: &str) -> Option<&'a LinkS
     picture.links.iter().map(|link| &**link).find(matches)
 }
 
-/// Whether a stored link is in a picture, too.
+/// Returns whether a stored link is in a picture, too.
 pub(crate) fn is_live(picture: &LiveState, row: &LinkRow) -> bool {
     let key = row.key();
     picture.links.iter().any(|link| key_of(link) == key)
@@ -102,7 +102,7 @@ pub(crate) fn no_link(wanted: &str) -> WebError {
     ))
 }
 
-/// What is shown of a link: as it is now, or as it was when it was last heard of.
+/// Link of a page: as it is now, or as it was when it was last reported.
 #[derive(Clone, Debug)]
 pub(crate) struct Subject<'a> {
     pub edge: String,
@@ -112,11 +112,11 @@ pub(crate) struct Subject<'a> {
     pub live: Option<&'a LinkSnapshot>,
     /// The newest point's time, on the edge's wall clock.
     pub end: WallTime,
-    /// Whether the edge tells of it now.
+    /// `true` if the edge tells of it now.
     pub connected: bool,
-    /// What was last known of the offset of a link that is only stored.
+    /// Last offset of a link that is stored and not in the live picture.
     told: Option<Offset>,
-    /// What the bounds rest on; `None` where both hosts read one clock, and where it was never told.
+    /// Assumptions behind the bounds; `None` where both hosts read one clock, and where none were reported.
     pub assumptions: Option<DelayAssumptions>,
 }
 
@@ -132,7 +132,7 @@ pub(crate) const CONTRADICTION: &str = "what is known of the clocks contradicts 
 /// Fewer exchanges than these relate no clocks.
 const LEAST_EXCHANGES: u64 = 3;
 
-/// Whether an offset is stale because the link is young, or a clock was stepped a moment ago.
+/// Returns whether an offset is stale because the link is young, or a clock was stepped a moment ago.
 pub(crate) fn is_young(offset: &Offset) -> bool {
     offset.verdict == Verdict::Stale && offset.exchanges < LEAST_EXCHANGES
 }
@@ -202,7 +202,7 @@ impl<'a> Subject<'a> {
         href(&self.edge, &self.cloud, &self.key.network)
     }
 
-    /// Whether both hosts read one clock.
+    /// Returns whether both hosts read one clock.
     pub(crate) fn same_clock(&self) -> bool {
         self.live.is_some_and(|link| link.live.same_clock)
     }
@@ -212,7 +212,7 @@ impl<'a> Subject<'a> {
         self.live.map_or(&[], |link| link.history.as_slice())
     }
 
-    /// What is known of the offset now, or was when the edge last told of it.
+    /// Returns the current offset, or the one that the edge reported last.
     pub(crate) fn offset(&self) -> Option<&Offset> {
         let Some(link) = self.live else { return self.told.as_ref() };
         // What was known before a step says nothing of what is now.
@@ -222,12 +222,12 @@ impl<'a> Subject<'a> {
         link.live.now.offset.as_ref().or_else(|| before.find_map(|point| point.offset.as_ref()))
     }
 
-    /// Whether sources or exchanges contradict each other.
+    /// Returns whether sources or exchanges contradict each other.
     pub(crate) fn contradicts(&self) -> bool {
         self.offset().is_some_and(|offset| offset.verdict == Verdict::Inconsistent)
     }
 
-    /// Whether exchanges have finished, before a step or long ago though it may be.
+    /// Returns whether exchanges have finished, before a step or long ago though it may be.
     pub(crate) fn was_related(&self) -> bool {
         self.live.is_none_or(|link| {
             link.live.now.exchanges.taken > 0 || link.history.iter().any(|point| point.offset.is_some())
@@ -278,7 +278,7 @@ impl<'a> Subject<'a> {
     }
 }
 
-/// Whether the clocks were known at the end of a second.
+/// Returns whether the clocks were known at the end of a second.
 fn is_settled(point: &ClockPoint) -> bool {
     point.offset.as_ref().is_some_and(|offset| offset.verdict == Verdict::Ok)
 }

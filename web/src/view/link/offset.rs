@@ -8,7 +8,7 @@ use super::known;
 use super::trend::Trend;
 use crate::svg::{Ruler, Track, pen};
 
-/// Another source that is so many times wider than the band leaves the scale to the band.
+/// Another source that is wider than the band by this factor does not extend the scale.
 const WIDER: f64 = 4.0;
 /// Room around the bands that nine of ten stay within.
 const ROOM: f64 = 1.5;

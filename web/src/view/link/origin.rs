@@ -1,4 +1,4 @@
-//! Where the bound of an offset comes from, and what would narrow it.
+//! Origin of the bound of an offset, and advice to narrow it.
 
 use peernet_clock::{DelaySource, Discipline, Interval, Offset, RelatedClocks, Span};
 use peernet_statistics::number::{NONE, SPACE, bound, count, interval_ms, trip_ms};
@@ -14,11 +14,11 @@ pub(crate) struct SourceRow {
     pub name: String,
     pub between: String,
     pub width: String,
-    /// What is used in the end.
+    /// `true` for the bound that is used in the end.
     pub sum: bool,
 }
 
-/// Where the bound comes from.
+/// Origin of the bound.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub(crate) struct Origin {
     /// `Where ±0.65 ms comes from`.
@@ -26,9 +26,9 @@ pub(crate) struct Origin {
     pub rows: Vec<SourceRow>,
     /// Sentences.
     pub why: Vec<String>,
-    /// What the hints are for.
+    /// Purpose of the hints.
     pub to: &'static str,
-    /// What would help, most promising first.
+    /// Advice, most promising first.
     pub hints: Vec<String>,
 }
 
@@ -50,7 +50,7 @@ pub(crate) fn source(source: DelaySource, exchanges: u64) -> String {
 }
 
 impl Origin {
-    /// What is known of a link's bound; nothing for one clock.
+    /// Describes the origin of a link's bound; empty for one clock.
     pub(crate) fn of(subject: &Subject<'_>, course: &Course) -> Self {
         let Some(offset) = subject.offset() else {
             let why = if subject.was_related() {
@@ -120,7 +120,7 @@ fn claimed_offset(subject: &Subject<'_>) -> Option<(DelaySource, Interval)> {
 /// The key that lets claims of time daemons narrow a bound.
 const TRUST: &str = "[clock] trust_time_daemons";
 
-/// Of sources that exclude each other: what that means and what to do.
+/// Explanation and advice for sources that exclude each other.
 const EXCLUDE: (&str, &str) = (
     "The sources above exclude each other: at least one of them is wrong, and which one cannot be told from here. The \
      exchanges hold whatever the clocks show, as long as neither host lies; a time daemon is wrong about its clock when \
@@ -128,7 +128,7 @@ const EXCLUDE: (&str, &str) = (
     "see on both hosts what the time daemon follows (chronyc sources, chronyc tracking) and compare both with a third \
      clock; look for a clock that a rehearsal, a container or libfaketime changes without its daemon's knowledge",
 );
-/// Of exchanges that contradict each other.
+/// Explanation and advice for exchanges that contradict each other.
 const DOUBT: (&str, &str) = (
     "The exchanges contradict each other again and again: the clocks drift apart faster than [clock] max_drift_ppm \
      allows or change their drift faster than max_drift_change_ppm_per_s allows, or one of the hosts does not tell the truth.",
@@ -173,7 +173,7 @@ fn why(offset: &Offset, course: &Course) -> Vec<String> {
     why
 }
 
-/// What makes the bound narrower than the best round trip does alone.
+/// Returns what narrows the bound more than the best round trip alone, in words.
 fn narrowing(offset: &Offset) -> String {
     let others = offset.sources.iter().filter(|(from, _)| *from != DelaySource::InBand);
     let others: Vec<String> = others.map(|(from, _)| source(*from, 0)).collect();
@@ -184,10 +184,10 @@ fn narrowing(offset: &Offset) -> String {
     format!("the offset {} narrows it", others.join(" and "))
 }
 
-/// Half the width of a bound from which on a time daemon is recommended: what one claims of its own error is seldom less.
+/// Half the width of a bound from which on a time daemon is recommended. A daemon seldom claims a smaller error.
 const BEST_CLAIM: Span = Span::from_micros(50);
 
-/// What would narrow the bound of this link.
+/// Returns advice to narrow the bound of this link.
 fn hints(subject: &Subject<'_>, offset: Option<&Offset>) -> Vec<String> {
     let mut hints = Vec::new();
     let Some(link) = subject.live else { return hints };

@@ -1,4 +1,4 @@
-//! How a link is probed, what its hosts' time daemons say, what was refused.
+//! Panels of a link: its probing, the claims of its hosts' time daemons, refused exchanges.
 
 use peernet_clock::Verdict;
 use peernet_statistics::number::{NONE, SPACE, bound, count, offset_ms, rate, trip_ms};
@@ -22,7 +22,7 @@ pub(crate) struct HostRow {
     pub rehearsal: Option<String>,
 }
 
-/// What a time daemon claims, in words: `within ±0.42 ms of true time`, `+4,001.08 ms from true time, ±0.04 ms`.
+/// Returns the claim of a time daemon in words: `within ±0.42 ms of true time`, `+4,001.08 ms from true time, ±0.04 ms`.
 pub(crate) fn claims(clock: &HostClock) -> String {
     let Some(discipline) = clock.discipline else { return NONE.to_owned() };
     let (lo, hi) = (discipline.error.lo.seconds(), discipline.error.hi.seconds());
@@ -37,7 +37,7 @@ pub(crate) fn claims(clock: &HostClock) -> String {
 /// be moved from outside.
 const FREE_RUNNING: [&str; 2] = ["tsc", "arch_sys_counter"];
 
-/// Who synchronises a clock and who supplies it, in words.
+/// Returns what synchronises a clock and what supplies it, in words.
 pub(crate) fn discipline(clock: &HostClock) -> String {
     let text = match (clock.text.is_empty(), clock.discipline) {
         (false, _) => clock.text.clone(),
@@ -69,7 +69,7 @@ pub(crate) fn hosts(subject: &Subject<'_>) -> Vec<HostRow> {
     ]
 }
 
-/// How the link is probed, in a sentence's words for the facts: `probes 10 /s, kernel stamps`.
+/// Returns the probing of the link as a fact: `probes 10 /s, kernel stamps`.
 pub(crate) fn probing(probing: &Probing) -> String {
     match probing {
         Probing::On { rate_hz, stamps, .. } => format!("{}{SPACE}probes/s, stamps: {stamps}", rate(*rate_hz)),
@@ -157,7 +157,7 @@ pub(crate) fn reflector(subject: &Subject<'_>) -> Pairs {
     pairs
 }
 
-/// What became of the exchanges.
+/// Returns the counts of the exchanges.
 pub(crate) fn exchanges(subject: &Subject<'_>) -> Pairs {
     let Some(link) = subject.live else { return Vec::new() };
     let counts = link.live.now.exchanges;

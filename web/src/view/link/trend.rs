@@ -1,4 +1,4 @@
-//! What a steady drift makes of an offset, so that it can be taken out of a picture.
+//! Offset that a steady drift explains, so that a picture can omit it.
 
 use std::collections::BTreeMap;
 
@@ -35,7 +35,7 @@ impl Trend {
         Self { lines: lines.collect() }
     }
 
-    /// What the trend says of a moment, seconds; zero where there is none.
+    /// Returns the value of the trend at a moment, seconds; zero without a trend.
     pub(crate) fn at(&self, window: u64, at: WallTime) -> f64 {
         self.lines.get(&window).map_or(0.0, |line| line.level + line.slope * (at - line.middle).seconds())
     }

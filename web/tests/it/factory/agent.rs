@@ -47,7 +47,7 @@ impl Agent {
         self.id
     }
 
-    /// What became of the events.
+    /// Returns the account of the events.
     pub(crate) fn accounting(&self) -> Accounting {
         self.sending.accounting()
     }

@@ -9,7 +9,7 @@ const RATE: f64 = 48.0;
 /// Events that a second of measuring makes.
 const HZ: f64 = 300.0;
 
-/// What an agent tells: the second one catches up since `since`, the third has a disk that fails.
+/// Changes the reports of agents: the second one catches up since `since`, the third has a disk that fails.
 pub(crate) fn disguise(
     account: Accounting,
     index: usize,

@@ -1,4 +1,4 @@
-//! What a line's edge knows of the rack's clock: one sample a second.
+//! Clock samples of a line: the edge's relation to the rack's clock, once a second.
 
 use peernet_clock::{
     ClockFaults, DelaySource, Discipline, Exchange, ExchangeCounts, Interval, Offset, RawTime, RelatedClocks,
@@ -16,14 +16,14 @@ use super::{Clocks, Line, slug};
 
 /// The rack's wall clock minus a camera's, in the middle of what is reported.
 pub(super) const AHEAD: Span = Span::from_micros(1_204_180);
-/// How fast that grows.
+/// Rate at which that offset grows.
 const SKEW_PPM: f64 = 12.4;
 
 fn seconds(seconds: f64) -> Span {
     Span::from_seconds_f64(seconds)
 }
 
-/// What a host says of its own clock.
+/// Returns a host's report on its clock.
 pub(super) fn host_clock(rehearsed: bool, since: WallTime) -> HostClock {
     let claim = Interval { lo: seconds(-0.0018), hi: seconds(0.0021) };
     HostClock {
@@ -61,7 +61,7 @@ fn delays(line: &Line, name: &str, numbers: &mut SplitMix64) -> DelaySecond {
     }
 }
 
-/// What is known at the end of a second; `ago` seconds before the newest one.
+/// Returns the clock sample at the end of a second; `ago` seconds before the newest one.
 pub(super) fn sample(
     line: &Line,
     rack: HostId,

@@ -5,12 +5,12 @@ use peernet_logger::{Name, RunId, stage};
 use peernet_statistics::{SplitMix64, Summary};
 use peernet_stream::{OutcomeCounts, Placement, PlacementKind, Second};
 
-/// How the clocks of a line's two hosts are related.
+/// Relation of the clocks of a line's two hosts.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) enum Clocks {
     /// One clock.
     Shared,
-    /// Known to within so many seconds either way.
+    /// Offset known to within this number of seconds either way.
     Within(f64),
     /// Never related.
     Unrelated,
@@ -23,7 +23,7 @@ pub(crate) struct Line {
     pub(crate) name: &'static str,
     /// The camera.
     pub(crate) host: &'static str,
-    /// Whether it is served by the rack.
+    /// `true` if it is served by the rack.
     pub(crate) remote: bool,
     /// Iterations per second.
     pub(crate) hz: f64,
@@ -37,7 +37,7 @@ pub(crate) struct Line {
     pub(crate) stages: Vec<(Name, f64, f64)>,
     /// Its current run.
     pub(crate) run: Option<RunId>,
-    /// Whether the camera's clock is made wrong on purpose.
+    /// `true` if the camera's clock is made wrong on purpose.
     pub(crate) rehearsed: bool,
 }
 
@@ -156,7 +156,7 @@ impl Line {
         self.name == "offload-full" && (200..235).contains(&ago)
     }
 
-    /// Where it computes.
+    /// Returns the placement of its pipeline.
     pub(crate) fn placement(&self) -> Placement {
         let name = |text: &str| text.parse().expect("a name");
         Placement {
@@ -185,7 +185,7 @@ impl Line {
         )
     }
 
-    /// What happened within one second of the wall clock, up to `now`.
+    /// Returns the data of one second of the wall clock, up to `now`.
     pub(crate) fn second(&self, at: i64, now: WallTime, numbers: &mut SplitMix64) -> Second {
         let into = (now - WallTime::from_unix_nanos(at * 1_000_000_000)).seconds().clamp(0.0, 1.0);
         let ok = (self.hz * into).round() as u64;

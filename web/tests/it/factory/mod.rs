@@ -367,7 +367,7 @@ impl Factory {
     }
 }
 
-/// What was found of an edge; in an experiment nobody minded the governor.
+/// Returns the conditions of an edge; if `careless`, its processor governor is not set for performance.
 fn conditions(host: &str, careless: bool) -> Vec<Condition> {
     let found = |about: &str, found: &str, grade, advice: &str| Condition {
         host: host.to_owned(),

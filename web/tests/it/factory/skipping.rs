@@ -7,7 +7,7 @@ use peernet_stream::{Event, Outcome};
 use super::Factory;
 
 impl Factory {
-    /// Stores a run of a line: every tenth iteration gets no answer in time, and before it so many starts were skipped.
+    /// Stores a run of a line: every tenth iteration gets no answer in time, and `skipped` starts before it are skipped.
     pub(crate) async fn store_skipping(&mut self, index: usize, iterations: u64, skipped: u32) {
         let mut events = self.run(index, RunId::random(), iterations, true, None);
         for event in &mut events {

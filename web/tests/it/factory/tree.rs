@@ -16,7 +16,7 @@ impl Nodes {
     }
 }
 
-/// What is known of a delay whose truth is `delay`.
+/// Returns the judged delay whose true value is `delay`.
 fn judge(line: &Line, name: &Name, delay: Span, raw: Span) -> OneWayDelay {
     match line.clocks {
         Clocks::Shared => OneWayDelay::same_clock(delay),

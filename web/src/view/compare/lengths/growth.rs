@@ -1,9 +1,9 @@
-//! How latency grows with length, in words.
+//! Growth of latency with length, in words.
 
 use peernet_analysis::answer_length::Growth;
 use peernet_statistics::number::{Estimate, SPACE, count};
 
-/// Returns the slope per `what`, which is so many measured units of length, with its interval.
+/// Returns the slope per `what`, which is `each` measured units of length, with its interval.
 pub(super) fn sentence(growth: &Growth, what: &str, each: f64) -> String {
     let Growth { fit, interval } = growth;
     let (value, lo, hi) = (fit.slope.value * each, interval.0 * each, interval.1 * each);

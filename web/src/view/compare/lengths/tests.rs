@@ -8,7 +8,7 @@ use peernet_stream::PlacementKind::Remote;
 use super::super::tests::{comparison, configuration};
 use super::*;
 
-/// A configuration with so many answers of these lengths, counted as `name`, and the seconds they took.
+/// Returns a configuration with answers of these lengths, counted as `name`, and the seconds they took.
 pub(crate) fn talking(at: usize, name: &str, points: &[(f64, f64)]) -> Configuration {
     let mut one = configuration(at, Remote, 1.0, 1e3);
     let (mut x, mut y) = (Summary::default(), Summary::default());
@@ -143,8 +143,8 @@ fn normal(random: &mut SplitMix64) -> f64 {
 
 const SLOPE: f64 = 0.4e-3;
 
-/// In how many of 200 sets of so many iterations the interval holds the slope that they were made with; `iteration` gives a
-/// length and what else its latency is made of.
+/// Returns in how many of 200 sets of `iterations` iterations the interval contains the true slope; `iteration` gives a length and the
+/// part of the latency that does not depend on it.
 fn held(iterations: usize, iteration: impl Fn(&mut SplitMix64) -> (f64, f64)) -> usize {
     let mut random = SplitMix64::new(13);
     let mut holds = || {

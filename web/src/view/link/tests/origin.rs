@@ -1,4 +1,4 @@
-//! Where a bound comes from.
+//! Tests of the origin of a bound.
 
 use peernet_clock::{DelaySource, Discipline, Interval};
 use peernet_stream::{HostClock, Probing};
