@@ -1,5 +1,5 @@
-//! Checks of each request: the name by which it asks for this server, and the site it comes from. Whoever reaches the address
-//! may ask, which is why that is this machine alone unless the configuration says otherwise.
+//! Checks of each request: the name by which it addresses this server, and the site that it comes from. There is no login: anyone who
+//! reaches the address may use it. The server therefore listens on this machine alone unless the configuration says otherwise.
 
 use std::net::Ipv6Addr;
 
@@ -61,9 +61,9 @@ pub(crate) async fn guard(State(app): State<App>, request: Request, next: Next) 
     }
 }
 
-/// Lets only this dashboard's own pages and programs change something. A page from elsewhere could otherwise send the
-/// request from the browser of whoever opened it (cross-site request forgery). Browsers say where a request comes from
-/// (`Sec-Fetch-Site`, Fetch Metadata, and `Origin`) and no page can change that; programs say neither.
+/// Allows changes only from this dashboard's own pages and from programs. A page of another site could otherwise send the request through
+/// the browser of a user who opens it (cross-site request forgery). Browsers report where a request comes from (`Sec-Fetch-Site`, Fetch
+/// Metadata, and `Origin`), and no page can change that; programs send neither header.
 pub(crate) async fn own_site(request: Request, next: Next) -> Response {
     let reads = matches!(*request.method(), Method::GET | Method::HEAD | Method::OPTIONS);
     if reads || is_own(request.headers()) {

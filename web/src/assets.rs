@@ -1,7 +1,7 @@
 //! Styles, scripts and the font: inside the binary, so that the pages work without a network.
 //!
-//! All of them lie below `/static/HASH/`, where HASH is that of their contents: a browser keeps them for ever
-//! and asks again after an update. What compresses is compressed once, when the server starts.
+//! All of them are served below `/static/HASH/`, where HASH is the hash of their contents: a browser may cache them without limit and
+//! fetches them again after an update. Compressible assets are compressed once, when the server starts.
 
 use std::hash::{DefaultHasher, Hasher};
 use std::io::Write as _;
@@ -21,7 +21,7 @@ struct Asset {
     name: &'static str,
     form: &'static str,
     plain: Bytes,
-    /// `None` for what is compressed already.
+    /// Compressed contents; `None` for an asset in a compressed format.
     gzipped: Option<Bytes>,
 }
 
@@ -99,7 +99,7 @@ pub(crate) async fn serve(
     let asset = ASSETS.all.iter().find(|asset| asset.name == name);
     let asset = asset.ok_or_else(|| WebError::NotFound(format!("there is no static file {name}")))?;
     if version != ASSETS.version {
-        // A page from before an update: what it needs is still here, under a new address.
+        // A page from before an update requests the old address: its assets are still here, under a new address.
         return Ok(Redirect::temporary(&format!("{}/{name}", folder())).into_response());
     }
     let accepts = |value: &HeaderValue| value.to_str().is_ok_and(|text| text.contains("gzip"));

@@ -1,4 +1,4 @@
-//! The `[web]` table of the configuration file, and what can be checked before starting.
+//! The `[web]` table of the configuration file, and the checks before the server starts.
 
 mod warn;
 
@@ -19,11 +19,11 @@ pub struct WebConfig {
     pub listen: String,
     /// Required for listening wider than this machine: everyone who reaches the address then sees everything.
     pub allow_unauthenticated: bool,
-    /// Names under which browsers reach the dashboard, beside IP addresses, `localhost` and the machine's own host name.
+    /// Names under which browsers reach the dashboard, in addition to IP addresses, `localhost` and the machine's own host name.
     pub server_names: Vec<String>,
     /// Zone of the times on the pages: `local`, `utc` or an offset such as `+01:00`. The API always uses UTC.
     pub time_zone: Zone,
-    /// From when on the overview warns.
+    /// Limits above which the overview warns.
     pub warn: WarnConfig,
 }
 

@@ -30,13 +30,13 @@ use tower::ServiceExt;
 use crate::error::WebError;
 use crate::fair_places::{FairPlaces, NoPlace, Place};
 
-/// Most bytes read or written ahead on one connection.
+/// Largest number of bytes read or written ahead on one connection.
 const BUFFER: usize = 64 << 10;
-/// Most bytes of a request's first line and headers together.
+/// Largest size of a request's first line and headers together, bytes.
 const HEADER: usize = 64 << 10;
 /// Pause after an accept that failed for want of file descriptors or memory.
 const SHORTAGE: Duration = Duration::from_secs(1);
-/// Most streams of one address: what one host may have the server compute four times a second.
+/// Largest number of streams of one address. Each makes the server compute an update four times a second.
 const STREAMS: usize = 32;
 
 /// Limits of connections.
@@ -57,7 +57,7 @@ pub(crate) struct Limits {
 }
 
 impl Limits {
-    /// Those of a running server. The grace fits into the time that the whole process has for stopping.
+    /// Limits of a running server. The grace is shorter than the time that the whole process has for stopping.
     pub(crate) fn server(connections: usize) -> Self {
         Self {
             connections,
@@ -136,7 +136,7 @@ struct Accepted {
     place: Place,
 }
 
-/// Takes connections in, as far as there are places.
+/// Accepts connections within the limits.
 struct Acceptor {
     places: FairPlaces,
     /// Ends all connections.

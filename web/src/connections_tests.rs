@@ -87,7 +87,7 @@ impl Server {
         stream
     }
 
-    /// Asks until a connection is not closed for want of a place.
+    /// Sends the request again until its connection is not closed because all places are taken.
     async fn finds_a_place(&self, request: &str) {
         loop {
             let mut stream = self.connect().await;

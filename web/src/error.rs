@@ -1,5 +1,5 @@
-//! The one error of all handlers, and the problem details (RFC 9457) that clients receive of it. What went wrong
-//! inside is logged under an id and never shown.
+//! The error type of all handlers, and the problem details (RFC 9457) that clients receive. Details of an internal error are logged under
+//! an id and never sent, since they may name files and other internals.
 
 use std::fmt;
 use std::hash::{DefaultHasher, Hash, Hasher};
@@ -13,13 +13,13 @@ use utoipa::ToSchema;
 
 use crate::state::AppState;
 
-/// Why a request has no answer.
+/// Reason why a request is not answered.
 #[derive(Debug, thiserror::Error)]
 pub(crate) enum WebError {
     /// A parameter of the query or path makes no sense; the text names it.
     #[error("{0}")]
     BadRequest(String),
-    /// There is no such thing; the text says what was looked for.
+    /// The requested item does not exist; the text names it.
     #[error("{0}")]
     NotFound(String),
     /// The request names another host.
@@ -27,10 +27,10 @@ pub(crate) enum WebError {
         "this server does not answer to the name {0:?}: open it by its IP address, or add the name to server_names in the table [web]"
     )]
     OtherHost(String),
-    /// There was such a thing; the text says what became of it.
+    /// The requested item was deleted; the text gives the reason.
     #[error("{0}")]
     Gone(String),
-    /// A page of another site asks for a change.
+    /// A page of another site requests a change.
     #[error(
         "only pages of this dashboard and programs may change something here, not a page of {0}; a proxy in between must pass on the Host header"
     )]
@@ -47,7 +47,7 @@ pub(crate) enum WebError {
     /// An answer could not be written as text.
     #[error("cannot write an answer as text")]
     Text(#[from] fmt::Error),
-    /// No more streams may be open; the text says of whom.
+    /// The limit of streams is reached; the text names the limit.
     #[error("{0}")]
     TooManyStreams(String),
     /// The answer took too long.
@@ -68,7 +68,7 @@ impl WebError {
 /// A problem as programs receive it (RFC 9457).
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, ToSchema)]
 pub(crate) struct ProblemDetails {
-    /// Always `about:blank`: the status says what kind of problem it is.
+    /// Always `about:blank`: the status gives the type of the problem.
     #[serde(rename = "type")]
     kind: &'static str,
     /// The status in words.
@@ -142,7 +142,7 @@ impl WebError {
             }
         }
         let detail = match self {
-            // What /readyz says as well.
+            // The text is the one of /readyz.
             Self::Store(error @ StoreError::Damaged { .. }) => &error.to_string(),
             Self::Store(_) => "the stored data could not be read; what went wrong is in the aggregator's log",
             Self::TookTooLong(_) => "the answer took too long; try again, or ask for less at once",
@@ -152,7 +152,7 @@ impl WebError {
     }
 }
 
-/// Twelve hexadecimal digits that stand for a text.
+/// Returns twelve hexadecimal digits that identify a text.
 fn id(text: &str) -> String {
     let mut hasher = DefaultHasher::new();
     text.hash(&mut hasher);
@@ -175,7 +175,7 @@ impl fmt::Display for Chain<'_> {
 }
 
 impl IntoResponse for WebError {
-    /// A response without a body: the router renders it in the form that the path asks for.
+    /// Converts the error to a response without a body: the router renders it in the form that suits the path.
     fn into_response(self) -> Response {
         let mut response = self.status().into_response();
         response.extensions_mut().insert(Arc::new(self));

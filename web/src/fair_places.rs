@@ -33,7 +33,7 @@ struct HeldPlaces {
 pub(crate) enum NoPlace {
     /// The address has as many as one may have.
     AddressIsFull(usize),
-    /// All of these places are taken, and no address has clearly more of them than this one.
+    /// All of these places are taken, and no address has clearly more of them than the address that asks.
     AllTaken(usize),
 }
 

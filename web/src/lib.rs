@@ -1,9 +1,8 @@
-//! The dashboard and the REST API: thin handlers that ask the aggregator and show its answers.
+//! The dashboard and the REST API: thin handlers that query the aggregator and render its answers.
 //!
-//! `pages/` holds one file per page with its template beside it, `api/` one file or folder per resource of `/api/v1`; the
-//! `mod.rs` of either registers them. `view/` holds what several pages say the same way, `svg/` the pictures that the
-//! server draws.
-//! Pages are complete when they arrive; scripts then keep them live.
+//! `pages/` holds one file per page with its template next to it, `api/` one file or folder per resource of `/api/v1`; the `mod.rs` of
+//! either registers them. `view/` holds the parts that several pages share, `svg/` the pictures that the server draws. Pages are complete
+//! when they arrive; scripts then update them.
 
 mod access;
 mod api;

@@ -6,7 +6,7 @@ use peernet_logger::{Name, stage};
 
 static STAGES: [Name; 11] = stage::ORDER;
 
-/// The stages of a stack with what is left over, in the order of every stack, key and table. Pages hand it to the scripts.
+/// The stages of a stack, and `unattributed`, in the order of every stack, key and table. Pages pass it to the scripts.
 pub(crate) static STACK: LazyLock<Vec<&'static str>> =
     LazyLock::new(|| STAGES.iter().map(Name::as_str).chain(["unattributed"]).collect());
 
@@ -16,7 +16,7 @@ pub(crate) const NETWORK: &str = peernet_analysis::slowness::BOTH_WAYS;
 /// Rest of an iteration where neither the directions nor the unattributed time are known.
 pub(crate) const NETWORK_AND_REST: &str = "upload + download + unattributed";
 
-/// From the intended start to the real one: a named part of what is unattributed.
+/// Time from the intended start to the actual start: a named part of the unattributed time.
 pub(crate) const LATENESS: &str = "lateness";
 
 /// Values that tell how often a model was right, and how they are shown: means of 0 and 1.
@@ -46,7 +46,7 @@ pub(crate) fn class(name: &str) -> &'static str {
         "capture" => "capture",
         "transform" => "transform",
         NETWORK | NETWORK_AND_REST => "network",
-        // What is named of the unattributed looks like the rest of it.
+        // Lateness is a part of the unattributed time, so it has the same colour.
         LATENESS => "unattributed",
         "total" | "stages-total" => "total",
         other => STACK.iter().copied().find(|known| *known == other).unwrap_or("other"),

@@ -13,7 +13,7 @@ use std::str::FromStr;
 
 use crate::error::WebError;
 
-/// Most names of nodes that one question may hold.
+/// Largest number of node names in one request.
 const MOST_NAMES: usize = 20;
 
 /// The query of an address.
@@ -29,7 +29,7 @@ impl<S: Send + Sync, T: DeserializeOwned> FromRequestParts<S> for Parameters<T> 
             Err(rejection) => {
                 let text = rejection.body_text();
                 let text = text.strip_prefix("Failed to deserialize query string: ").unwrap_or(&text);
-                // What the standard library says of a letter in a number.
+                // The standard library's message for a letter in a number.
                 let text = text.replace("invalid digit found in string", "give a whole number");
                 Err(WebError::BadRequest(format!("query parameter {text}")))
             }
@@ -54,7 +54,7 @@ pub(crate) fn bounded<N: PartialOrd + Display + FromStr>(
     })
 }
 
-/// Names of nodes, parted by commas: at least one and at most [`MOST_NAMES`].
+/// Reads names of nodes, separated by commas: at least one and at most [`MOST_NAMES`].
 pub(crate) fn names(parameter: &str, text: &str) -> Result<Vec<Name>, WebError> {
     let names: Vec<Name> = text.split(',').filter(|name| !name.is_empty()).map(Name::from).collect();
     if names.is_empty() || names.len() > MOST_NAMES {

@@ -1,4 +1,4 @@
-//! All routes, and what surrounds them.
+//! All routes, and the layers around them.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -27,7 +27,7 @@ use crate::{access, api, assets, pages};
 const POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self'; font-src 'self'; \
                       connect-src 'self'; base-uri 'none'; form-action 'self'; frame-ancestors 'none'";
 
-/// Longest time until an answer begins. A stream may then go on for ever.
+/// Longest time until an answer begins. A stream may last longer.
 const PATIENCE: Duration = Duration::from_secs(30);
 
 /// Paths, with all below them, that programs read: the API, Prometheus and supervisors.
@@ -55,7 +55,7 @@ pub(crate) fn build(app: App) -> Router {
         .layer(header(X_FRAME_OPTIONS, "DENY"))
         .layer(header(REFERRER_POLICY, "same-origin"))
         .layer(header(HeaderName::from_static("cross-origin-opener-policy"), "same-origin"))
-        // Failures are logged by `WebError`, and an answer of 503 is not one: /readyz says so for as long as nothing is stored.
+        // `WebError` logs failures. An answer of 503 is not a failure: /readyz returns it for as long as nothing is stored.
         .layer(TraceLayer::new_for_http().on_failure(()))
         .with_state(app)
 }
@@ -74,7 +74,7 @@ fn panicked(panic: Box<dyn std::any::Any + Send>) -> Response {
     WebError::Panicked(text.to_owned()).into_response()
 }
 
-/// Returns whether programs, not browsers, read what a path answers.
+/// Returns whether the answers of a path are for programs and not for browsers.
 fn is_for_programs(path: &str) -> bool {
     FOR_PROGRAMS
         .iter()

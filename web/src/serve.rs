@@ -15,7 +15,7 @@ use crate::config::{Problem, WebConfig};
 use crate::connections::{self, Limits};
 use crate::state::AppState;
 
-/// Why the server did not start.
+/// Reason why the server did not start.
 #[derive(Debug, thiserror::Error)]
 pub enum StartError {
     /// A value of the configuration cannot work.
@@ -33,10 +33,10 @@ pub enum StartError {
     },
 }
 
-/// Why the server ended without being asked to.
+/// Reason why the server ended without a request to stop.
 #[derive(Debug, thiserror::Error)]
 pub enum Failure {
-    /// Its task panicked.
+    /// The task of the server panicked.
     #[error("the web server died")]
     Died(#[from] JoinError),
 }

@@ -14,10 +14,10 @@ pub(crate) fn is_name(text: &str) -> bool {
     !text.is_empty() && text.bytes().all(letter)
 }
 
-/// The names under which requests are answered, beside IP addresses and `localhost`.
+/// The names under which requests are answered, in addition to IP addresses and `localhost`.
 ///
-/// A page from elsewhere whose name was made to point here (DNS rebinding) would otherwise read and change everything
-/// through the browser of whoever opened it. It cannot do so under an address: a browser that opens one asks no name server.
+/// A page of another site whose name resolves to this machine (DNS rebinding) could otherwise read and change everything through the
+/// browser of a user who opens it. It cannot do so under an IP address, because the browser then needs no name server.
 #[derive(Clone, Debug)]
 pub(crate) struct ServerNames(Vec<String>);
 

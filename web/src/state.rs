@@ -24,7 +24,7 @@ pub(crate) struct AppState {
     pub warn: WarnConfig,
     /// Names under which requests are answered.
     pub names: ServerNames,
-    /// When serving began.
+    /// Time when serving began.
     pub since: WallTime,
     /// Cancelled when the server is to stop: streams end with it.
     pub stop: CancellationToken,

@@ -33,7 +33,7 @@ enum Format {
     Csv,
 }
 
-/// Which form.
+/// Query parameters of the export.
 #[derive(Clone, Copy, Debug, Default, Deserialize, IntoParams)]
 #[serde(deny_unknown_fields, default)]
 #[into_params(parameter_in = Query)]
@@ -58,8 +58,8 @@ async fn table(
     let number = path(number)?;
     let run = app.store().run(number).await?.ok_or_else(|| WebError::no_run(number))?;
     let name = format!("{}-{number}.csv", run.summary.pipeline);
-    // One chunk at a time, made when the reader has taken the one before; first the names of the columns, for which a
-    // long run is looked through.
+    // The next chunk is read only when the reader has taken the one before, so that a long run never lies in memory as a whole. The first
+    // chunk holds the names of the columns, for which all iterations of the run are scanned.
     let chunks = stream::try_unfold(None, move |begun| {
         let (app, run) = (app.clone(), run.summary.clone());
         async move {

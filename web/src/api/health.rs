@@ -1,4 +1,4 @@
-//! For those who watch the aggregator itself.
+//! Health of the aggregator, for monitoring and orchestration.
 
 use axum::Json;
 use axum::extract::State;
@@ -24,16 +24,16 @@ async fn alive() -> &'static str {
     "alive\n"
 }
 
-/// Whether events are being stored, for programs.
+/// Readiness to store events, for programs.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, ToSchema)]
 struct Readiness {
     /// `true` if batches are stored and acknowledged.
     ready: bool,
-    /// Why not, in words; null when they are.
+    /// Reason why events are not stored; null when they are.
     reason: Option<String>,
 }
 
-/// Whether events are being stored; as JSON where the request accepts `application/json`, else as text.
+/// Readiness to store events; as JSON where the request accepts `application/json`, else as text.
 #[utoipa::path(get, path = "/readyz", operation_id = "isReady", tag = "health", responses(
     (status = 200, description = "batches are stored and acknowledged", content((String = "text/plain"), (Readiness = "application/json"))),
     (status = 503, description = "batches are not acknowledged, agents keep their events; the answer says why", content((String = "text/plain"), (Readiness = "application/json"))),

@@ -18,7 +18,7 @@ pub(super) fn routes() -> OpenApiRouter<App> {
     OpenApiRouter::new().routes(routes!(list))
 }
 
-/// Which incidents.
+/// Query parameters of the list of incidents.
 #[derive(Clone, Debug, Default, Deserialize, IntoParams)]
 #[serde(deny_unknown_fields, default)]
 #[into_params(parameter_in = Query)]
@@ -26,11 +26,11 @@ struct Query {
     /// Largest number of incidents returned, 1 to 1,000; 100 unless given.
     #[param(value_type = Option<u32>, minimum = 1, maximum = 1_000, default = 100)]
     limit: Option<String>,
-    /// Only incidents before this id: `next` of the page before.
+    /// Incidents before this id: `next` of the previous page.
     before: Option<i64>,
-    /// Only incidents of this kind.
+    /// Kind of the incidents.
     kind: Option<String>,
-    /// Only incidents that the host of this name reported.
+    /// Name of the host that reported the incidents.
     host: Option<String>,
 }
 
@@ -58,11 +58,11 @@ pub(crate) struct IncidentList {
     pub next: Option<i64>,
 }
 
-/// Something that happened beside the measurements.
+/// An event beside the measurements.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, ToSchema)]
 pub(crate) struct Incident {
     pub id: i64,
-    /// On the reporting host's wall clock.
+    /// Time of the incident, on the reporting host's wall clock.
     pub at: String,
     /// Kind of incident. Of a host: `disconnected`, `connected`, `refused`, `model-loaded`, `clock-step`, `gap`, `pipeline-failed` or
     /// `control`; of the aggregator: `clock-step`, `retention` or `storage`.

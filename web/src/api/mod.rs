@@ -25,7 +25,7 @@ use utoipa_axum::router::OpenApiRouter;
 use crate::metrics;
 use crate::state::App;
 
-/// All resources with their description.
+/// Returns all resources with their description.
 fn described() -> OpenApiRouter<App> {
     OpenApiRouter::with_openapi(openapi::head())
         .merge(hosts::routes())

@@ -35,9 +35,9 @@ const ERRORS: [(&str, &str, &str); 4] = [
         "no answer in time, or too many questions or live streams at once; try again",
     ),
 ];
-/// The same of operations that change something.
+/// Response of operations that change something: status, name and description.
 const FORBIDDEN: (&str, &str, &str) = ("403", "Forbidden", "the request comes from a page of another site");
-/// The same of operations about one thing.
+/// Response of operations on one item: status, name and description.
 const NOT_FOUND: (&str, &str, &str) = ("404", "NotFound", "there is no such thing");
 /// Response that the server sends, without a body, before it has read a request: status, name and description.
 const TOO_LARGE: (&str, &str, &str) = (

@@ -19,7 +19,7 @@ pub(super) fn routes() -> OpenApiRouter<App> {
     OpenApiRouter::new().routes(routes!(get))
 }
 
-/// "Can I publish this run?": what was seen before, during and after it, in sentences, the most harmful first.
+/// "Can I publish this run?": observations before, during and after the run, in sentences, the most harmful first.
 #[utoipa::path(get, path = "/api/v1/runs/{run}/trust", operation_id = "getRunTrust", tag = "runs", params(("run" = i64, Path)), responses(
     (status = 200, body = Trust),
     (status = "default", body = ProblemDetails, content_type = "application/problem+json"),
@@ -39,13 +39,13 @@ async fn get(
 pub(crate) struct Trust {
     /// `yes`, `with-remarks` or `no`.
     pub verdict: &'static str,
-    /// The same in a sentence.
+    /// The answer in a sentence.
     pub answer: String,
     /// The most harmful first.
     pub sentences: Vec<Sentence>,
 }
 
-/// One thing that was looked at.
+/// One observation.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, ToSchema)]
 pub(crate) struct Sentence {
     pub about: String,

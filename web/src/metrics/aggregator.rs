@@ -23,7 +23,7 @@ pub(super) struct AggregatorFigures {
 }
 
 impl AggregatorFigures {
-    /// Returns what a picture says, of an aggregator that is not ready and has no database.
+    /// Returns the figures of a picture, for an aggregator that is not ready and has no database.
     pub(super) fn of(picture: &LiveState) -> Self {
         Self {
             ready: false,

@@ -7,7 +7,7 @@ use peernet_stream::{Connection, ConnectionStatistics, DirectionStatistics};
 use super::scrape::Scrape;
 use super::table::{Sample, Sink};
 
-/// Over so long probes are counted.
+/// Time over which probes are counted.
 const WINDOW: Span = Span::from_seconds(60);
 
 /// A sample of each link that has one.
@@ -61,7 +61,7 @@ impl End {
         }
     }
 
-    /// From edge to cloud, and from cloud to edge.
+    /// Returns the directions: from edge to cloud, and from cloud to edge.
     const fn directions(self, account: &ConnectionStatistics) -> [(&'static str, &DirectionStatistics); 2] {
         let (upload, download) = match self {
             Self::Edge => (&account.sent, &account.received),

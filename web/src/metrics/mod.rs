@@ -93,7 +93,7 @@ fn write(line: &mut MetricEncoder<'_>, sample: Sample) -> fmt::Result {
     match sample {
         Sample::Count(count) => line.encode_counter::<NoLabelSet, u64, f64>(&count, None),
         Sample::Size(size) => line.encode_gauge(&size),
-        // A figure that is no number says nothing.
+        // The format allows NaN and infinity, but such a sample has no meaning here.
         Sample::Value(value) if value.is_finite() => line.encode_gauge(&value),
         Sample::Value(_) => Ok(()),
     }

@@ -31,8 +31,8 @@ pub(super) struct Scrape {
 }
 
 impl Scrape {
-    /// Takes what it needs of a picture. Names are the labels: of several hosts of one name, all but one of which must
-    /// be away, the one that was heard of last is shown.
+    /// Copies the required data of a picture. Names are the labels. If several hosts have one name, all but one of them must be
+    /// disconnected; the one that reported last is shown.
     pub(super) fn of(picture: &LiveState, aggregator: AggregatorFigures) -> Self {
         let mut by_name: BTreeMap<&str, &Arc<HostSnapshot>> = BTreeMap::new();
         for host in &picture.hosts {

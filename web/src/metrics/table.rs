@@ -3,7 +3,7 @@
 use super::scrape::Scrape;
 use super::{hosts, links, pipelines};
 
-/// Whether it only grows.
+/// Type of a metric.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Kind {
     Counter,

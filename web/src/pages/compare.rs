@@ -1,4 +1,4 @@
-//! Which configuration is faster, by how much, and is that more than chance?
+//! Page of a comparison: which configuration is faster, by how much, and whether that is more than chance.
 
 use askama::Template;
 use axum::Router;
@@ -25,22 +25,22 @@ use crate::view::compare::{
 };
 use crate::view::counted;
 
-/// This page.
+/// Registration of this page.
 pub(super) const PAGE: PageKind = PageKind {
     routes: || Router::new().route("/compare", get(show)),
     entry: Some(NavigationEntry { name: "Compare", address: "/compare", key: "c" }),
     topic: None,
 };
 
-/// The parameter of an address that says whose distributions are shown.
+/// Query parameter with the stage whose distributions are shown.
 const STAGE: &str = "stage";
-/// The parameter that says which run's configuration the others are compared with.
+/// Query parameter with the run whose configuration is the baseline.
 const BASELINE: &str = "baseline";
 /// Experiments that are offered when nothing was chosen.
 const OFFERED: u32 = 50;
-/// Most letters of a label that stays on one line.
+/// Longest label, in letters, that stays on one line.
 const SHORT: usize = 24;
-/// Most runs that are left out and named.
+/// Largest number of excluded runs that are named.
 const LISTED: usize = 8;
 
 #[derive(Template)]
@@ -88,7 +88,7 @@ struct Compare {
 /// The configuration that others are compared with, and their differences from it.
 struct Baseline {
     name: String,
-    /// Each configuration with the number of its first run, by which it is chosen, and whether it is the baseline.
+    /// Each configuration with the number of its first run, by which it is selected; `true` for the baseline.
     choices: Vec<(String, i64, bool)>,
     address: Address,
     others: Vec<OtherRow>,

@@ -1,4 +1,4 @@
-//! The page for what went wrong.
+//! Error page.
 
 use askama::Template;
 

@@ -1,4 +1,4 @@
-//! One host: what it is, which clock it reads, what became of its events.
+//! Page of one host: its description, its clock, the account of its events.
 
 use std::future::ready;
 
@@ -25,7 +25,7 @@ use crate::view::now::{NowRow, NowTable};
 use crate::view::{cut, rehearsal};
 use crate::zone::Moment;
 
-/// This page.
+/// Registration of this page.
 pub(super) const PAGE: PageKind = PageKind {
     routes: || Router::new().route("/hosts/{host}", get(show)),
     entry: None,

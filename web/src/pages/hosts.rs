@@ -1,4 +1,4 @@
-//! What runs where, does anything pile up, do the clocks hold?
+//! Page of all hosts: pipelines on each, backlogs, clocks.
 
 use std::collections::HashSet;
 use std::future::ready;
@@ -20,7 +20,7 @@ use crate::view::hosts::{HostLine, RefusedLine};
 use crate::view::{awaited, cut};
 use crate::zone::Moment;
 
-/// This page.
+/// Registration of this page.
 pub(super) const PAGE: PageKind = PageKind {
     routes: || Router::new().route("/hosts", get(show)),
     entry: Some(NavigationEntry { name: "Hosts", address: "/hosts", key: "h" }),
@@ -39,15 +39,15 @@ struct Hosts {
     past_title: String,
     hosts: Vec<HostLine>,
     events: Vec<EventLine>,
-    /// Said where not all of them are shown.
+    /// Sentence shown where the list is cut.
     cut: Option<String>,
-    /// Said of hosts that are known from before, while none reports.
+    /// Sentence about hosts that connected before, shown while none reports.
     known: Option<String>,
     /// Hosts that were turned away lately.
     refused: Vec<RefusedLine>,
     /// Hosts that are stored but not in the live picture: name and last sign of life.
     past: Vec<(String, Moment)>,
-    /// Said where not all of those are shown.
+    /// Sentence shown where the list of past hosts is cut.
     past_cut: Option<String>,
 }
 

@@ -1,4 +1,4 @@
-//! What happened beside the measurements?
+//! Page of incidents: events beside the measurements.
 
 use askama::Template;
 use axum::Router;
@@ -15,7 +15,7 @@ use crate::parameters::Parameters;
 use crate::state::App;
 use crate::view::incidents::IncidentLine;
 
-/// This page.
+/// Registration of this page.
 pub(super) const PAGE: PageKind = PageKind {
     routes: || Router::new().route("/incidents", get(show)),
     entry: Some(NavigationEntry { name: "Incidents", address: "/incidents", key: "i" }),
@@ -43,11 +43,11 @@ const ROWS: u32 = 100;
 #[derive(Clone, Debug, Default, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub(crate) struct Query {
-    /// Only incidents before this id.
+    /// Incidents before this id.
     before: Option<i64>,
-    /// Only incidents of this kind; empty for all.
+    /// Kind of the incidents; empty for all.
     kind: Option<String>,
-    /// Only incidents that the host of this name reported; empty for all.
+    /// Name of the host that reported the incidents; empty for all.
     host: Option<String>,
 }
 

@@ -1,4 +1,4 @@
-//! Why did this one take so long?
+//! Page of one iteration: why it took as long as it did.
 
 use askama::Template;
 use axum::Router;
@@ -21,7 +21,7 @@ use crate::view::runs::reject_deleted;
 use crate::view::waterfall::{DelayRow, Row, delays, footnote, journey, rows};
 use crate::view::{link, place, rehearsal};
 
-/// This page.
+/// Registration of this page.
 pub(super) const PAGE: PageKind = PageKind {
     routes: || Router::new().route("/runs/{run}/iterations/{iteration}", get(show)),
     entry: None,
@@ -69,7 +69,7 @@ async fn show(State(app): State<App>, numbers: Result<Path<(i64, u64)>, PathReje
     page(&assemble(&app, &run, &detail))
 }
 
-/// The page's sentence: how long, how unusual, because of what.
+/// Returns the title of the page: duration, rank, and cause.
 fn title(row: &IterationRow) -> String {
     let Some(total) = row.total.filter(|_| row.outcome == "ok") else {
         let reason = row.reason.as_ref().map_or_else(String::new, |reason| format!(": {reason}"));

@@ -12,9 +12,9 @@ use crate::state::{App, AppState};
 
 /// A page: the file of each holds one, and the list in `pages/mod.rs` names it.
 pub(crate) struct PageKind {
-    /// Its routes.
+    /// Routes of the page.
     pub routes: fn() -> Router<App>,
-    /// Its entry in the navigation; `None` for a page that belongs to the entry of another.
+    /// Entry in the navigation; `None` for a page that belongs to the entry of another.
     pub entry: Option<NavigationEntry>,
     /// Topic that updates the page while it is shown; `None` for a page that is not updated.
     pub topic: Option<LiveTopic>,
@@ -33,13 +33,13 @@ pub(crate) struct NavigationEntry {
 pub(crate) struct LiveTopic {
     /// Form of the topic: `hosts`, or `host/HOST` where the text after the first slash identifies the page.
     pub form: &'static str,
-    /// Renders what changes, from a picture and what follows the first slash.
+    /// Renders the changed parts, from a picture and the text after the first slash.
     pub update: for<'a> fn(&'a AppState, &'a LiveState, &'a str) -> UpdateFuture<'a>,
 }
 
 pub(crate) type UpdateFuture<'a> = BoxFuture<'a, Result<Update, WebError>>;
 
-/// A topic that somebody listens to.
+/// A topic with at least one listener.
 #[derive(Clone)]
 pub(crate) struct PageTopic {
     topic: &'static LiveTopic,
@@ -64,7 +64,7 @@ impl PageTopic {
     }
 }
 
-/// The name of a topic, and what follows its first slash.
+/// Returns the name of a topic, and the text after its first slash.
 fn parts(text: &str) -> (&str, Option<&str>) {
     text.split_once('/').map_or((text, None), |(name, rest)| (name, Some(rest)))
 }

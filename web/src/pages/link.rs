@@ -1,4 +1,4 @@
-//! Can I trust one-way delays between these two hosts, and what is the network doing?
+//! Page of one link: whether one-way delays between its hosts can be trusted, and the state of the network.
 
 use askama::Template;
 use axum::Router;
@@ -32,7 +32,7 @@ use crate::view::link::table::Row;
 use crate::view::link::{Subject, canonical, find, no_link};
 use crate::view::rehearsal::{self, Rehearsed};
 
-/// This page.
+/// Registration of this page.
 pub(super) const PAGE: PageKind = PageKind {
     routes: || Router::new().route("/links/{link}", get(show)),
     entry: None,
@@ -46,7 +46,7 @@ pub(super) const PAGE: PageKind = PageKind {
 const TOPIC: &str = "link";
 /// Points of a picture at most.
 const POINTS: u32 = 360;
-/// Incidents looked through for those of the link, and listed.
+/// Number of incidents searched for those of the link, and number of incidents listed.
 const INCIDENTS: u32 = 1_000;
 const LISTED: usize = 8;
 
@@ -209,7 +209,7 @@ pub(super) async fn update(app: &AppState, picture: &LiveState, rest: &str) -> R
         ("connections", page.as_connections().render()?),
         ("clocks", page.as_clocks().render()?),
     ];
-    // Longer pictures stand still: they are read from the store.
+    // Pictures of longer ranges are read from the store and do not change with the stream.
     if range == Range::Minutes {
         parts.extend([
             ("chart", page.as_chart().render()?),
@@ -224,7 +224,7 @@ pub(super) async fn update(app: &AppState, picture: &LiveState, rest: &str) -> R
 fn concerning(subject: &Subject<'_>, course: &Course, rows: &[IncidentRow]) -> Vec<IncidentRow> {
     let names = [subject.edge.as_str(), subject.cloud.as_str()];
     let known = |name: &str| names.contains(&name);
-    // What the two hosts do otherwise says nothing about the way between them.
+    // Other incidents of the two hosts say nothing about the network between them.
     let beside = |row: &&IncidentRow| !matches!(row.kind.as_str(), "model-loaded" | "control");
     let ours = rows.iter().filter(beside);
     let ours = ours.filter(|row| {

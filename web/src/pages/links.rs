@@ -1,4 +1,4 @@
-//! Can I trust one-way delays between these hosts?
+//! Page of all links: whether one-way delays between the hosts can be trusted.
 
 use std::future::ready;
 
@@ -17,7 +17,7 @@ use crate::state::{App, AppState};
 use crate::view::cut;
 use crate::view::link::list::{LinkLine, PastLine, title};
 
-/// This page.
+/// Registration of this page.
 pub(super) const PAGE: PageKind = PageKind {
     routes: || Router::new().route("/links", get(show)),
     entry: Some(NavigationEntry { name: "Links", address: "/links", key: "l" }),
@@ -33,7 +33,7 @@ struct Links {
     shell: Shell,
     title: String,
     lines: Vec<LinkLine>,
-    /// Said where not all of them are shown.
+    /// Sentence shown where the list is cut.
     cut: Option<String>,
     /// Links that are stored but not in the live picture.
     past: Vec<PastLine>,

@@ -1,5 +1,5 @@
-//! The dashboard: one file per page, its template beside it. A page is complete when it arrives; what of it is
-//! live is a block of its template, sent again by the live stream.
+//! The dashboard: one file per page, its template next to it. A page is complete when it arrives; its live parts are blocks of its
+//! template, which the live stream sends again.
 //!
 //! This file registers them: a page is named here twice, as a module and in [`PAGES`], and nowhere else in the program.
 
@@ -98,7 +98,7 @@ pub(crate) struct Update {
     pub parts: Vec<(&'static str, String)>,
     /// Incidents to mark on the time axes.
     pub marks: Vec<Mark>,
-    /// By chart, why the upward and the downward throughput have no line.
+    /// Reasons why the upward and the downward throughput have no line, by chart.
     pub obstacles: Vec<(String, Obstacles)>,
 }
 

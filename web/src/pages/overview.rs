@@ -1,4 +1,4 @@
-//! Is my system healthy, and where does the time go right now?
+//! Overview: the health of the system, and where the time goes at present.
 
 use askama::Template;
 use axum::Router;
@@ -23,7 +23,7 @@ use crate::view::incidents::IncidentLine;
 use crate::view::now::NowTable;
 use crate::zone::Moment;
 
-/// This page.
+/// Registration of this page.
 pub(super) const PAGE: PageKind = PageKind {
     routes: || Router::new().route("/", get(show)),
     entry: Some(NavigationEntry { name: "Overview", address: "/", key: "o" }),
@@ -42,7 +42,7 @@ pub(super) struct Overview {
     now: NowTable,
     charts: Vec<ChartCard>,
     hosts: Vec<HostLine>,
-    /// Said where not all pipelines, and not all hosts, are shown.
+    /// Sentences shown where the lists of pipelines and of hosts are cut.
     cut: [Option<String>; 2],
     /// `Err` holds the id under which the failure was logged.
     incidents: Result<Vec<IncidentLine>, String>,

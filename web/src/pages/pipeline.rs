@@ -1,4 +1,4 @@
-//! How does this pipeline behave, stage by stage, and what happened to it?
+//! Page of one pipeline: its latency by stage, and its incidents.
 
 use std::future::ready;
 
@@ -36,7 +36,7 @@ use crate::view::stack::Stack;
 use crate::view::stages::{StageRow, TOO_FEW};
 use crate::view::{chip::Chip, link, place};
 
-/// This page.
+/// Registration of this page.
 pub(super) const PAGE: PageKind = PageKind {
     routes: || Router::new().route("/pipelines/{host}/{pipeline}", get(show)),
     entry: None,
@@ -148,7 +148,7 @@ async fn runs(app: &AppState, pipeline: &PipelineSnapshot) -> Result<Vec<RunSumm
     Ok(AppState::beside_live(app.store().runs(&filter).await)?)
 }
 
-/// The page's sentence: how long it takes and what takes longest.
+/// Returns the title of the page: latency and longest stage.
 fn title(pipeline: &PipelineSnapshot, stack: &Stack) -> String {
     let name = &pipeline.pipeline;
     if let Some(trouble) = trouble(&pipeline.state) {

@@ -18,7 +18,7 @@ use crate::view::now::{NowRow, NowTable};
 use crate::view::place;
 use crate::view::{awaited, cut};
 
-/// This page.
+/// Registration of this page.
 pub(super) const PAGE: PageKind = PageKind {
     routes: || Router::new().route("/pipelines", get(show)),
     entry: Some(NavigationEntry { name: "Pipelines", address: "/pipelines", key: "p" }),
@@ -36,7 +36,7 @@ struct Pipelines {
     /// The title in the past tense, for when the connection is lost.
     past: String,
     lines: Vec<Line>,
-    /// Said where not all of them are shown.
+    /// Sentence shown where the list is cut.
     cut: Option<String>,
 }
 

@@ -1,4 +1,4 @@
-//! How fast was this configuration, how certain is that, and which iterations stand out?
+//! Page of one run: the speed of its configuration, the certainty of that, and unusual iterations.
 
 use askama::Template;
 use axum::Router;
@@ -32,7 +32,7 @@ use crate::view::trust::Trust;
 use crate::view::{accuracy, link, place, rehearsal, runs};
 use crate::zone::Zone;
 
-/// This page.
+/// Registration of this page.
 pub(super) const PAGE: PageKind =
     PageKind { routes: || Router::new().route("/runs/{run}", get(show)), entry: None, topic: None };
 
@@ -45,7 +45,7 @@ const OUTLIERS: u32 = 40;
 /// Rows of the table of iterations without an answer.
 const UNANSWERED: u32 = 8;
 
-/// Why a run has no rate.
+/// Reason why a run has no rate.
 const NO_LENGTH: &str =
     "how long it ran is not known: it has no end yet, its clock was set, or it stood still";
 
@@ -85,7 +85,7 @@ struct Run {
     stats: Vec<(&'static str, String, &'static str)>,
     iterations: (String, String),
     lost: (String, String),
-    /// The miss rate, and what it is a share of, where there is a deadline.
+    /// Miss rate, and its base, where there is a deadline.
     missed: Option<(String, String)>,
     /// Starts that were skipped, and their share, where there are any.
     skipped: Option<(String, String)>,
@@ -97,7 +97,7 @@ struct Run {
     distribution: Distribution,
     bucket: u32,
     buckets: Vec<Bucket>,
-    /// Episodes, and what had no answer.
+    /// Sentences about episodes, and about iterations without an answer.
     parted: Vec<String>,
     /// Marks in the picture over time.
     marked: Marked,
@@ -189,7 +189,7 @@ impl Distribution {
     }
 }
 
-/// The miss rate in percent, and what it is a share of; `None` without a deadline.
+/// Returns the miss rate in percent, and its base; `None` without a deadline.
 fn missed(run: &RunSummary) -> Option<(String, String)> {
     let (misses, deadline) = run.misses.zip(run.deadline_s)?;
     let rate = misses.rate().map_or_else(|| NONE.to_owned(), |rate| format!("{}{SPACE}%", percent(rate)));

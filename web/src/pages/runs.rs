@@ -1,4 +1,4 @@
-//! How fast was which configuration?
+//! Page of all runs: the latency of each configuration.
 
 use askama::Template;
 use axum::Router;
@@ -15,7 +15,7 @@ use crate::parameters::{self, Parameters};
 use crate::state::App;
 use crate::view::runs::RunLine;
 
-/// This page.
+/// Registration of this page.
 pub(super) const PAGE: PageKind = PageKind {
     routes: || Router::new().route("/runs", get(show)),
     entry: Some(NavigationEntry { name: "Runs", address: "/runs", key: "r" }),
@@ -29,9 +29,9 @@ const ROWS: u32 = 50;
 #[derive(Clone, Debug, Default, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub(crate) struct Query {
-    /// Only runs of pipelines of this name.
+    /// Name of the runs' pipeline.
     pipeline: Option<String>,
-    /// Only runs before this number.
+    /// Runs before this number.
     before: Option<i64>,
 }
 

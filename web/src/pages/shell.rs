@@ -29,7 +29,7 @@ pub(crate) struct Shell {
     pub waiting: bool,
     /// Sentences about injected clock faults, one per host.
     pub rehearsals: Vec<String>,
-    /// Said while events are not being stored.
+    /// Sentence shown while events are not being stored.
     pub not_storing: Option<String>,
 }
 
@@ -68,7 +68,7 @@ impl Shell {
         }
     }
 
-    /// The same for a page that follows a topic of the live stream.
+    /// Subscribes the page to a topic of the live stream.
     pub(crate) fn live(mut self, topic: impl Into<String>) -> Self {
         self.topic = Some(topic.into());
         self

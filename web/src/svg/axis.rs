@@ -9,7 +9,7 @@ use super::fit::{Fitted, width};
 /// A label this near to an end of its plot, percent, would reach over it.
 const END: f64 = 4.0;
 
-/// From zero to a round number above the largest value.
+/// Axis from zero to a round number above the largest value.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Scale {
     max: f64,
@@ -116,7 +116,7 @@ impl Axis {
         Self::new("xaxis", &labels.collect::<Vec<_>>())
     }
 
-    /// Labels below a plot that has no room at its sides: those at its ends stand inside.
+    /// Returns labels below a plot that has no room at its sides: the labels at the ends are placed inside.
     pub(crate) fn within(labels: Vec<(Percent, String)>) -> Self {
         let anchor = |x: &Percent| match x.0 {
             left if left < END => "start",

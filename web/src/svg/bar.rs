@@ -17,7 +17,7 @@ const BOUND_SEEN: f64 = 0.4;
 pub(crate) struct Part {
     /// The stage's name.
     pub name: String,
-    /// Its length, seconds.
+    /// Length, seconds.
     pub seconds: f64,
     /// Half width of the bound of its length, seconds; for one-way delays.
     pub bound: Option<f64>,
@@ -70,7 +70,7 @@ struct Whisker {
     far: bool,
     from: Percent,
     to: Percent,
-    /// The quantile lies beyond the axis.
+    /// `true` if the quantile lies beyond the axis.
     beyond: bool,
 }
 
@@ -80,8 +80,8 @@ fn short(milliseconds: f64) -> String {
 }
 
 impl Bar {
-    /// A bar of `parts` in their order on a scale in ms. `label` states in words what the bar shows; an empty
-    /// one means that the figures beside it already do.
+    /// Draws a bar of `parts` in their order on a scale in ms. `label` describes the bar in words; it is empty where the figures next to
+    /// the bar already do.
     pub(crate) fn new(class: &'static str, label: String, parts: &[Part], scale: &Scale) -> Self {
         let mut at = 0.0;
         let mut segments = Vec::with_capacity(parts.len());
@@ -89,7 +89,7 @@ impl Bar {
         for part in parts.iter().filter(|part| part.seconds > 0.0) {
             let milliseconds = part.seconds * 1e3;
             let (x, end) = (scale.at(at), scale.at(at + milliseconds));
-            // The sum of both directions is exact: what moves is where the other host's part begins and ends.
+            // The sum of both directions is exact: the uncertainty is where the other host's part begins and ends.
             let inner = if part.name == "download" { at } else { at + milliseconds };
             if let Some(bound) = part.bound.map(|bound| bound.min(part.seconds) * 1e3) {
                 let (from, to) = (scale.at(inner - bound), scale.at(inner + bound));
@@ -116,8 +116,8 @@ impl Bar {
         Self { class, label, grid: scale.grid(), segments, whiskers: Vec::new(), bounds, spread: None }
     }
 
-    /// Adds an error bar of `spread` seconds to both sides of the bar's end, which lies at `mean` seconds. It leaves no
-    /// half of a figure behind: values are written where it does not cross them.
+    /// Adds an error bar of `spread` seconds to both sides of the bar's end, which lies at `mean` seconds. Values that it would cross are
+    /// not written.
     pub(crate) fn spread(mut self, mean: f64, spread: f64, scale: &Scale) -> Self {
         let (from, to) = (scale.at((mean - spread) * 1e3), scale.at((mean + spread) * 1e3));
         for segment in &mut self.segments {
@@ -129,7 +129,7 @@ impl Bar {
         self
     }
 
-    /// The same without values and clock bounds in its segments, for bars that are too low for text.
+    /// Omits values and clock bounds in the segments, for bars that are too low for text.
     pub(crate) fn silent(mut self) -> Self {
         for segment in &mut self.segments {
             (segment.name, segment.value) = (None, None);
@@ -138,7 +138,7 @@ impl Bar {
         self
     }
 
-    /// The same without grid lines, for a bar that has no axis.
+    /// Omits the grid lines, for a bar without an axis.
     pub(crate) fn without_grid(mut self) -> Self {
         self.grid.clear();
         self

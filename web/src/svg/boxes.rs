@@ -48,7 +48,7 @@ impl Five {
         self.tails.map_or(self.middle[2], |(_, p95)| p95).max(self.mean)
     }
 
-    /// In words, of seconds.
+    /// Describes the numbers in words; they are in seconds.
     fn words(&self) -> String {
         let [p25, p50, p75] = self.middle.map(milliseconds);
         let tails = self.tails.map_or_else(String::new, |(p5, p95)| {
@@ -63,7 +63,7 @@ impl Five {
 }
 
 impl BoxPlot {
-    /// The box of seconds on a scale of ms; `of` says in words what it is of.
+    /// Draws a box of seconds on a scale of ms; `of` names the quantity in words.
     pub(crate) fn new(look: &'static str, of: &str, five: &Five, scale: &Scale) -> Self {
         let at = |seconds: f64| scale.at(seconds * 1e3);
         let quartiles = (at(five.middle[0]), at(five.middle[2]));

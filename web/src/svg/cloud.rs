@@ -5,7 +5,7 @@ use std::fmt::Write as _;
 
 use super::pen::{self, At, SHEET};
 
-/// From how many points on they are counted: dots would hide each other.
+/// Number of points from which on they are counted in cells, because dots would hide each other.
 pub(super) const MANY: usize = 400;
 /// Cells across and upright.
 const CELLS: (u16, u16) = (50, 25);

@@ -22,7 +22,7 @@ const TOUCHING: f64 = 0.005;
 
 /// Returns the position of a stage in a stack, counted from below.
 fn place(name: &str) -> usize {
-    // Both ways together stand where the upload would.
+    // Both directions together take the place of the upload.
     let name = if name == look::NETWORK { "upload" } else { name };
     look::STACK.iter().position(|known| *known == name).unwrap_or(look::STACK.len())
 }
@@ -105,7 +105,7 @@ pub(crate) struct CourseAxes {
 }
 
 impl CourseAxes {
-    /// From zero to the end of the longest, and to a little above the largest quantile; `None` without a bucket.
+    /// Returns axes from zero to the end of the longest run, and to a little above the largest quantile; `None` without a bucket.
     pub(crate) fn of(all: &[CourseData]) -> Option<Self> {
         let most = |of: fn(&CourseData) -> f64| all.iter().map(of).fold(0.0, f64::max);
         let top = most(CourseData::reach) * (1.0 + MARGIN);

@@ -1,7 +1,7 @@
-//! Text inside pictures that grow with their panel: how wide the picture must be for it.
+//! Text inside pictures that grow with their panel: the width of the picture that it needs.
 //!
-//! The server does not know the width of a page. Text therefore says from which width on it fits, and the style
-//! sheet shows it from there on: a figure that is cut off is a wrong figure.
+//! The server does not know the width of a page. Text therefore carries the smallest width at which it fits, and the style sheet shows it
+//! from that width on, because a figure that is cut off is a wrong figure.
 
 /// Widths of a picture, rem, from which on text is shown: the classes `w8`, `w10` and so on of the style sheet.
 const STEPS: [u16; 14] = [8, 10, 12, 15, 18, 21, 25, 30, 36, 43, 52, 62, 75, 90];
@@ -26,7 +26,7 @@ pub(super) struct Fitted {
 }
 
 impl Fitted {
-    /// `text`, which stands together with `beside`, within `share` percent of the picture's width.
+    /// Returns `text`, which is drawn next to `beside`, within `share` percent of the picture's width.
     pub(super) fn within(share: f64, text: String, beside: &str) -> Self {
         let width = width(&text) + beside.chars().count() as f64 * CHARACTER;
         Self { text, width, needs: width / share * 100.0 }
@@ -37,12 +37,12 @@ impl Fitted {
         Self { width: width(&text), text, needs: 0.0 }
     }
 
-    /// Keeps the text from another which stands `distance` percent from it: both together take `taken` rem in between.
+    /// Keeps the text clear of another at a distance of `distance` percent; both together take `taken` rem in between.
     pub(super) fn apart(&mut self, distance: f64, taken: f64) {
         self.needs = self.needs.max(taken / distance * 100.0);
     }
 
-    /// Keeps the text, centred at `middle`, clear of what is drawn between `from` and `to`, all in percent.
+    /// Keeps the text, centred at `middle`, clear of the drawing between `from` and `to`, all in percent.
     pub(super) fn clear_of(&mut self, middle: f64, from: f64, to: f64) {
         let free = (from - middle).max(middle - to).max(0.0);
         self.apart(free, self.width / 2.0);

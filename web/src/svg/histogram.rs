@@ -49,7 +49,7 @@ struct Mark {
     text: String,
 }
 
-/// The unit in which a quantity is shown, and what its SI value is multiplied with.
+/// Returns the unit in which a quantity is shown, and the factor from its SI value.
 pub(crate) fn shown_in(unit: &str) -> (String, f64) {
     match unit {
         "s" => ("ms".to_owned(), 1e3),
@@ -141,11 +141,11 @@ impl HistogramPlot {
 
 type Height = Box<dyn Fn(f64) -> Percent>;
 
-/// Rows of the grid with their labels, and what turns a count into a height.
+/// Returns rows of the grid with their labels, and the function from a count to a height.
 fn vertical(largest: f64, log: bool) -> (Vec<(Percent, String)>, Height) {
     if log && largest > 1.0 {
         let decades = largest.log10().ceil().max(1.0);
-        // One sample stands a little above the axis, so that it is seen.
+        // A single sample is drawn a little above the axis, so that it is visible.
         let height = move |count: f64| {
             Percent(if count < 1.0 { count * 4.0 } else { 4.0 + count.log10() / decades * 96.0 })
         };
@@ -155,7 +155,7 @@ fn vertical(largest: f64, log: bool) -> (Vec<(Percent, String)>, Height) {
         });
         return (rows.collect(), Box::new(height));
     }
-    // At least so many that each step is a whole one.
+    // With at least four samples each step of the scale is a whole number.
     let scale = Scale::fit(largest.max(4.0), 4);
     let rows = scale.grid().into_iter().map(|at| Percent(100.0 - at.0)).zip(scale.labels()).collect();
     (rows, Box::new(move |count| scale.at(count)))

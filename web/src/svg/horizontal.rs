@@ -12,16 +12,16 @@ const MANY: f64 = 2.5;
 /// Horizontal axis.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) enum Horizontal {
-    /// From zero.
+    /// Linear from zero.
     Linear(Scale),
-    /// From wherever the values begin.
+    /// Linear from a value other than zero.
     Between(Ruler),
-    /// From one value to another, both above zero.
+    /// Logarithmic from one value to another, both above zero.
     Logarithmic(f64, f64),
 }
 
 impl Horizontal {
-    /// Holds all values.
+    /// Returns an axis that holds all values.
     pub(crate) fn of(values: impl Iterator<Item = f64>) -> Self {
         let (least, most) = values.fold((f64::INFINITY, 0.0_f64), |(lo, hi), x| (lo.min(x), hi.max(x)));
         if least > 0.0 && most > least * DECADE && most.is_finite() {
@@ -40,7 +40,7 @@ impl Horizontal {
         Self::Between(Ruler::around(lo, hi, ticks))
     }
 
-    /// Holds all of these whole numbers, and names no others.
+    /// Returns an axis that holds all of these whole numbers, with ticks at whole numbers only.
     pub(crate) fn of_numbers(values: impl Iterator<Item = f64> + Clone) -> Self {
         let most = values.clone().fold(0.0, f64::max);
         match Self::of(values) {
@@ -66,7 +66,7 @@ impl Horizontal {
         }
     }
 
-    /// The value that lies at this share of the way between two.
+    /// Returns the value at this share of the way between two values.
     pub(crate) fn between(&self, from: f64, to: f64, share: f64) -> f64 {
         if self.is_logarithmic() && from > 0.0 {
             from * (to / from).powf(share)

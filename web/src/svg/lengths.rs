@@ -1,4 +1,4 @@
-//! Two quantities of each iteration against each other, with the distribution of each beside the plot.
+//! Two quantities of each iteration against each other, with the distribution of each at the side of the plot.
 
 use askama::Template;
 use peernet_figures::drawing::would_squeeze;
@@ -9,13 +9,13 @@ use super::{Axis, Horizontal, Percent, pen};
 
 /// Bins of a distribution between the ends of the values.
 const BINS: u32 = 40;
-/// Above this quantile an axis only counts, so that one straggler does not squeeze all others into a corner.
+/// Quantile above which values are only counted, so that one straggler does not compress all others into a corner.
 const ENDS_AT: f64 = 0.99;
 /// Share of its length by which the axis extends beyond that quantile. A largest value that is at most [`WORTH`] times this length is not
 /// a straggler.
 const MARGIN: f64 = 0.1;
 const WORTH: f64 = 1.5;
-/// Room on both sides of values that lie far from zero, of their range.
+/// Margin on both sides of values that lie far from zero, as a share of their range.
 const ROOM: f64 = 0.05;
 /// Ends within this share of each other are one end.
 const ROUNDING: f64 = 1e-9;
@@ -35,9 +35,9 @@ pub(crate) struct LengthAxis {
 }
 
 impl LengthAxis {
-    /// From zero to the largest value, or a little above the largest 99th percentile where stragglers lie far beyond it,
-    /// shown as `per_si` times what is measured; from the smallest value where that would squeeze all others or where they
-    /// span more than a decade, and where it is negative. `None` without values.
+    /// Returns an axis from zero to the largest value, or to a little above the largest 99th percentile where stragglers lie far beyond
+    /// it, shown as `per_si` times the measured value. The axis begins at the smallest value where zero would compress all others, where
+    /// the values span more than a decade, and where the smallest is negative. `None` without values.
     pub(crate) fn of<'a>(all: impl Iterator<Item = &'a Summary>, unit: &str, per_si: f64) -> Option<Self> {
         let ends = |known: &Summary| {
             let (typical, most) = (known.quantile(ENDS_AT)?, known.moments.max);
@@ -61,7 +61,7 @@ impl LengthAxis {
         Some(Self { unit: unit.to_owned(), per_si, on, edges })
     }
 
-    /// Its unit, with what its marks alone do not show.
+    /// Returns the unit, and whether the axis is logarithmic.
     fn title(&self) -> String {
         let scale = if self.on.is_logarithmic() { ", logarithmic" } else { "" };
         format!("{}{scale}", self.unit)
@@ -99,9 +99,9 @@ impl LengthAxis {
 
 /// Values of a plot.
 pub(crate) struct LengthValues<'a> {
-    /// Some of the iterations: both quantities as measured.
+    /// A sample of the iterations: both quantities as measured.
     pub points: &'a [(f64, f64)],
-    /// All of them.
+    /// Values of all iterations.
     pub x: &'a Summary,
     pub y: &'a Summary,
     /// Intercept and slope of a line through them.
@@ -129,7 +129,7 @@ pub(crate) struct LengthPlot {
 impl askama::filters::HtmlSafe for LengthPlot {}
 
 impl LengthPlot {
-    /// Draws these values on axes; `label` says in words what they show.
+    /// Draws these values on axes; `label` describes them in words.
     pub(crate) fn new(
         look: &'static str,
         label: String,

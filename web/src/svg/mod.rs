@@ -1,7 +1,7 @@
-//! Pictures that stand still: SVG made by the server, there at first paint, printable.
+//! Static pictures: SVG from the server, present at first paint, printable.
 //!
-//! Geometry is computed here and written by templates; lengths are percent, so that a picture grows with its
-//! panel and no style attribute is needed.
+//! Geometry is computed here and written by templates. Lengths are percent, so that a picture grows with its panel and no style attribute
+//! is needed: the content security policy forbids inline styles.
 
 mod axis;
 mod bar;

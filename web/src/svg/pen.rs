@@ -12,7 +12,7 @@ fn put(path: &mut String, command: char, (x, y): At) {
     let _ = write!(path, "{command}{:.1} {:.1}", x * SHEET, y * SHEET);
 }
 
-/// A line that stops where a value is missing; a value with none beside it becomes a dot.
+/// Draws a line that is interrupted where a value is missing; a value between two missing ones becomes a dot.
 pub(crate) fn line(points: impl IntoIterator<Item = Option<At>>) -> String {
     let (mut path, mut open, mut alone) = (String::new(), false, None);
     for point in points.into_iter().chain([None]) {

@@ -4,7 +4,7 @@ use peernet_statistics::number::fixed;
 
 use super::Percent;
 
-/// From one round number to another.
+/// Axis from one round number to another.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Ruler {
     lo: f64,
@@ -26,10 +26,10 @@ fn or_one(size: f64) -> f64 {
 }
 
 impl Ruler {
-    /// Holds the values from `lo` to `hi`.
+    /// Returns an axis that holds the values from `lo` to `hi`.
     pub(crate) fn around(lo: f64, hi: f64, ticks: usize) -> Self {
         let (lo, hi) = if lo.is_finite() && hi.is_finite() { (lo.min(hi), lo.max(hi)) } else { (0.0, 1.0) };
-        // Never so narrow that its ticks could not be told apart by a number that people read.
+        // A narrower axis would need labels with more digits than people read.
         let least = (lo.abs().max(hi.abs()) * 1e-9).max(1e-6);
         let (lo, hi) = if hi - lo < least { (lo - least, hi + least) } else { (lo, hi) };
         let step = round_step(hi - lo, ticks);
@@ -37,18 +37,18 @@ impl Ruler {
         Self { lo, hi, step, signed: false }
     }
 
-    /// Holds values from zero to `largest`.
+    /// Returns an axis that holds the values from zero to `largest`.
     pub(crate) fn from_zero(largest: f64, ticks: usize) -> Self {
         Self::around(0.0, or_one(largest), ticks)
     }
 
-    /// Holds values as far as `largest` on both sides of zero; its labels carry their sign.
+    /// Returns an axis that holds values up to `largest` on both sides of zero; its labels carry their sign.
     pub(crate) fn both_sides(largest: f64, ticks: usize) -> Self {
         let largest = or_one(largest);
         Self { signed: true, ..Self::around(-largest, largest, ticks) }
     }
 
-    /// The same with a sign before every label.
+    /// Writes a sign before every label.
     pub(crate) fn signed(self) -> Self {
         Self { signed: true, ..self }
     }

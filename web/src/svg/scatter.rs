@@ -11,9 +11,9 @@ const STEPS: u32 = 64;
 const LETTER: (f64, f64) = (2.4, 6.0);
 /// Distance of a name from the middle of its point.
 const AWAY: (f64, f64) = (2.2, 6.5);
-/// Most names that stand as one; the table has all.
+/// Largest number of names in one label; the table has all.
 const MOST_NAMES: usize = 2;
-/// Beside its point, in ems.
+/// Shift of a name to the right of its point, in ems.
 const RIGHT: (&str, &str) = (".7em", ".36em");
 
 /// Points of several series.
@@ -90,12 +90,12 @@ impl Dot {
     }
 }
 
-/// A name beside its point.
+/// A name next to its point.
 #[derive(Clone, Debug, PartialEq)]
 struct Label {
-    /// Its point.
+    /// Position of its point.
     dot: (Percent, Percent),
-    /// From there, in ems: a wide plot needs no more distance than a narrow one.
+    /// Shift from there, in ems: a wide plot needs no more distance than a narrow one.
     shift: (&'static str, &'static str),
     /// Position on a narrow plot, the worst case: a place that is free there is free at every width.
     x: Percent,
@@ -107,7 +107,7 @@ struct Label {
 }
 
 impl Label {
-    /// Takes in the name of another point.
+    /// Adds the name of another point.
     fn join(&mut self, at: usize, name: &str) {
         self.points.push((at, name.to_owned()));
         self.text = listed(&self.points);
@@ -131,7 +131,7 @@ impl Label {
         (middle - x).abs() < LETTER.0 * letters / 2.0 && (height - y).abs() < LETTER.1 / 2.0
     }
 
-    /// Its middle and how many letters it is long.
+    /// Returns its middle and its length in letters.
     fn place(&self) -> (f64, f64, f64) {
         let letters = self.text.chars().count() as f64;
         let half = LETTER.0 * letters / 2.0;
@@ -145,7 +145,7 @@ impl Label {
 }
 
 impl Scatter {
-    /// Draws the series on these axes; `label` says in words what they show.
+    /// Draws the series on these axes; `label` describes them in words.
     pub(crate) fn new(
         label: String,
         (x_unit, across): (&'static str, &Horizontal),
@@ -294,7 +294,7 @@ mod tests {
         assert!((x(1) - x(0) - (x(2) - x(1))).abs() < 1e-3, "{:?}", plot.dots);
         assert_eq!(plot.columns.labels_at(30), ["1", "10", "100", "1,000"]);
         assert!(plot.lines[0].1.matches('L').count() == STEPS as usize, "{:?}", plot.lines);
-        // What has that class is hidden until it fits.
+        // The class hides its elements until they fit.
         assert!(!plot.to_string().contains("<svg class=\"fits"), "{plot}");
     }
 

@@ -1,4 +1,4 @@
-//! A small histogram beside others on the same axis.
+//! A small histogram; several share one axis.
 
 use askama::Template;
 use peernet_statistics::Summary;
@@ -7,7 +7,7 @@ use super::{Axis, Horizontal, Percent, shown_in};
 
 /// Bins between the ends of the axis.
 const BINS: u32 = 48;
-/// Above this quantile an axis only counts, so that one straggler does not squeeze all others into a bin.
+/// Quantile above which values are only counted, so that one straggler does not compress all others into a bin.
 const ENDS_AT: f64 = 0.99;
 /// Share of its length by which the axis extends beyond that quantile.
 const MARGIN: f64 = 0.1;
@@ -34,7 +34,7 @@ impl askama::filters::HtmlSafe for SmallHistogram {}
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct SmallAxis {
     across: Horizontal,
-    /// In the unit that is shown.
+    /// Edges of the bins, in the shown unit.
     edges: Vec<f64>,
     unit: String,
     /// Factor from an SI value to the shown value.
@@ -42,7 +42,7 @@ pub(crate) struct SmallAxis {
 }
 
 impl SmallAxis {
-    /// From the smallest of all samples, which are of this SI unit, to a little above the largest 99th percentile; `None`
+    /// Returns an axis from the smallest of all samples, which are of this SI unit, to a little above the largest 99th percentile; `None`
     /// without samples.
     pub(crate) fn of<'a>(unit: &str, all: impl Iterator<Item = &'a Summary>) -> Option<Self> {
         let (unit, factor) = shown_in(unit);
@@ -88,8 +88,8 @@ impl SmallAxis {
 }
 
 impl SmallHistogram {
-    /// The histogram of these samples in the colour of a class, `label` in words. `within` is where their median may lie,
-    /// where that is not known better.
+    /// Draws a histogram of these samples in the colour of a class; `label` describes it in words. `within` is the interval of their
+    /// median, where the median is uncertain.
     pub(crate) fn new(
         look: &'static str,
         label: String,

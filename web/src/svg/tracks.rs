@@ -36,7 +36,7 @@ pub(crate) struct Gap {
     pub x: Percent,
     pub width: Percent,
     pub middle: Percent,
-    /// Why, where there is room for it.
+    /// Reason of the gap, where there is room for it.
     pub text: Option<&'static str>,
 }
 
@@ -79,7 +79,7 @@ pub(crate) struct Track {
     pub class: &'static str,
     pub ticks: Vec<(Percent, String)>,
     pub curves: Vec<Curve>,
-    /// Said at the upper end when values lie beyond it.
+    /// Text at the upper end when values lie beyond it.
     pub beyond: Option<String>,
 }
 

@@ -9,7 +9,7 @@ use crate::timeline::{Placed, Timeline, Visit, Where};
 
 /// Narrower bars would not be seen.
 const THINNEST: f64 = 0.2;
-/// From this distance to the bar's end on, a note fits behind the median's tick.
+/// Distance from the bar's end from which on a note fits behind the median's tick.
 const NOTE_FITS: f64 = 14.0;
 
 /// The bar of one node.
@@ -21,7 +21,7 @@ pub(crate) struct WaterfallRow {
     grid: Vec<Percent>,
     bands: Vec<(Percent, Percent)>,
     bar: Option<(Percent, Percent)>,
-    /// An outline where it must lie, when its own place is not known.
+    /// Outline of the interval in which it lies, when its position is not known.
     ghost: Option<(Percent, Percent)>,
     median: Option<(Percent, Option<String>)>,
     whisker: Option<(Percent, Percent)>,
@@ -83,7 +83,7 @@ impl WaterfallRow {
                 let room = at(scale, start + length).0 - x.0;
                 (x, (room > NOTE_FITS).then(|| format!("median {}", stage_ms(median))))
             });
-        // The whisker stands where the message's uncertain end is: an upload ends there, a download begins.
+        // The whisker is drawn at the message's uncertain end: an upload ends there, a download begins there.
         let whisker = node.delay.and_then(|delay| delay.bounds).zip(visit).filter(|((lo, hi), _)| hi > lo);
         let whisker = whisker.and_then(|((lo, hi), visit)| match node.name.as_str() {
             "download" => {

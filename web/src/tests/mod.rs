@@ -1,4 +1,4 @@
-//! Test data that several modules share, and the test of what they register.
+//! Test data that several modules share, and the test of the registries.
 
 mod registration;
 pub(crate) mod samples;

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 /// A folder of modules that its `mod.rs` registers.
 struct Registry {
     folder: &'static str,
-    /// Modules of the folder that register nothing: what all the others use.
+    /// Modules of the folder that register nothing: the others use them.
     shared: &'static [&'static str],
     /// Text after a module's name in its registration.
     registered: &'static str,

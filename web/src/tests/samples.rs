@@ -296,7 +296,7 @@ pub(crate) fn clock_sample(at: WallTime, window: u64, half: Option<f64>) -> Cloc
     }
 }
 
-/// The same as a point of a history.
+/// Returns the sample as a point of a history.
 pub(crate) fn clock_point(at: WallTime, window: u64, half: Option<f64>) -> ClockPoint {
     let sample = clock_sample(at, window, half);
     ClockPoint {
@@ -404,7 +404,7 @@ fn connection() -> Connection {
     }
 }
 
-/// The same link over `zmq-udp`.
+/// Returns the same link over `zmq-udp`.
 pub(crate) fn link_over_udp(half: Option<f64>) -> LinkSnapshot {
     let mut link = link(half, &[]);
     let network: NetworkName = "zmq-udp".parse().expect("a name");

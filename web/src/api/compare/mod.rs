@@ -20,7 +20,7 @@ pub(super) fn routes() -> OpenApiRouter<App> {
     OpenApiRouter::new().routes(routes!(experiments)).routes(routes!(compare))
 }
 
-/// Which runs; either of both.
+/// Query parameters of a comparison: runs or an experiment.
 #[derive(Clone, Debug, Default, Deserialize, IntoParams)]
 #[into_params(parameter_in = Query)]
 struct CompareQuery {

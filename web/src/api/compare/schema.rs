@@ -17,7 +17,7 @@ pub(crate) struct ExperimentList {
 /// Runs that were declared together.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, ToSchema)]
 pub(crate) struct Experiment {
-    /// The same for all runs of one execution.
+    /// Id of the experiment; equal for all runs of one execution.
     pub id: String,
     pub name: String,
     /// Runs that began.
@@ -28,7 +28,7 @@ pub(crate) struct Experiment {
     pub oldest: i64,
     /// Number of its newest run.
     pub newest: i64,
-    /// When the first began, on its edge's wall clock.
+    /// Start of the first run, on its edge's wall clock.
     pub started: String,
 }
 
@@ -56,7 +56,7 @@ pub(crate) struct Comparison {
     pub ties: Vec<String>,
     /// Letter of the configuration that the others are compared with.
     pub baseline: Option<String>,
-    /// Each other configuration less the baseline, stage by stage, where the interval is known.
+    /// Differences between each other configuration and the baseline, stage by stage, where the interval is known.
     pub differences: Vec<Difference>,
     /// Reasons not to take the figures at face value, as sentences; for example starts that were skipped.
     pub doubts: Vec<String>,
@@ -69,7 +69,7 @@ pub(crate) struct Comparison {
 /// A run that is not compared.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, ToSchema)]
 pub(crate) struct LeftOut {
-    /// Its number.
+    /// Number of the run.
     pub run: i64,
     /// The reason: how it ended, or as which one it was measured again.
     pub why: String,
@@ -82,7 +82,7 @@ pub(crate) struct Configuration {
     pub letter: String,
     /// Settings in which this configuration differs from the others, in words; unique.
     pub name: String,
-    /// Its value on each axis.
+    /// Value of the configuration on each axis.
     pub values: Vec<String>,
     /// Numbers of its runs.
     pub runs: Vec<i64>,
@@ -113,7 +113,7 @@ pub(crate) struct ComparedStage {
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, ToSchema)]
 pub(crate) struct Setting {
     pub name: String,
-    /// In the order of `configurations`.
+    /// Values in the order of `configurations`.
     pub values: Vec<String>,
 }
 

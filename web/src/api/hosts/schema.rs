@@ -26,7 +26,7 @@ pub(crate) struct RefusedHost {
     pub address: Option<String>,
     /// Reason of the refusal, and what to do about it.
     pub reason: String,
-    /// When it last tried, on the aggregator's wall clock.
+    /// Time of its last attempt, on the aggregator's wall clock.
     pub at: String,
 }
 
@@ -52,7 +52,7 @@ pub(crate) struct Host {
     pub description: Description,
     /// Null for a host that is not in the live picture.
     pub now: Option<Now>,
-    /// Its wall clock by its own account; null for a host that is not in the live picture.
+    /// The host's wall clock by its own account; null for a host that is not in the live picture.
     pub clock: Option<HostClock>,
     pub stored: Stored,
 }
@@ -62,7 +62,7 @@ pub(crate) struct Host {
 pub(crate) struct Description {
     /// Version of its agent.
     pub version: String,
-    /// The kernel's boot id and the clock's name. Hosts with equal ones may read one clock; `same_clock` of a link tells whether that is
+    /// The kernel's boot id and the clock's name. Hosts with equal ones may read one clock; `same_clock` of a link is true if that is
     /// proven.
     pub boot_id: String,
     pub clock: String,
@@ -80,7 +80,8 @@ pub(crate) struct Description {
 /// Current state of a host. Values that the host cannot read are null.
 #[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
 pub(crate) struct Now {
-    /// Its wall clock minus the aggregator's, seconds, by its last update: a hint, no measurement.
+    /// Difference between its wall clock and the aggregator's, seconds, by its last update. It includes the update's time on the network,
+    /// so it is a hint and not a measurement.
     pub clock_ahead_s: f64,
     /// Delay of storing behind measuring, seconds: age of the oldest waiting event, by the host's own clock; null when nothing waits.
     pub behind_s: Option<f64>,
@@ -122,11 +123,11 @@ pub(crate) struct EventAccount {
     pub spool_limit_bytes: u64,
     /// Bytes of events in memory that are not in the spool yet.
     pub memory_bytes: u64,
-    /// When the oldest event that waits came, on the agent's wall clock; null when none waits.
+    /// Time of the oldest waiting event, on the agent's wall clock; null when none waits.
     pub oldest: Option<String>,
     /// `true` if batches travel compressed: they wait for the link or the aggregator.
     pub compressed: bool,
-    /// Why the spool cannot be written or read, in words; null while it works.
+    /// Reason why the spool cannot be written or read; null while it works.
     pub trouble: Option<String>,
 }
 

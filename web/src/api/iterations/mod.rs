@@ -26,25 +26,25 @@ pub(super) fn routes() -> OpenApiRouter<App> {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, ToSchema)]
 #[serde(rename_all = "lowercase")]
 enum Order {
-    /// By rising number.
+    /// Order by increasing number.
     #[default]
     Number,
     /// The slowest successful ones first.
     Slowest,
 }
 
-/// Which iterations.
+/// Query parameters of the list of iterations.
 #[derive(Clone, Debug, Default, Deserialize, IntoParams)]
 #[serde(deny_unknown_fields, default)]
 #[into_params(parameter_in = Query)]
 struct Query {
-    /// Only iterations of greater number: `next` of the page before.
+    /// Iterations of greater number: `next` of the previous page.
     #[param(minimum = 0)]
     after: Option<u64>,
     /// Largest number of iterations returned, 1 to 1,000; 100 unless given.
     #[param(value_type = Option<u32>, minimum = 1, maximum = 1_000, default = 100)]
     limit: Option<String>,
-    /// Only iterations without an answer: failed, lost, timeout.
+    /// `true` for iterations without an answer only: failed, lost, timeout.
     unsuccessful: bool,
     /// `number` unless given; `slowest` takes neither `after` nor `unsuccessful`.
     #[param(inline)]

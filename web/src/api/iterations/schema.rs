@@ -115,7 +115,7 @@ impl StageTime {
 pub(crate) struct Blame {
     pub name: String,
     pub seconds: f64,
-    /// In the median of the run.
+    /// Median of the run.
     pub median: f64,
 }
 

@@ -1,4 +1,4 @@
-//! The clock relation of a link and what its probes and delays say, in numbers.
+//! Schema of the clock relation of a link, of its probes and of its delays.
 
 use peernet_clock::{DelaySource, Offset, Span};
 use peernet_stream::{self as stream, DelayPoint, DelaySecond, ProbeCounts};
@@ -7,7 +7,7 @@ use utoipa::ToSchema;
 
 use crate::view::link::known;
 
-/// The offset between the two clocks that are related at one time: cloud minus edge. See `clocks` beside it.
+/// Offset between the two related clocks at one time: cloud minus edge. `clocks` names the clocks.
 #[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
 pub(crate) struct ClockOffset {
     /// The best guess, seconds; null with its bounds when the verdict is `inconsistent`: then nothing is known.
@@ -16,7 +16,7 @@ pub(crate) struct ClockOffset {
     pub hi_s: Option<f64>,
     /// Source of the bounds: `same-clock`, `in-band`, `kernel`, `chrony`, `intersection` or `none`.
     pub source: &'static str,
-    /// Every source and what it says alone.
+    /// Offset by each source alone.
     pub sources: Vec<Source>,
     /// `ok`, `stale` or `inconsistent`.
     pub verdict: &'static str,

@@ -19,9 +19,9 @@ pub(crate) struct LinkConnection {
     pub remote_address: Option<String>,
     /// The edge's interface that it leaves by; null where it is not known.
     pub interface: Option<LinkInterface>,
-    /// From edge to cloud.
+    /// Direction from edge to cloud.
     pub up: LinkDirection,
-    /// From cloud to edge.
+    /// Direction from cloud to edge.
     pub down: LinkDirection,
     /// The round trip of the transport's own packets; null where the transport does not measure one.
     pub transport_round_trip: Option<TransportRoundTrip>,
@@ -38,9 +38,9 @@ pub(crate) struct LinkConnection {
 /// The cloud's end of a connection.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, ToSchema)]
 pub(crate) struct LinkCloudEnd {
-    /// From edge to cloud.
+    /// Direction from edge to cloud.
     pub up: LinkDirection,
-    /// From cloud to edge.
+    /// Direction from cloud to edge.
     pub down: LinkDirection,
     /// The round trip of the transport's own packets; null where the transport does not measure one.
     pub transport_round_trip: Option<TransportRoundTrip>,
@@ -61,10 +61,10 @@ pub(crate) struct LinkInterface {
     pub mtu_bytes: Option<u32>,
 }
 
-/// One direction of a connection. Null is what the end that counts cannot know of it.
+/// One direction of a connection. Values that the counting end cannot know are null.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, ToSchema)]
 pub(crate) struct LinkDirection {
-    /// Bytes of the messages, without what the transport adds around them.
+    /// Bytes of the messages, without overhead of the transport.
     pub bytes: u64,
     pub messages: u64,
     /// Datagrams with data, with TCP segments with data; those sent again count again.

@@ -52,7 +52,7 @@ async fn get(
     found.map(Json).ok_or_else(|| no_link(&wanted))
 }
 
-/// Which stretch of time.
+/// Query parameters of the clock relation over time.
 #[derive(Clone, Debug, Default, Deserialize, IntoParams)]
 #[serde(deny_unknown_fields, default)]
 #[into_params(parameter_in = Query)]

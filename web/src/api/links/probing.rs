@@ -16,7 +16,7 @@ pub(crate) struct Probing {
     pub rate_hz: Option<f64>,
     /// Place where the stamps are made, in words.
     pub stamps: Option<String>,
-    /// Why there are no probes, or what is known of why none is answered.
+    /// Reason why there are no probes, or a possible reason why none is answered.
     pub reason: Option<String>,
 }
 
@@ -42,12 +42,12 @@ impl From<&stream::Probing> for Probing {
 /// A STAMP reflector that the edge's configuration names for the cloud.
 #[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
 pub(crate) struct Reflector {
-    /// As it is configured: `udp://host:port`.
+    /// Configured address: `udp://host:port`.
     pub address: String,
-    /// Always false: nothing says that the reflector's clock is the cloud's. No delay of data rests on it.
+    /// Always false: nothing proves that the reflector's clock is the cloud's. No delay of data depends on it.
     pub tied_to_cloud: bool,
     pub probing: Probing,
-    /// Since the link was opened.
+    /// Counts of probes since the link was opened.
     pub probes: Probes,
     /// Round-trip times of the newest hundred answers; null before the first.
     pub round_trip: Option<RoundTrip>,

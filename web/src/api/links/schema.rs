@@ -1,4 +1,4 @@
-//! Links: the relation between two hosts' clocks, and what the network does between them.
+//! Schema of links: the relation between two hosts' clocks, and the state of the network between them.
 
 use peernet_aggregator::LinkSnapshot;
 use peernet_clock::{ExchangeCounts, Span};
@@ -32,11 +32,11 @@ pub(crate) struct Link {
     pub network: String,
     /// `true` if the edge tells of it now.
     pub connected: bool,
-    /// Its newest sample, on the edge's wall clock.
+    /// Time of the newest sample, on the edge's wall clock.
     pub last_sample: String,
     /// Under which conditions the bounds contain the true delays, in one sentence; null where both hosts read one clock.
     pub promise: Option<String>,
-    /// The same in figures, by the newest sample.
+    /// Assumptions as figures, by the newest sample.
     pub assumptions: Option<Assumptions>,
     /// Null for a link that is not in the live picture.
     pub now: Option<LinkNow>,

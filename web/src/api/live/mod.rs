@@ -72,13 +72,13 @@ struct Events;
 
 /// Time between two pictures.
 const PAUSE: Duration = Duration::from_millis(250);
-/// Most bytes that one listener is sent in a second, on average: large pictures come less often.
+/// Largest average number of bytes per second to one listener. Large pictures are sent less often.
 const RATE: usize = 512 << 10;
 /// Largest number of different topics on one stream. A page needs one.
 const TOPICS: usize = 16;
 /// Seconds of each pipeline that are sent at most to one who was away.
 const HISTORY: usize = 600;
-/// Seconds of all pipelines together that are sent at most at once: whoever needs more asks for each pipeline.
+/// Largest number of seconds of all pipelines together in one event. A listener that needs more requests each pipeline separately.
 const CATCH_UP: usize = 10_000;
 /// Time between two signs of life while nothing changes.
 const HEARTBEAT: Duration = Duration::from_secs(2);
@@ -135,7 +135,7 @@ async fn stream(
     let after =
         query.last_event_id.as_deref().or(header).filter(|id| !id.is_empty()).map(event_time).transpose()?;
     let topics = topics(query.topics.as_deref().unwrap_or("picture"))?;
-    // There is none without a socket.
+    // Without a socket, as in unit tests, there are no places to share.
     let place = match streams {
         Some(Extension(streams)) => Some(streams.take().await?),
         None => None,
@@ -186,7 +186,7 @@ struct Listener {
     pictures: watch::Receiver<Arc<LiveState>>,
     ready: watch::Receiver<Readiness>,
     next: Instant,
-    /// Until when the listener has heard everything, before the first event.
+    /// Time up to which the listener has received all events, before the first event.
     after: Option<WallTime>,
     /// Version last sent, by index of the topic and part of its page.
     sent: HashMap<(usize, &'static str), u64>,
@@ -201,7 +201,7 @@ fn events(
     place: Option<Place>,
 ) -> impl Stream<Item = Result<Event, Infallible>> {
     let mut pictures = app.aggregator.live();
-    // The first picture goes out at once.
+    // The first picture is sent without waiting for a change.
     pictures.mark_changed();
     let stop = app.stop.clone();
     let ready = app.aggregator.readiness();
@@ -247,14 +247,14 @@ impl Listener {
             };
             match page.update(&self.app, picture).await {
                 Ok(mut update) => {
-                    // A chart changes once a second, a figure four times: what is as it was is not sent again.
+                    // A chart changes once a second, figures up to four times: unchanged parts are not sent again.
                     update.parts.retain(|(id, html)| {
                         let hash = hash(html);
                         self.sent.insert((index, *id), hash) != Some(hash)
                     });
                     texts.push(("page", serde_json::to_string(&update)));
                 }
-                // What the page is about went away: it keeps what it shows, `status` goes on.
+                // The subject of the page was removed: the page keeps its contents, and `status` events continue.
                 Err(WebError::NotFound(_)) => {}
                 Err(error) => {
                     error.to_problem(&self.app);
@@ -272,7 +272,7 @@ impl Listener {
         let bytes = texts.iter().map(|(_, text)| text.len()).sum();
         let mut events: Vec<Event> =
             texts.into_iter().map(|(name, text)| Event::default().event(name).data(text)).collect();
-        // Whoever has the last one has them all.
+        // The id stands on the last event only: a listener that has received it has received all of them.
         if let Some(last) = events.pop() {
             events.push(last.id(picture.at.unix_nanos().to_string()));
         }

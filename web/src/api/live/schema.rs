@@ -8,7 +8,7 @@ use crate::api::schema::{Pipeline, PipelineList, time};
 use crate::view::rehearsal::Rehearsed;
 use crate::view::storing;
 
-/// `event: picture`: what changes while one looks.
+/// `event: picture`: the live figures.
 #[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
 pub(crate) struct PictureEvent {
     #[serde(flatten)]
@@ -49,13 +49,13 @@ pub(crate) struct StatusEvent {
     pub at: String,
     /// Hosts that report.
     pub connected: usize,
-    /// Hosts heard of.
+    /// Number of known hosts.
     pub hosts: usize,
-    /// Seconds since the quietest of the connected hosts was heard of.
+    /// Seconds since the last report of the connected host that has been silent for longest.
     pub behind_s: Option<f64>,
     /// Clock faults injected on purpose, a sentence per host.
     pub rehearsals: Vec<String>,
-    /// Why events are not being stored, in a sentence; null while they are.
+    /// Reason why events are not being stored, as a sentence; null while they are.
     pub not_storing: Option<String>,
 }
 

@@ -30,7 +30,7 @@ const HISTORY: usize = 600;
 #[serde(deny_unknown_fields, default)]
 #[into_params(parameter_in = Query)]
 struct Query {
-    /// Only this window: 1, 10 or 60 seconds; of `seconds` then at most as many.
+    /// Length of the only window to return: 1, 10 or 60 seconds; `seconds` is then cut to the same length.
     #[param(pattern = "^(1|10|60)$")]
     window: Option<String>,
     /// Names of nodes, separated by commas, at most 20: `total,upload`. A name that was never measured has no values.

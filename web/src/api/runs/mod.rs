@@ -27,20 +27,20 @@ pub(super) fn routes() -> OpenApiRouter<App> {
         .merge(recomputed::routes())
 }
 
-/// Which runs.
+/// Query parameters of the list of runs.
 #[derive(Clone, Debug, Default, Deserialize, IntoParams)]
 #[serde(deny_unknown_fields, default)]
 #[into_params(parameter_in = Query)]
 struct Query {
-    /// Only runs of pipelines of this name.
+    /// Name of the runs' pipeline.
     #[param(pattern = "^[A-Za-z0-9][A-Za-z0-9._-]{0,63}$")]
     pipeline: Option<String>,
-    /// Only runs of the edge host of this name or id.
+    /// Name or id of the runs' edge host.
     host: Option<String>,
     /// Largest number of runs returned, 1 to 1,000; 50 unless given.
     #[param(value_type = Option<u32>, minimum = 1, maximum = 1_000, default = 50)]
     limit: Option<String>,
-    /// Only runs before this number: `next` of the page before.
+    /// Runs before this number: `next` of the previous page.
     before: Option<i64>,
 }
 

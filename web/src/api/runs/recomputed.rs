@@ -14,7 +14,7 @@ use crate::error::{ProblemDetails, WebError};
 use crate::parameters::path;
 use crate::state::App;
 
-/// Its operations.
+/// Returns the routes.
 pub(super) fn routes() -> OpenApiRouter<App> {
     OpenApiRouter::new().routes(routes!(recomputed))
 }
@@ -37,9 +37,9 @@ pub(crate) struct Recomputed {
 #[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
 pub(crate) struct RecomputedStage {
     pub stage: String,
-    /// As stored.
+    /// Stored judgement.
     pub before: Judgement,
-    /// As computed again.
+    /// Judgement computed again.
     pub after: Judgement,
 }
 

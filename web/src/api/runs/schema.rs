@@ -26,13 +26,13 @@ pub(crate) struct Run {
     pub host: String,
     pub pipeline: String,
     pub placement: Placement,
-    /// On the edge's wall clock.
+    /// Start of the run, on the edge's wall clock.
     pub started: String,
     /// Time of the end; null while the run has not ended, and where no end was reported because the agent was killed or is away.
     pub ended: Option<String>,
-    /// `finished`, `stopped`, or what went wrong.
+    /// Reason of the end: `finished`, `stopped`, or an error.
     pub reason: Option<String>,
-    /// When the newest stored iteration began.
+    /// Start of the newest stored iteration.
     pub last_iteration: Option<String>,
     /// Warm-up left out.
     pub counts: Counts,
@@ -54,7 +54,7 @@ pub(crate) struct Run {
     /// Iterations up to and including this number were deleted because of their age or for want of room, their statistics
     /// remain; 0: none.
     pub deleted_through: u64,
-    /// Its place in an experiment; null when it belongs to none.
+    /// Place in an experiment; null when the run belongs to none.
     pub experiment: Option<ExperimentPlace>,
 }
 
@@ -62,11 +62,11 @@ pub(crate) struct Run {
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, ToSchema)]
 pub(crate) struct ExperimentPlace {
     pub name: String,
-    /// The same for all runs of one execution.
+    /// Id of the experiment; equal for all runs of one execution.
     pub id: String,
     /// Facts that distinguish this configuration from the others.
     pub configuration: Vec<Fact>,
-    /// From 0.
+    /// Number of the repeat, from 0.
     pub repeat: u32,
 }
 

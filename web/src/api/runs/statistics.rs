@@ -17,7 +17,7 @@ use crate::error::{ProblemDetails, WebError};
 use crate::parameters::{Parameters, bounded, names, path};
 use crate::state::{App, AppState};
 
-/// Its operations.
+/// Returns the routes.
 pub(super) fn routes() -> OpenApiRouter<App> {
     OpenApiRouter::new().routes(routes!(stages)).routes(routes!(series)).routes(routes!(histogram))
 }
@@ -46,12 +46,12 @@ async fn check_exists(app: &AppState, number: i64) -> Result<(), WebError> {
     app.store().run(number).await?.map(|_| ()).ok_or_else(|| WebError::no_run(number))
 }
 
-/// Which course.
+/// Query parameters of a time series.
 #[derive(Clone, Debug, Default, Deserialize, IntoParams)]
 #[serde(deny_unknown_fields, default)]
 #[into_params(parameter_in = Query)]
 struct SeriesQuery {
-    /// Node names, parted by commas; `total` unless given, at most 20.
+    /// Node names, separated by commas; `total` unless given, at most 20.
     #[param(pattern = "^,*[^,]+(,+[^,]+){0,19},*$")]
     stages: Option<String>,
     /// Largest number of buckets, 1 to 2,000; 300 unless given.
@@ -76,7 +76,7 @@ async fn series(
     Ok(Json(Series::from(&app.store().series(number, &names, points).await?)))
 }
 
-/// Which distribution.
+/// Query parameters of a histogram.
 #[derive(Clone, Debug, Default, Deserialize, IntoParams)]
 #[serde(deny_unknown_fields, default)]
 #[into_params(parameter_in = Query)]
@@ -122,9 +122,9 @@ pub(crate) struct StageList {
 /// single iterations.
 #[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
 pub(crate) struct SpeedWhileSending {
-    /// From the edge to the cloud; null when nothing was sent or no delay is known.
+    /// Throughput from the edge to the cloud; null when nothing was sent or no delay is known.
     pub upload_bits_per_second: Option<f64>,
-    /// From the cloud to the edge; null when nothing was sent or no delay is known.
+    /// Throughput from the cloud to the edge; null when nothing was sent or no delay is known.
     pub download_bits_per_second: Option<f64>,
 }
 
@@ -210,7 +210,7 @@ pub(crate) struct StageSeries {
 /// One bucket.
 #[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
 pub(crate) struct Point {
-    /// Its begin, on the edge's wall clock.
+    /// Start of the bucket, on the edge's wall clock.
     pub at: String,
     pub count: u64,
     pub mean: f64,

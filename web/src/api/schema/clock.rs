@@ -25,7 +25,7 @@ impl From<Interval> for Bounds {
 pub(crate) struct HostClock {
     /// Claim of its time daemon, or of the kernel; null when it is not synchronised or nothing is reported.
     pub discipline: Option<Claim>,
-    /// In words: `chrony, stratum 2, to 10.0.0.1`, `not synchronised`.
+    /// Synchronisation in words: `chrony, stratum 2, to 10.0.0.1`, `not synchronised`.
     pub text: String,
     /// Number of times that the clock was found stepped, drifting too fast or suspended since the agent started.
     pub epoch: u32,
@@ -36,7 +36,7 @@ pub(crate) struct HostClock {
     pub clocksource: Option<String>,
 }
 
-/// A claim about a wall clock: what it shows minus true time lies within an interval.
+/// A claim about a wall clock: its reading minus true time lies within an interval.
 #[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
 pub(crate) struct Claim {
     /// `kernel` or `chrony`.
@@ -61,7 +61,7 @@ pub(crate) struct Rehearsal {
 pub(crate) struct RehearsalStep {
     /// Time since the start, seconds.
     pub at_s: f64,
-    /// By so much.
+    /// Size of the step, seconds.
     pub by_s: f64,
 }
 

@@ -11,7 +11,7 @@ pub(crate) struct Condition {
     pub host: String,
     /// Subject of the check: `CPU governor`, `competing load`.
     pub about: String,
-    /// In words, with unit.
+    /// Observed state in words, with unit.
     pub found: String,
     /// `good`, `unknown`, `doubtful` or `bad`.
     pub grade: &'static str,

@@ -12,7 +12,7 @@ use super::{Bound, Counts, NodeFigures, Placement, time};
 /// Every pipeline that reported.
 #[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
 pub(crate) struct PipelineList {
-    /// When the figures were taken.
+    /// Time of the figures.
     pub at: String,
     pub pipelines: Vec<Pipeline>,
 }
@@ -27,7 +27,7 @@ pub(crate) struct Pipeline {
     pub name: String,
     /// `starting`, `waiting`, `running`, `finished`, `failed`, or `away` when its host is not connected.
     pub state: &'static str,
-    /// Why it waits or failed.
+    /// Reason why it waits or failed.
     pub reason: Option<String>,
     /// Number of its current or last run, once that reached the store.
     pub run: Option<i64>,
@@ -100,9 +100,9 @@ pub(crate) struct Window {
 /// Throughput and sizes of messages.
 #[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
 pub(crate) struct TransferRates {
-    /// From the edge to the cloud; null when nothing was sent.
+    /// Direction from the edge to the cloud; null when nothing was sent.
     pub upload: Option<TransferRate>,
-    /// From the cloud to the edge; null when nothing was sent.
+    /// Direction from the cloud to the edge; null when nothing was sent.
     pub download: Option<TransferRate>,
 }
 
@@ -128,9 +128,9 @@ impl TransferRates {
 /// Messages sent within a second, as sums that can be added up.
 #[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
 pub(crate) struct Transfers {
-    /// From the edge to the cloud; null when nothing was sent.
+    /// Direction from the edge to the cloud; null when nothing was sent.
     pub upload: Option<Transfer>,
-    /// From the cloud to the edge; null when nothing was sent.
+    /// Direction from the cloud to the edge; null when nothing was sent.
     pub download: Option<Transfer>,
 }
 

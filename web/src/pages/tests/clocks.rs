@@ -23,7 +23,7 @@ async fn a_link_is_shown_whatever_is_known_of_it() {
             let html: String = update.parts.iter().map(|(_, html)| html.as_str()).collect();
             check(&html);
             assert!(html.contains(word), "{topic}: {html}");
-            // An update that is empty would blank what the page shows.
+            // An empty update would blank a part of the page.
             let empty: Vec<_> = update.parts.iter().filter(|(_, html)| html.trim().is_empty()).collect();
             assert!(empty.is_empty(), "{topic}: {empty:?}");
             assert!(html.contains("Each interval contains the true delay"), "{topic}: {html}");

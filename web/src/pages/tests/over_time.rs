@@ -43,7 +43,7 @@ async fn each_run_has_its_course_with_episodes_and_what_had_no_answer() {
     assert!(panel.contains("to a little above the largest p95, over seconds since the first"), "{panel}");
     assert!(panel.contains("encode, ipc</li>"), "{panel}");
     assert!(panel.contains("</svg>new episode</li>") && panel.contains("</svg>no answer</li>"), "{panel}");
-    // A of all runs on one axis: what is half as large ends half as high.
+    // All runs share the axes: a value half as large is drawn half as high.
     let values = |picture: &str| {
         let axis = picture.split("class=\"yaxis\"").nth(1).expect("an axis");
         axis.split("</svg>").next().expect("its end").to_owned()
