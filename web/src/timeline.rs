@@ -1,8 +1,7 @@
-//! One iteration laid out on the edge's clock.
+//! One iteration placed on the edge's clock.
 //!
-//! Nodes of the edge lie where its monotonic clock put them. Nodes of another host keep their distances among
-//! each other; where they lie as a whole follows from the one-way delay of the message that brought the
-//! iteration there, and is exactly as uncertain.
+//! Nodes of the edge are placed by its monotonic clock. Nodes of another host keep their distances among each other; their common
+//! position follows from the one-way delay of the message that brought the iteration there, and has the same uncertainty.
 
 use peernet_clock::{DelaySource, Span, Verdict};
 use peernet_logger::{HostIndex, Measure, Name, Node, NodeId, Transit, Tree};
@@ -14,7 +13,7 @@ pub(crate) struct Placed {
     pub name: Name,
     pub depth: u8,
     pub at: Where,
-    /// `None` where nothing tells when it began on the edge's clock.
+    /// Start; `None` where it is unknown on the edge's clock.
     pub start: Option<f64>,
     /// `None` while it was open, or where the delay is not known.
     pub length: Option<f64>,
@@ -26,7 +25,7 @@ pub(crate) struct Placed {
 /// Place where a node happened.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Where {
-    /// On the host of that index; 0 is the edge.
+    /// On the host of this index; 0 is the edge.
     Host(u8),
     /// Between two hosts.
     Network,
@@ -46,11 +45,11 @@ pub(crate) struct Delay {
 /// Another host's stay in the iteration.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Visit {
-    /// When the message was handed to the network, on the edge's time line.
+    /// Time at which the message was handed to the network, on the edge's time line.
     pub left: f64,
     /// Estimated time of its arrival; the middle of the possible interval if there is no estimate.
     pub arrived: f64,
-    /// When the answer left, and when the edge had it.
+    /// Times at which the answer left, and at which the edge had it.
     pub answered: Option<(f64, f64)>,
     /// Largest shift of the whole visit to an earlier and to a later time.
     pub shift: (f64, f64),
@@ -62,7 +61,7 @@ pub(crate) struct Visit {
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Timeline {
     pub nodes: Vec<Placed>,
-    /// One entry per host beside the edge.
+    /// One entry per host other than the edge.
     pub visits: Vec<Option<Visit>>,
     /// The end of everything.
     pub end: f64,
@@ -84,14 +83,14 @@ fn visit(tree: &Tree, index: usize, together: Option<f64>) -> Option<Visit> {
     let left = up.start.seconds();
     let back = transits(tree)
         .find(|(node, transit)| usize::from(node.host.0) == index && transit.received.is_some());
-    // By the edge's free-running clock, which nobody sets, where it was stamped by it; else by its wall clock.
+    // Free-running stamps of the edge are preferred, because nothing sets that clock; otherwise its wall clock is used.
     let answered = back.and_then(|(node, transit)| {
         let (there, back) = (sent.raw_stamps, transit.raw_stamps);
         let waited = there.zip(back).map(|(there, back)| left + (back.received - there.sent).seconds());
         let by_wall = transit.received? - edge.wall;
         Some((node.start, waited.unwrap_or_else(|| by_wall.seconds())))
     });
-    // What the agent measured holds when a clock was set on the way; the stamps' difference does not.
+    // The time that the agent measured holds even if a clock was set on the way; the difference of the stamps does not.
     let network = answered.and(together.or(tree.stages().transport().map(Span::seconds)));
 
     let delay = sent.delay.as_ref();
@@ -127,7 +126,7 @@ impl Timeline {
         timeline
     }
 
-    /// Puts what began first on top; children stay with their parents, and what has no place where it is.
+    /// Sorts nodes by start; children stay with their parents, and nodes without a position keep their place.
     fn sort(&mut self) {
         let mut begun = f64::NEG_INFINITY;
         let mut keyed: Vec<(f64, Placed)> = Vec::with_capacity(self.nodes.len());
@@ -150,7 +149,7 @@ impl Timeline {
             if let Some(placed) = self.place(node, depth, figures) {
                 self.nodes.push(placed);
             }
-            // Hostile trees may be deep; what is deeper than a page can show is in the API.
+            // Trees from a hostile agent may be deep. Nodes deeper than a page can show are in the API.
             if depth < 6 {
                 self.add_children(tree, id, depth + 1, figures);
             }

@@ -147,7 +147,7 @@ fn stay_lies_by_judged_delays_when_edges_wall_clock_was_set() {
     };
     let mut detail = offloaded(Span::from_seconds(77), truth_judged);
     let raw = |millis: i64| RawTime::from_nanos(millis * 1_000_000);
-    // Sent at 2, there at 22, answered at 26, back at 27 ms; meanwhile the edge's wall clock was set back by an hour.
+    // Sent at 2, there at 22, answered at 26, back at 27 ms; in between the edge's wall clock was set back by an hour.
     let (up, down) = ((raw(1_002), raw(6_001_022)), (raw(6_001_026), raw(1_027)));
     let ids: Vec<NodeId> = (0..detail.tree.nodes().len() as u32).map(NodeId).collect();
     let mut stamps = [up, down].into_iter();
@@ -167,7 +167,7 @@ fn stay_lies_by_judged_delays_when_edges_wall_clock_was_set() {
     let (left, back) = visit.answered.expect("it was answered");
     assert!(close(left, 0.026) && close(back, 0.027), "{visit:?}");
     assert!(timeline.end < 0.1, "{}", timeline.end);
-    // What is shown beside the delay is of the wall clocks.
+    // The raw delay that is shown is a difference of wall clocks.
     let upload = timeline.nodes.iter().find_map(|node| node.delay.filter(|_| node.name == stage::UPLOAD));
     assert!(close(upload.expect("judged").raw, 77.020), "{upload:?}");
 }

@@ -57,7 +57,7 @@ impl Zone {
         Moment(self.at(time))
     }
 
-    /// From one moment to another, the date only once if it is the same: `19 Nov 2026, 13:41:07 – 13:51:07`.
+    /// Returns the range from one moment to another, with the date only once if it is the same: `19 Nov 2026, 13:41:07 – 13:51:07`.
     pub(crate) fn range(self, from: WallTime, to: WallTime) -> String {
         let (from, to) = (self.moment(from), self.moment(to));
         if from.date() == to.date() {

@@ -9,7 +9,7 @@ pub(crate) fn of(scores: &Figures) -> Option<Accuracy> {
     Accuracy::of_mean(scores.mean, scores.count, scores.count)
 }
 
-/// Its 95 % interval in percent: `79.1 – 88.2`.
+/// Returns the 95 % interval in percent: `79.1 – 88.2`.
 pub(crate) fn interval(scores: &Figures) -> Option<String> {
     let (lo, hi) = of(scores)?.interval;
     Some(format!("{}{SPACE}–{SPACE}{}", share(lo), share(hi)))

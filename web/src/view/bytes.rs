@@ -1,4 +1,4 @@
-//! Sizes and throughputs of one iteration, and what else was measured in it.
+//! Sizes, throughputs and other quantities of one iteration.
 
 use peernet_clock::Verdict;
 use peernet_logger::{Measure, Name, Node, NodeId};
@@ -14,7 +14,7 @@ pub(crate) struct ByteRow {
     pub payload: String,
     pub metadata: String,
     pub throughput: String,
-    /// Why the throughput is an interval or missing.
+    /// Reason why the throughput is an interval or missing.
     pub title: &'static str,
     pub against_median: String,
 }
@@ -52,7 +52,7 @@ impl ByteRow {
             let (throughput, title) = speed_of(detail, speed, name);
             let usual =
                 median(&detail.run_figures, speed).map(|figures| figures.p50).filter(|usual| *usual > 0.0);
-            // A ratio of what is known only as an interval would be a figure again.
+            // A ratio of a throughput that is known only as an interval would look exact.
             let ratio = value(detail, speed).zip(usual).filter(|_| title.is_empty());
             let ratio = ratio.map(|(now, usual)| times(now / usual));
             Self {

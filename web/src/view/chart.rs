@@ -19,7 +19,7 @@ use super::stack::Stack;
 use crate::look;
 use crate::zone::{Moment, Zone};
 
-/// Why there is no single figure for the upward and the downward throughput.
+/// Reasons why there is no single figure for the upward and the downward throughput.
 pub(crate) type Obstacles = [Option<&'static str>; 2];
 
 /// An incident on a time axis.
@@ -36,7 +36,7 @@ pub(crate) struct Mark {
 }
 
 impl Mark {
-    /// Incidents as marks on time axes. Those of the aggregator are left out: they do not change what hosts measure.
+    /// Converts incidents to marks on time axes. Those of the aggregator are left out: they do not change what hosts measure.
     pub(crate) fn all(rows: &[IncidentRow]) -> Vec<Self> {
         rows.iter()
             .filter_map(|row| {
@@ -90,7 +90,7 @@ struct ChartData {
     means: BTreeMap<&'static str, Vec<Short>>,
     transfers: TransferData,
     p95: PercentileData,
-    /// Why a direction has no line.
+    /// Reasons why a direction has no line.
     obstacles: Obstacles,
     /// CPU and GPU of the host in percent, as (unix seconds, value), for a pipeline that sends nothing.
     cpu: Vec<(i64, Short)>,
@@ -109,7 +109,7 @@ struct TransferData {
 struct PercentileData {
     /// Length of each bucket, seconds; null while none holds enough iterations.
     size: Option<u32>,
-    /// First second of a bucket, and the percentile in ms.
+    /// First second of a bucket (Unix time), and the percentile in ms.
     points: Vec<(i64, Short)>,
 }
 
@@ -164,7 +164,7 @@ impl ChartCard {
         }
     }
 
-    /// Why a direction has no line, under the chart's key.
+    /// Returns the reasons why a direction has no line, which are shown under the chart's key.
     pub(crate) fn obstacles(&self) -> (String, Obstacles) {
         (self.key.clone(), self.data.obstacles)
     }

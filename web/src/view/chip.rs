@@ -6,11 +6,11 @@ use peernet_clock::Verdict;
 /// Severity of a state.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(crate) enum Tone {
-    /// As it should be.
+    /// Good state.
     Ok,
     /// Neither good nor bad.
     Quiet,
-    /// To be looked at.
+    /// State that needs attention.
     Warn,
     /// Wrong.
     Bad,

@@ -15,9 +15,9 @@ pub(crate) struct ClockCell {
     pub bound: Option<String>,
     /// The worst verdict that was given.
     pub chip: Option<Chip>,
-    /// Said quietly where there is no bound.
+    /// Words shown without emphasis where there is no bound.
     pub words: &'static str,
-    /// Why.
+    /// Explanation of the words.
     pub title: &'static str,
 }
 
@@ -103,7 +103,7 @@ mod tests {
         assert_eq!(cell.chip.map(|chip| chip.word), Some("unsynchronised"));
         assert!(cell.title.contains("nothing related"));
         assert_eq!(ClockCell::of(PlacementKind::Local, &[]).words, "one host");
-        // Nothing of late, or ever: a finished pipeline waits for none.
+        // A finished pipeline has no recent delays, and does not wait for any.
         assert_eq!(ClockCell::of(PlacementKind::Remote, &[]).words, "no delays");
     }
 }

@@ -4,7 +4,7 @@ use std::fmt;
 
 use serde::Serialize;
 
-/// JSON text that may stand inside a `script` element: nothing in it can end the element.
+/// JSON text for a `script` element: it cannot end the element.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct JsonBlock(String);
 

@@ -5,7 +5,7 @@ use peernet_store::{Episodes, RunSummary};
 
 use super::counted;
 
-/// `4 episodes of 100 steps`; `None` of a run that is not parted into any.
+/// Returns `4 episodes of 100 steps`; `None` for a run without episodes.
 pub(crate) fn said(known: &Episodes) -> Option<String> {
     let all = format!("{} episodes", count(known.count));
     let whole = match known.steps.filter(|_| known.count > 1) {
@@ -21,7 +21,7 @@ pub(crate) fn said(known: &Episodes) -> Option<String> {
 pub(crate) fn unanswered(known: &Episodes, run: &RunSummary) -> Option<String> {
     let marked = known.unanswered.len() as u64;
     let counts = &run.counts;
-    // The counts of a run leave the warm-up out; the rows that are stored lack what retention deleted.
+    // The counts of a run do not include the warm-up; the stored rows lack those that retention deleted.
     let all = (counts.failed + counts.lost + counts.timeout).max(known.without_answer);
     let shown = if known.without_answer > Episodes::MOST_COUNTED {
         format!("more than {}", count(Episodes::MOST_COUNTED))

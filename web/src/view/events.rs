@@ -17,7 +17,7 @@ use crate::zone::Zone;
 pub(crate) const FAR_BEHIND: Span = Span::from_seconds(5);
 /// A spool fuller than this has room for little more.
 const NEARLY_FULL: f64 = 0.95;
-/// Why events are lost; which reason it was, the gaps say.
+/// Reasons why events are lost. The gaps name the actual reason.
 const LOST: &str = "dropped for want of room in the agent's spool, or lost when the agent was killed";
 /// The agent compresses when batches wait, whatever holds them up.
 const COMPRESSED: &str = "batches wait for the link or the aggregator";
@@ -53,10 +53,10 @@ pub(crate) struct Events {
     pub waiting: String,
     pub dropped: String,
     pub gaps: String,
-    /// Why some are lost; `None` when none is.
+    /// Reason why some are lost; `None` when none is.
     pub lost: Option<&'static str>,
     pub spool: Spool,
-    /// Number and unit, and what to make of it.
+    /// Delay of storing with its unit, and an explanation.
     pub behind: (String, String),
 }
 
@@ -121,7 +121,7 @@ impl Events {
     }
 }
 
-/// Why events are lost; `None` when none is.
+/// Returns the reason why events are lost; `None` when none is.
 fn lost(account: &Accounting) -> Option<&'static str> {
     (account.dropped > 0).then_some(LOST)
 }
@@ -169,7 +169,7 @@ fn remarks(host: &HostSnapshot) -> Vec<Remark> {
     remarks
 }
 
-/// The worst of what is to be said of a host's events.
+/// Returns the most severe remark on a host's events.
 pub(crate) fn worst(host: &HostSnapshot) -> Option<Remark> {
     remarks(host).into_iter().min_by_key(|remark| Reverse(remark.chip.tone))
 }
@@ -211,11 +211,11 @@ pub(crate) struct EventLine {
     pub waiting: String,
     pub dropped: String,
     pub gaps: String,
-    /// Why some are lost; `None` when none is.
+    /// Reason why some are lost; `None` when none is.
     pub lost: Option<&'static str>,
     pub spool: Spool,
     pub behind: String,
-    /// The worst of what is to be said.
+    /// Most severe remark.
     pub remark: Option<Remark>,
 }
 

@@ -21,7 +21,7 @@ pub(crate) struct HostLine {
     pub remark: Option<Remark>,
     /// `last seen 14:09:12`, for a host that does not report.
     pub away: Option<Moment>,
-    /// Its accelerator, or its processor where it has none.
+    /// Accelerator of the host, or its processor where it has none.
     pub kind: String,
     pub cpu: String,
     pub cpu_spark: Spark,
@@ -75,7 +75,7 @@ fn history(
     let mut newest_first = Vec::with_capacity(POINTS);
     let mut later = None;
     for point in points.iter().rev() {
-        // Where nothing was heard of the host the line stops.
+        // The line is interrupted where the host did not report.
         let silent = later.map_or(Span::ZERO, |later| later - point.at);
         if silent > SILENT {
             let missing = ((silent.seconds() / POINT_EVERY_S) as usize).saturating_sub(1);

@@ -48,7 +48,7 @@ impl IncidentLine {
         self.host.as_deref().unwrap_or("aggregator")
     }
 
-    /// All rows of a list.
+    /// Converts all rows of a list.
     pub(crate) fn all(rows: &[IncidentRow], zone: Zone) -> Vec<Self> {
         rows.iter().map(|row| Self::new(row, zone)).collect()
     }

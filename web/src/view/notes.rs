@@ -54,7 +54,7 @@ pub(crate) fn of_delays(bounds: &[Bound], of: impl Fn(&Name) -> Option<Figures>)
 }
 
 impl Note {
-    /// The same as notes of a page.
+    /// Returns the remarks on delays as notes of a page.
     pub(crate) fn of_delays(
         subject: &str,
         href: &str,

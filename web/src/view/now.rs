@@ -24,7 +24,7 @@ const WINDOW_S: u32 = 60;
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct NowTable {
     pub axis: Axis,
-    /// The same below each bar, for phones.
+    /// Axis below each bar, for phones.
     pub small_axis: Axis,
     pub rows: Vec<NowRow>,
     /// The stages that any of the rows has: columns of the table view.

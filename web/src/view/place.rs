@@ -6,7 +6,7 @@ use peernet_statistics::number::bytes;
 use peernet_store::RunSummary;
 use peernet_stream::{Placement, PlacementKind};
 
-/// Said in place of a model and of a way to it.
+/// Text in place of a model and a network.
 const ALONE: &str = "sensor alone";
 
 /// `cam-2 → rack-a` or `cam-1`.
@@ -19,7 +19,7 @@ pub(crate) fn route(host: &str, placement: &Placement) -> String {
     }
 }
 
-/// `resnet on board` or `zmq-tcp · 1.23 MB`: what is particular about the placement.
+/// Returns the details of the placement: `resnet on board` or `zmq-tcp · 1.23 MB`.
 pub(crate) fn means(placement: &Placement, window: Option<&Window>) -> String {
     match placement.kind {
         PlacementKind::Local => format!("{} on board", placement.model),

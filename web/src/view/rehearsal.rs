@@ -1,4 +1,4 @@
-//! Clocks that are made wrong on purpose: said loudly wherever they matter.
+//! Injected clock faults. Every page that shows such a clock, or figures that depend on it, names the fault.
 
 use std::collections::BTreeMap;
 
@@ -8,7 +8,7 @@ use peernet_statistics::number::{SPACE, fixed};
 
 use super::chip::{Chip, Tone};
 
-/// The chip of a rehearsed host and of what it measured.
+/// Chip of a host with an injected clock fault, and of its measurements.
 pub(crate) const CHIP: Chip = Chip::new(Tone::Warn, "rehearsal", "rehearsal");
 
 fn signed(value: f64, decimals: usize) -> String {
@@ -20,7 +20,7 @@ fn ppm(value: f64) -> String {
     signed(value, usize::from(value.fract() != 0.0))
 }
 
-/// By how much a clock is made wrong: `+1,000 ms, +50 ppm`.
+/// Returns the clock fault in words: `+1,000 ms, +50 ppm`.
 pub(crate) fn words(description: &ClockFaults) -> String {
     let offset = description.offset.seconds() * 1e3;
     let mut parts = vec![
@@ -44,7 +44,7 @@ pub(crate) fn words(description: &ClockFaults) -> String {
 pub(crate) struct Rehearsed(BTreeMap<String, String>);
 
 impl Rehearsed {
-    /// Those of a picture.
+    /// Returns the clock faults of a picture.
     pub(crate) fn of(picture: &LiveState) -> Self {
         let connected = picture.hosts.iter().filter(|host| host.connected);
         let told = connected.filter_map(|host| {

@@ -23,8 +23,8 @@ use crate::zone::{Moment, Zone};
 
 /// Rows of the table of the slowest iterations.
 const SLOWEST: usize = 8;
-/// Iterations from which on a run that seems to stand still for more than half of its time is not one of so few that there
-/// is nothing between them.
+/// Number of iterations from which on a run can stand still: in a shorter run, a gap of more than half of its time may be one slow
+/// iteration.
 const MANY: u64 = 100;
 /// Seconds that no wait for an answer or a model explains.
 const LONG: f64 = 600.0;
@@ -79,7 +79,7 @@ pub(crate) struct Unanswered {
     pub reason: String,
 }
 
-/// For the chart over time: milliseconds of Unix time, milliseconds of duration.
+/// Data of the chart over time: milliseconds of Unix time, milliseconds of duration.
 #[derive(Serialize)]
 struct Data {
     run: i64,
@@ -87,10 +87,10 @@ struct Data {
     points: Vec<(i64, Short, Short)>,
     slow: Vec<(i64, Short, &'static str, u64)>,
     gaps: Vec<(i64, i64, u64)>,
-    /// When episodes began, but for the first.
+    /// Starts of episodes, without the first.
     borders: Vec<i64>,
     warm_up: Option<(i64, i64)>,
-    /// When iterations without an answer began.
+    /// Starts of iterations without an answer.
     unanswered: Vec<i64>,
 }
 
@@ -116,9 +116,9 @@ impl Stored<'_> {
         [episodes::said(self.episodes), unanswered, still].into_iter().flatten().collect()
     }
 
-    /// The longest time without an iteration after the warm-up, seconds, where that is more than half of the run, longer than
-    /// any iteration took, and nothing of it is known to be missing: its clock was set meanwhile, or it stood still. Either
-    /// way its length says nothing of its rate.
+    /// Returns the longest time without an iteration after the warm-up, seconds, where that is more than half of the run, longer than any
+    /// iteration took, and no events of it are missing: the host's clock was set, or the host was suspended. In both cases the length of
+    /// the run gives no rate.
     pub(crate) fn standstill(&self) -> Option<f64> {
         let summary = &self.run.summary;
         let until = runs::end(summary)?;
@@ -127,7 +127,7 @@ impl Stored<'_> {
             return None;
         }
         let bucket = Span::from_seconds(self.series.bucket_s.into());
-        // The warm-up has no points: what lies before the first one may be all of it.
+        // The warm-up has no points: all the time before the first point may be warm-up.
         let single = self.episodes.unanswered.iter().chain([&until]).map(|at| (*at, *at));
         let mut busy: Vec<_> =
             points.iter().map(|point| (point.at, point.at + bucket)).chain(single).collect();
@@ -142,7 +142,7 @@ impl Stored<'_> {
         (longest > half.max(slowest).max(LONG)).then_some(longest)
     }
 
-    /// Iterations per second, the warm-up included; `None` where nothing tells how long the run lasted.
+    /// Returns iterations per second, the warm-up included; `None` where the length of the run is unknown.
     pub(crate) fn rate(&self) -> Option<f64> {
         let summary = &self.run.summary;
         let lasted = (runs::end(summary)? - summary.started).seconds();
@@ -170,7 +170,7 @@ impl Stored<'_> {
 
     /// Returns the statistics of quantities that are not durations.
     pub(crate) fn others(&self) -> Vec<Other> {
-        // What is counted is told above, as a share or a sum: quantiles of counts say little.
+        // Counts are shown above, as a share or a sum: quantiles of counts have little meaning.
         let counts = [SKIPPED_STARTS, UNKNOWN_LABEL, DEADLINE_MISSED].into_iter().chain(ACCURACIES);
         let counted = |stage: &StageStatistics| counts.clone().any(|name| stage.stage == *name);
         // A mean of the single iterations' throughputs is no speed: `sent` has one.
@@ -226,7 +226,7 @@ impl Stored<'_> {
         }
     }
 
-    /// Seconds of the run that statistics are of: the warm-up is left out. `None` where nothing tells how long they lasted.
+    /// Returns the seconds of the run that the statistics cover, without the warm-up. `None` where their length is unknown.
     fn counted_seconds(&self) -> Option<f64> {
         let summary = &self.run.summary;
         let from = self.episodes.warm_up_until.unwrap_or(summary.started);

@@ -21,9 +21,9 @@ pub(crate) const PINNED: Chip = Chip::new(Tone::Quiet, "pin", "pinned");
 pub(crate) enum End {
     /// The run has not ended: its host reports it.
     GoesOn,
-    /// It ended, for this reason.
+    /// The run ended, for this reason.
     Told(String),
-    /// Its agent was killed or is away: when its last stored iteration began.
+    /// The run ended without a report, because its agent was killed or is away: start of its last stored iteration.
     Untold(Option<Moment>),
 }
 
@@ -78,7 +78,7 @@ pub(crate) struct RunLine {
     pub experiment: Option<Labels>,
 }
 
-/// Why iterations are deleted: `after 7 days`.
+/// Returns the reason why iterations are deleted: `after 7 days`.
 fn why_deleted(retention: &RetentionConfig) -> String {
     match (retention.nodes_days, retention.size_limit_bytes) {
         (1, 0) => "after 1 day".to_owned(),
@@ -151,7 +151,7 @@ pub(crate) fn lost_share(run: &RunSummary) -> Option<f64> {
     unanswered_share(&run.counts)
 }
 
-/// When the run ended, or how far it is known to have come.
+/// Returns the end of the run, or the latest known time of it.
 pub(crate) fn end(run: &RunSummary) -> Option<WallTime> {
     run.ended.or(run.last_iteration)
 }

@@ -41,13 +41,13 @@ impl Way {
     }
 }
 
-/// Why there is no single figure for a direction; `None` when there is one.
+/// Returns the reason why there is no single figure for a direction; `None` when there is one.
 pub(crate) fn obstacle(window: &Window, way: Way) -> Option<&'static str> {
     let bound = window.bounds.iter().find(|bound| bound.stage == *way.delay());
     told(bound.and_then(clocks::verdict), window.counts.ok)
 }
 
-/// The same for a chart of these seconds: by the last minute in which something was measured, however long ago that is.
+/// Returns the reason for a chart of these seconds, by the last minute with answered iterations, however long ago that is.
 pub(crate) fn obstacle_in(series: &[Arc<LiveSecond>], way: Way) -> Option<&'static str> {
     let last = series.iter().rfind(|second| second.counts.ok > 0).map(|second| second.at);
     let minute = || series.iter().filter(|second| last.is_some_and(|last| second.at > last - MINUTE_S));

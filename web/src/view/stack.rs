@@ -9,10 +9,10 @@ use peernet_store::{Bound, Figures, IterationRow, StageStatistics};
 use crate::look;
 use crate::svg::{Bar, Part, Scale};
 
-/// The stages of a window or run, and what of the total they leave over.
+/// The stages of a window or run, and the unattributed time.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(crate) struct Stack {
-    /// In the order of [`look::STACK`].
+    /// Parts in the order of [`look::STACK`].
     pub parts: Vec<Part>,
     /// Figures of `total`.
     pub total: Option<Figures>,
@@ -31,7 +31,7 @@ impl Stack {
         Self::new(!bounds.is_empty(), find).bounded(bounds)
     }
 
-    /// With the error bars of the one-way delays.
+    /// Adds the error bars of the one-way delays.
     fn bounded(mut self, bounds: &[Bound]) -> Self {
         for bound in bounds {
             if let Some(part) = self.parts.iter_mut().find(|part| part.name == bound.stage.as_str()) {

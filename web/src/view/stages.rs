@@ -35,7 +35,7 @@ pub(crate) struct BoundCell {
     pub title: &'static str,
 }
 
-/// Why a quantile is missing.
+/// Reason why a quantile is missing.
 pub(crate) const TOO_FEW: &str = "too few iterations: p95 needs 60, p99 needs 300";
 
 impl StageRow {
@@ -73,7 +73,7 @@ impl StageRow {
         }
     }
 
-    /// The rows of a stored run: the stages, what they leave over, the total.
+    /// Returns the rows of a stored run: the stages, the unattributed time, the total.
     pub(crate) fn of_run(stages: &[StageStatistics], bounds: &[Bound]) -> Vec<Self> {
         let shown = |stage: &&StageStatistics| {
             stage.unit == "s"

@@ -15,7 +15,7 @@ pub(crate) struct Trust {
     pub rest: Vec<Line>,
 }
 
-/// One sentence; names and commands stand between backticks.
+/// One sentence; names and commands are between backticks.
 pub(crate) struct Line {
     pub chip: Chip,
     pub text: String,

@@ -12,9 +12,9 @@ use super::stack::shared;
 use crate::config::WarnConfig;
 use crate::look::LATENESS;
 
-/// A processor must have been busy for so long.
+/// Time for which a processor must have been busy.
 const BUSY_FOR: Span = Span::from_seconds(10);
-/// Less unattributed time or lateness than this, seconds, is that of single instructions and of the scheduler.
+/// Smallest unattributed time or lateness that causes a warning, seconds. Less is the cost of single instructions and of the scheduler.
 const LEAST_S: f64 = 1e-4;
 
 /// Returns a warning if a host's processors have been busy for ten seconds.

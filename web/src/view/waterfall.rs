@@ -55,14 +55,14 @@ fn dash(text: Option<String>) -> String {
     text.unwrap_or_else(|| NONE.to_owned())
 }
 
-/// All rows: the nodes in order, what they leave over, the total.
+/// Returns all rows: the nodes in order, the unattributed time, the total.
 pub(crate) fn rows(
     detail: &IterationDetail,
     timeline: &Timeline,
     hosts: &[String],
     scale: &Scale,
 ) -> Vec<Row> {
-    // Of an iteration that took as long as usual nothing stands out.
+    // In an iteration that took as long as usual no part is marked.
     let unusual = detail.row.factor.is_some_and(|factor| factor >= 1.05);
     let is_cause = |name: &str| unusual && detail.row.causes.iter().any(|cause| cause.name == *name);
     let row = |node: &Placed| {
@@ -71,7 +71,7 @@ pub(crate) fn rows(
     };
     let is_late = |node: &&Placed| node.depth == 0 && node.name == *look::LATENESS;
     let mut rows: Vec<Row> = timeline.nodes.iter().filter(|node| !is_late(node)).map(row).collect();
-    // A part of what is unattributed: beside it the column would add up to more than the total.
+    // Lateness is a part of the unattributed time: next to it the column would add up to more than the total.
     let late = timeline.nodes.iter().find(is_late).map(|node| Row { depth: 1, ..row(node) });
 
     let figures = |name: &str| {
@@ -112,7 +112,7 @@ struct Left {
 }
 
 impl Left {
-    /// The same split that the API gives: by the agent's own sum, which no clock's step touches.
+    /// Splits the total as the API does: by the agent's own sum, which a step of a clock does not change.
     fn of(detail: &IterationDetail, timeline: &Timeline, total: f64) -> Self {
         let row = &detail.row;
         let open = timeline.nodes.iter().any(|node| node.at == Where::Network && node.length.is_none());
@@ -123,7 +123,7 @@ impl Left {
         let (network, rest) = match (row.both_ways, open) {
             (Some(both), _) => (Some((look::NETWORK, both)), row.unattributed),
             (None, false) => (None, Some(total - known(true))),
-            // Of an answered iteration something is left, but not what.
+            // An answered iteration has unattributed time, but its amount is unknown.
             (None, true) if row.outcome == "ok" => {
                 (Some((look::NETWORK_AND_REST, total - known(false))), None)
             }

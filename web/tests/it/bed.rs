@@ -50,7 +50,7 @@ impl Answer {
 }
 
 impl Bed {
-    /// Nothing has reported yet.
+    /// Starts an aggregator to which no host has reported.
     pub(crate) async fn empty() -> Self {
         let clock: SharedClock = Arc::new(SystemClock::new(ClockIdentity::new("rack-a", "system")));
         let folder = tempfile::tempdir().expect("a folder");

@@ -1,4 +1,4 @@
-//! The example of docs/controllers.md decides by what the API answers.
+//! Test of the example in docs/controllers.md against the answers of the API.
 
 use std::io::Write;
 use std::process::{Command, Stdio};

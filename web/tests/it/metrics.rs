@@ -129,7 +129,7 @@ async fn every_line_is_valid_and_counters_only_grow() {
                  pipeline=\"offload-full\",direction=\"upload\"}";
     assert_eq!(value(&first, again), 17.0);
     assert!(first["peernet_link_lost_datagrams"].samples.is_empty(), "what is not known is no sample");
-    // The cloud received what the edge sent, and cannot know how much was sent again.
+    // The cloud received what the edge sent, and cannot know how much was retransmitted.
     let upload = "transferred_bytes_total{edge=\"cam-2\",cloud=\"rack-a\",network=\"zmq-tcp\",\
                   pipeline=\"offload-full\",direction=\"upload\"}";
     let [by_edge, by_cloud] =

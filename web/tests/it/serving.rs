@@ -128,7 +128,7 @@ async fn a_port_in_use_is_named() {
         .expect_err("the port is taken");
     assert!(matches!(error, StartError::Listen { .. }));
     assert!(error.to_string().contains(&listen) && error.to_string().contains("`listen`"), "{error}");
-    // The system's words stand in the chain of causes once, not in every link of it.
+    // The operating system's message must appear in the chain of causes once, not in every error of it.
     let cause = std::error::Error::source(&error).expect("the system's words").to_string();
     assert!(cause.contains("in use") && !error.to_string().contains(&cause), "{error}: {cause}");
 }

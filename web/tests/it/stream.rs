@@ -83,7 +83,7 @@ async fn a_slow_listener_gets_the_newest_picture_and_none_of_those_between() {
     let (bed, mut factory) = Bed::with(vec![Line::local()]).await;
     let mut events = Events::of(&bed, "picture").await;
     let first = events.until("picture").await;
-    // Many pictures are made while nobody reads.
+    // Many pictures are made while the listener does not read.
     let mut live = bed.aggregator.live();
     for _ in 0..8 {
         live.mark_unchanged();

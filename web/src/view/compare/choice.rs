@@ -1,17 +1,17 @@
-//! Which runs are drawn where there are too many for a picture each.
+//! Choice of the runs that are drawn where there are too many for a picture each.
 
 use peernet_statistics::number::count;
 use peernet_store::RunSummary;
 
 use super::{Comparison, Configuration};
 
-/// Most runs that are drawn side by side.
+/// Largest number of runs that are drawn next to each other.
 const MOST: usize = 24;
 
-/// Most runs that a sentence names.
+/// Largest number of runs that a sentence names.
 const NAMED: usize = 8;
 
-/// A run with its configuration and what is to be drawn of it.
+/// A run with its configuration and its data to draw.
 pub(super) type Chosen<'a, T> = (&'a Configuration, &'a RunSummary, T);
 
 /// The first run of each configuration of which something is known, then the second, as far as there is room; in the order

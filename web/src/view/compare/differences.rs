@@ -10,9 +10,9 @@ use peernet_store::{StageMeans, Store};
 use super::{Comparison, Configuration};
 use crate::error::WebError;
 
-/// Most buckets that a run is read in.
+/// Largest number of buckets in which a run is read.
 const BUCKETS: usize = 120;
-/// Runs that are read at once.
+/// Number of runs that are read concurrently.
 const READ_AT_ONCE: usize = 4;
 
 /// Means of the stages of each run, by its number.
@@ -41,7 +41,7 @@ pub(crate) struct Differences {
     pub baseline: usize,
     /// Place of each other one with its stages in their order, those of which nothing is known left out.
     pub others: Vec<(usize, Vec<StageDifference>)>,
-    /// Which configuration has the smallest mean total, among those whose model computes something where there are any.
+    /// Configuration with the smallest mean total, among those whose model computes something where there are any.
     pub ranking: Option<Ranking>,
 }
 

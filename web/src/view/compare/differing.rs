@@ -15,7 +15,7 @@ pub(super) struct Differing {
     pub(super) values: Vec<Vec<String>>,
     /// Further settings that differ, and those that an experiment declares and that are the same for all; a value for each run.
     pub(super) settings: Vec<Column>,
-    /// Names of what differs as well, in hashes, paths or lists that no table has room for.
+    /// Names of further settings that differ, in hashes, paths or lists that no table has room for.
     pub(super) also: Vec<String>,
 }
 
@@ -26,13 +26,13 @@ impl Differing {
             run.summary.experiment.as_ref().map_or_else(Vec::new, |place| place.configuration.clone())
         };
         let all = tabulated(runs, place);
-        // Of a single configuration its declared values are what it is known by.
+        // A single configuration has no differences; it is identified by its declared values.
         let has_several = all.iter().any(Column::differs);
         let (columns, settings) = all.into_iter().partition(|column| !has_several || column.differs());
         Self::of(runs.len(), ChosenColumns { columns, rest: settings })
     }
 
-    /// As few facts of the runs as tell them apart.
+    /// Returns the smallest set of facts that distinguishes the runs.
     pub(super) fn of_runs(runs: &[RunDetail]) -> Self {
         let all = tabulated(runs, known).into_iter().filter(Column::differs);
         Self::of(runs.len(), choose_columns(all.collect()))

@@ -14,7 +14,7 @@ use crate::svg::{SmallAxis, SmallHistogram};
 use crate::view::chip::Chip;
 use crate::view::counted;
 
-/// Most pictures with which all quantities are drawn at once.
+/// Largest number of pictures with which all quantities are drawn together.
 const AT_ONCE: usize = 24;
 
 /// Distributions that are drawn, and links to others.
@@ -22,7 +22,7 @@ pub(crate) struct Distributions {
     pub groups: Vec<Group>,
     /// Quantities that can be selected; empty where there is no choice.
     pub choices: Vec<Choice>,
-    /// The part of the address that says what is compared.
+    /// Part of the address with the subject of the comparison.
     pub address: Address,
     /// A sentence about runs without a single answer.
     pub missing: Option<String>,
@@ -35,7 +35,7 @@ pub(crate) struct Group {
     pub runs: Vec<RunHistogram>,
     /// Sentences about runs that are not drawn.
     pub missing: Vec<String>,
-    /// The node's name, where it is not what the page of a run shows anyway.
+    /// Name of the node; `None` for the total, which the page of a run shows by default.
     pub stage: Option<String>,
 }
 
@@ -74,14 +74,14 @@ impl Address {
     }
 }
 
-/// A node's name with what it is called.
+/// A node's name with its title.
 struct Quantity {
     name: Name,
     title: String,
 }
 
 impl Quantity {
-    /// Those that every comparison offers, as far as they were measured.
+    /// Returns the quantities that every comparison offers, as far as they were measured.
     fn usual() -> Vec<Self> {
         let total = (stage::TOTAL, "Total");
         let published = HISTOGRAMS.map(|(_, column, title)| (Name::from_static(column), title));

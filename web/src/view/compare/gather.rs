@@ -1,4 +1,4 @@
-//! Which runs are compared, and what they differ in.
+//! Collection of the runs of a comparison, and of the settings in which they differ.
 
 use std::collections::HashMap;
 use std::sync::Arc;
@@ -13,17 +13,17 @@ use super::names::names;
 use super::{Comparison, Configuration, LeftOut, Setting, order};
 use crate::error::WebError;
 
-/// Most runs that an address may name.
+/// Largest number of runs that an address may name.
 pub(crate) const MOST_TYPED: usize = 12;
-/// Most runs of an experiment that are compared.
+/// Largest number of runs of an experiment that are compared.
 pub(crate) const MOST_RUNS: u32 = 200;
 
 /// Selection of what to compare, as in an address.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) enum Which {
-    /// These runs, each for itself.
+    /// These runs; each is a separate configuration.
     Runs(Vec<i64>),
-    /// All runs of an experiment that count, repeats together.
+    /// All valid runs of an experiment, repeats together.
     Experiment(String),
 }
 
@@ -63,14 +63,14 @@ impl Which {
     }
 }
 
-/// Reads what is to be compared: the figures of all runs at once, from their roll-ups.
+/// Reads a comparison: the figures of all runs at once, from their roll-ups.
 ///
-/// The sketches of all runs are held meanwhile, eight bytes for each 2 % between the ends of a quantity: where the largest
-/// value is a thousand times the smallest, 3 kB. With most runs and 30 names each that is 17 MB, and as much again at most
+/// The sketches of all runs are in memory at the same time, eight bytes for each 2 % between the ends of a quantity: where the largest
+/// value is a thousand times the smallest, 3 kB. With the largest number of runs and 30 names each that is 17 MB, and at most the same
 /// for those of configurations; the sketches' own limit makes it ten times that.
 ///
 /// # Errors
-/// When a run or the experiment is not stored, or the store cannot be read.
+/// Returns an error when a run or the experiment is not stored, or the store cannot be read.
 pub(crate) async fn gather(store: &Store, which: &Which) -> Result<Comparison, WebError> {
     let (experiment, details, left_out, cut) = match which {
         Which::Runs(numbers) => {
@@ -92,7 +92,7 @@ pub(crate) async fn gather(store: &Store, which: &Which) -> Result<Comparison, W
                 )));
             };
             let (runs, left_out) = counted(runs);
-            // Of an experiment the summary says all.
+            // The summary of an experiment's run holds all that is needed.
             let details = runs.into_iter().map(RunDetail::from).collect();
             (Some((first.name, first.id)), details, left_out, cut)
         }
@@ -154,11 +154,11 @@ fn counted(runs: Vec<RunSummary>) -> (Vec<RunSummary>, Vec<LeftOut>) {
     (counted.collect(), left_out)
 }
 
-/// Which models only answer what they are sent.
+/// Placements of models, each with `true` if the model computes something and does not only answer what it was sent.
 struct Computing(Vec<(Placement, bool)>);
 
 impl Computing {
-    /// Asks about one run of each model and place: what a list of runs says of them does not tell.
+    /// Reads one run of each placement, because a list of runs does not hold these facts.
     async fn of(store: &Store, runs: &[RunDetail]) -> Result<Self, WebError> {
         let mut known: Vec<(Placement, bool)> = Vec::new();
         for run in runs {

@@ -17,9 +17,9 @@ use crate::look;
 use crate::svg::{LengthAxis, LengthPlot, LengthValues};
 use crate::view::counted;
 
-/// Most configurations that are drawn.
+/// Largest number of configurations that are drawn.
 const MOST_DRAWN: usize = 6;
-/// Most iterations that a page reads, and most of one configuration.
+/// Largest number of iterations that a page reads, and largest number of one configuration.
 const MOST_READ: u64 = 1_500;
 const MOST_EACH: u64 = 750;
 /// Smallest longest answer, bytes, from which on lengths are shown in kB.
@@ -70,7 +70,7 @@ impl<'a> Varying<'a> {
 /// Iterations read of a configuration.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(crate) struct Answers {
-    /// Its name.
+    /// Name of the configuration.
     pub name: String,
     /// Length, as measured, and seconds.
     pub points: Vec<(f64, f64)>,

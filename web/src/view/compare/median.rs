@@ -23,7 +23,7 @@ pub(super) static CROSSING: [(Name, Name); 4] = [
 /// A median in words.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Median {
-    /// With its unit, and with what the clocks leave open. Where that is too much, as an interval alone.
+    /// Median with its unit and its uncertainty by the clocks. Where the uncertainty is too large, an interval alone.
     pub said: String,
     /// Interval of the median by the clock bounds, SI; `None` where they leave no uncertainty.
     pub within: Option<(f64, f64)>,

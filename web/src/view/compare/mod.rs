@@ -57,11 +57,11 @@ pub(crate) struct Comparison {
     pub axes: Vec<String>,
     /// Settings in which configurations differ as well, and those that an experiment declares for all alike.
     pub settings: Vec<Setting>,
-    /// Names of what chosen runs differ in as well, in hashes, paths and lists that no table has room for.
+    /// Names of further settings in which selected runs differ, in hashes, paths and lists that no table has room for.
     pub also: Vec<String>,
     /// An experiment's by their labels, axis by axis; runs as they were asked for.
     pub configurations: Vec<Configuration>,
-    /// All that is kept of each run, by its number.
+    /// All stored statistics of each run, by its number.
     pub kept: HashMap<i64, Arc<MergeableStatistics>>,
     /// Runs of the experiment that do not count, oldest first.
     pub left_out: Vec<LeftOut>,
@@ -72,7 +72,7 @@ pub(crate) struct Comparison {
 /// A run that does not count.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct LeftOut {
-    /// Its number.
+    /// Number of the run.
     pub run: i64,
     /// The reason.
     pub why: String,
@@ -90,7 +90,7 @@ pub(crate) struct Setting {
 pub(crate) struct Configuration {
     /// Differences from the other configurations in words; unique.
     pub name: String,
-    /// Its value on each axis.
+    /// Value of the configuration on each axis.
     pub values: Vec<String>,
     /// Oldest first.
     pub runs: Vec<RunSummary>,
@@ -98,7 +98,7 @@ pub(crate) struct Configuration {
     pub stages: Vec<StageStatistics>,
     /// Accuracy of the one-way delays.
     pub bounds: Vec<Bound>,
-    /// All that is kept of its runs together.
+    /// All stored statistics of its runs together.
     pub kept: Arc<MergeableStatistics>,
     /// `true` if its model computes something, and does not only answer what it was sent.
     pub computes: bool,
@@ -173,7 +173,7 @@ impl Comparison {
         self.kept.get(&run)?.known(name)
     }
 
-    /// All runs, configuration by configuration.
+    /// Returns all runs, configuration by configuration.
     pub(crate) fn runs(&self) -> impl Iterator<Item = &RunSummary> {
         self.configurations.iter().flat_map(|one| &one.runs)
     }

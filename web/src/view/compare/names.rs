@@ -1,4 +1,4 @@
-//! Names of configurations, made of what differs between them.
+//! Names of configurations, made of their differences.
 
 use peernet_statistics::number::NONE;
 use peernet_store::RunSummary;
@@ -23,7 +23,7 @@ pub(super) fn names<'a>(
     words.iter().zip(&runs).map(name).collect()
 }
 
-/// Returns the values of a configuration as words; a bare number with what it counts.
+/// Returns the values of a configuration in words; the name of the axis follows a bare number.
 pub(super) fn in_words(axes: &[String], values: &[String]) -> String {
     let known = axes.iter().zip(values).filter(|(_, value)| *value != NONE);
     let words = known.map(|(axis, value)| match value.parse::<f64>() {

@@ -1,4 +1,4 @@
-//! In which order configurations stand: runs come in a random order, and readers look for a label where it belongs.
+//! Order of configurations. Runs are made in random order, but readers expect labels in their natural order.
 
 use std::cmp::Ordering;
 

@@ -8,7 +8,7 @@ use peernet_statistics::number::{duration, percent};
 use super::{Comparison, Differences};
 use crate::svg::{SmallAxis, SmallHistogram};
 
-/// Most distributions that are drawn.
+/// Largest number of distributions that are drawn.
 const MOST: usize = 24;
 
 /// A configuration against the baseline.
@@ -19,8 +19,8 @@ pub(crate) struct PairwiseRow {
     pub picture: SmallHistogram,
 }
 
-/// Returns what is known of the totals of each other configuration against those of the baseline, in the order of the differences;
-/// `None` where one of both has no total, and beyond the room for pictures.
+/// Returns the pairwise differences of the totals of each other configuration and the baseline, in the order of the differences; `None`
+/// where one of both has no total, and beyond the room for pictures.
 pub(crate) fn pairwise(comparison: &Comparison, differences: &Differences) -> Vec<Option<PairwiseRow>> {
     let all = &comparison.configurations;
     let total = |place: usize| all.get(place)?.known(&stage::TOTAL);

@@ -1,4 +1,4 @@
-//! Latency against what was sent, and accuracy against latency.
+//! Latency against payload, and accuracy against latency.
 
 use peernet_analysis::fit::{FEWEST_SIZES, Fit, MeanAtSize, distinct_sizes, line_through_means};
 use peernet_logger::{Name, stage};
@@ -22,7 +22,7 @@ fn sent(one: &Configuration) -> Option<f64> {
     one.figures(&stage::UPLOAD_BYTES).map(|figures| figures.mean).filter(|size| *size > 0.0)
 }
 
-/// Latency against payload, where payloads have at least three sizes, and what lines through it say.
+/// Returns latency against payload, where payloads have at least three sizes, and the results of lines through it.
 pub(crate) fn payload(comparison: &Comparison) -> Option<(Scatter, Vec<String>)> {
     let all: Vec<(&Configuration, f64)> =
         comparison.configurations.iter().filter_map(|one| Some((one, sent(one)?))).collect();
@@ -65,8 +65,8 @@ pub(crate) fn payload(comparison: &Comparison) -> Option<(Scatter, Vec<String>)>
 
 pub(super) type Group<'a> = Vec<(&'a Configuration, f64)>;
 
-/// Configurations that differ in nothing but what sets the size: the axis on which equal labels mean equal sizes. All
-/// together where no axis does or where there would be too many groups.
+/// Groups configurations that differ only in the size of the payload, given by the axis on which equal labels mean equal sizes. Returns
+/// one group of all where there is no such axis or where there would be too many groups.
 pub(super) fn groups<'a>(comparison: &Comparison, all: &[(&'a Configuration, f64)]) -> Vec<Group<'a>> {
     let sets_the_size = |axis: &usize| {
         let label = |one: &Configuration| one.values.get(*axis).cloned();
@@ -90,7 +90,7 @@ pub(super) fn groups<'a>(comparison: &Comparison, all: &[(&'a Configuration, f64
     if groups.len() > MOST_GROUPS { vec![all.to_vec()] } else { groups }
 }
 
-/// Returns what a group has in common and others have not, in words; `None` where that is nothing.
+/// Returns the values that only the configurations of a group have, in words; `None` if there are none.
 pub(super) fn group_name(comparison: &Comparison, group: &Group<'_>) -> Option<String> {
     let value = |one: &Configuration, axis: usize| one.values.get(axis).cloned();
     let first = group.first()?.0;

@@ -11,7 +11,7 @@ use crate::svg::{Axis, Bar, BoxPlot, Five, Part, Scale};
 use crate::view::place;
 use crate::view::stack::Stack;
 
-/// Most hosts of one configuration that are named.
+/// Largest number of hosts of one configuration that are named.
 const MOST_HOSTS: usize = 4;
 
 /// A configuration's stages as a bar.
@@ -84,7 +84,7 @@ fn parts(one: &Configuration) -> Vec<Part> {
             bound: None,
         }));
     }
-    // The clocks' bounds stand on the run's page; here the error bar is the standard deviation.
+    // The page of a run shows the clock bounds; here the error bar is the standard deviation.
     parts.iter_mut().for_each(|part| part.bound = None);
     parts
 }

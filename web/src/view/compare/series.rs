@@ -13,11 +13,11 @@ use crate::error::WebError;
 use crate::svg::{CourseAxes, CourseBucket, CourseData, CoursePlot, Part};
 use crate::view::{counted, episodes, stack};
 
-/// Most and fewest points of a run, and samples that each should have: enough for a 95th percentile.
+/// Largest and smallest number of points of a run, and samples that each should have: enough for a 95th percentile.
 const POINTS: usize = 100;
 const FEWEST: u64 = 20;
 const SAMPLES: u64 = 60;
-/// A run of fewer points than this is not drawn: its length in time says nothing.
+/// A run of fewer points than this is not drawn, since its length in time is too inexact.
 const FEWEST_POINTS: usize = 3;
 /// Number of points below which the drawn length of a run is inexact, by part of a point at each end.
 const FEW: f64 = 5.0;
@@ -32,7 +32,7 @@ pub(crate) struct RunCourse {
     pub episodes: Episodes,
 }
 
-/// By the number of the run.
+/// Data of runs over time, by the number of the run.
 pub(crate) type RunCourses = HashMap<i64, RunCourse>;
 
 /// Runs over time, side by side.
@@ -58,7 +58,7 @@ pub(crate) struct RunPicture {
     pub picture: CoursePlot,
 }
 
-/// The runs that are drawn, each with what is drawn of it: its total, or of a sensor alone what it took.
+/// Returns the runs that are drawn, each with the quantity that is drawn: the total, or the sensor's time in a run without a model.
 fn drawn(comparison: &Comparison) -> (Vec<Chosen<'_, Name>>, Option<usize>) {
     chosen(comparison, |run| {
         let names = [stage::TOTAL, stage::SENSING];

@@ -41,7 +41,7 @@ pub(crate) struct Header {
 /// One configuration. Times in ms.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Row {
-    /// On each axis; its name where there is no axis.
+    /// Value on each axis; the name of the configuration where there is no axis.
     pub values: Vec<String>,
     /// Numbers of its runs.
     pub runs: Vec<i64>,
@@ -52,7 +52,7 @@ pub(crate) struct Row {
     pub accuracies: Vec<(String, Option<String>)>,
     /// Payload sent up on average, with unit.
     pub sent: String,
-    /// The miss rate, percent, and what it is a share of.
+    /// Miss rate, percent, and its base.
     pub missed: Cell,
     pub best: bool,
 }
@@ -131,7 +131,7 @@ pub(crate) struct Changed {
     pub certain: Option<bool>,
 }
 
-/// Most decimals of a difference in ms.
+/// Largest number of decimals of a difference in ms.
 const MOST_DECIMALS: usize = 3;
 
 impl Changed {

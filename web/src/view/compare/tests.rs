@@ -153,7 +153,7 @@ fn addresses_name_runs_or_an_experiment() {
     assert!(of(&[("runs", &many)]).is_err());
 }
 
-/// The courses of the totals of configurations, each of as many buckets as is said.
+/// Returns series of the configurations' totals with this number of buckets each.
 pub(crate) fn totals(comparison: &Comparison, buckets: usize) -> RunMeans {
     let of =
         |one: &Configuration| one.runs.first().zip(one.total()).map(|(run, total)| (run.number, total.mean));

@@ -1,4 +1,4 @@
-//! Throughput against payload: what was sent over how long it took, and what the slope of the delays says.
+//! Throughput against payload: bytes over delay, and the throughput by the slope of the delays.
 
 use peernet_analysis::fit::{FEWEST_SIZES, distinct_sizes, rate};
 use peernet_analysis::transfer::speed_between;
@@ -14,13 +14,13 @@ use crate::svg::{Horizontal, Ruler, Scatter, ScatterLine, ScatterPoint, ScatterS
 
 /// bit/s to MB/s.
 const MEGABYTES: f64 = 1.0 / 8e6;
-/// Each way with the sizes that make up what went it.
+/// Directions, each with the sizes that make up the bytes sent in it.
 static WAYS: [(Name, [Name; 2]); 2] = [
     (stage::UPLOAD, [stage::UPLOAD_BYTES, stage::UPLOAD_LOGGER_BYTES]),
     (stage::DOWNLOAD, [stage::DOWNLOAD_BYTES, stage::DOWNLOAD_LOGGER_BYTES]),
 ];
 
-/// The picture, its numbers and what lines through the delays say.
+/// Plot of the throughput, its numbers, and the results of lines through the delays.
 pub(crate) struct Throughput {
     pub plot: Scatter,
     pub rows: Vec<ThroughputRow>,
@@ -46,7 +46,7 @@ struct Known<'a> {
     bytes: f64,
     delay: f64,
     value: f64,
-    /// By the clock bounds; no upper end where the delay may be nothing.
+    /// Interval by the clock bounds; without an upper end where the delay may be zero.
     ends: Option<(f64, Option<f64>)>,
 }
 
@@ -84,7 +84,7 @@ impl<'a> Known<'a> {
     }
 }
 
-/// Each way whose payloads have at least three sizes.
+/// Returns the throughput of each direction whose payloads have at least three sizes.
 pub(crate) fn throughput(comparison: &Comparison) -> Option<Throughput> {
     let ways = WAYS.iter().filter_map(|(way, sizes)| {
         let known: Vec<Known<'_>> =

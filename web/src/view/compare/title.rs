@@ -5,10 +5,10 @@ use peernet_statistics::number::{Estimate, SPACE, duration};
 
 use super::{Comparison, Configuration, Differences};
 
-/// Most configurations that a title names beside the best.
+/// Largest number of configurations that a title names in addition to the best.
 const NAMED: usize = 2;
 
-/// Returns what the comparison found.
+/// Returns the finding of the comparison in a sentence.
 pub(crate) fn title(comparison: &Comparison, differences: &Differences) -> String {
     let all = &comparison.configurations;
     let Some(ranking) = differences.ranking.as_ref() else {

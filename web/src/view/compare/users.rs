@@ -1,4 +1,4 @@
-//! Latency against the number of users that measured at once, and how evenly they were served.
+//! Latency against the number of users that measured at once, and the fairness between them.
 
 use peernet_analysis::users::{Curve, Share, Totals, Users, UsersLine};
 use peernet_logger::stage;
@@ -24,7 +24,7 @@ pub(crate) struct UsersRow {
     pub total: (String, Option<String>),
 }
 
-/// The picture and its numbers, where several users measured at once and their number differs.
+/// Returns the plot and its numbers, where several users measured at once and their number differs.
 pub(crate) fn users(comparison: &Comparison) -> Option<(Scatter, Vec<UsersRow>)> {
     comparison.experiment.as_ref()?;
     let users =
@@ -33,7 +33,7 @@ pub(crate) fn users(comparison: &Comparison) -> Option<(Scatter, Vec<UsersRow>)>
     let edges = |line: Option<&&UsersLine>| line.map(|line| line.edges);
     let differ = |curve: &Curve<'_>| edges(curve.points.first()) != edges(curve.points.last());
     curves.iter().any(differ).then_some(())?;
-    // Within an experiment the values are what tells configurations apart.
+    // Within an experiment the values identify a configuration.
     let of = |line: &UsersLine| comparison.configurations.iter().find(|one| one.values == line.labels);
     let curves: Vec<Vec<(&UsersLine, &Configuration)>> = curves
         .iter()
@@ -102,7 +102,7 @@ fn users_of(line: &UsersLine) -> String {
     crate::view::counted(line.edges, "user", "users")
 }
 
-/// From one number of users to the next.
+/// Returns the line from one number of users to the next.
 fn between(a: &ScatterPoint, b: &ScatterPoint) -> Option<ScatterLine> {
     let slope = (b.y - a.y) / (b.x - a.x);
     slope.is_finite().then_some(ScatterLine { intercept: a.y - slope * a.x, slope, from: a.x, to: b.x })

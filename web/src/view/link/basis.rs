@@ -70,7 +70,7 @@ pub(crate) fn facts(subject: &Subject<'_>) -> Vec<String> {
     facts
 }
 
-/// The assumptions in a few words beside a delay: `by free-running clocks, ρ 200 ppm, κ 1 ppm/s, probes not authenticated`.
+/// Returns the assumptions in a few words, shown with a delay: `by free-running clocks, ρ 200 ppm, κ 1 ppm/s, probes not authenticated`.
 pub(crate) fn brief(assumptions: &DelayAssumptions) -> String {
     let by = match assumptions.clocks {
         RelatedClocks::Raw => "by free-running clocks",
@@ -89,8 +89,8 @@ pub(crate) fn brief(assumptions: &DelayAssumptions) -> String {
     parts.into_iter().flatten().collect::<Vec<_>>().join(", ")
 }
 
-/// The panel about assumptions: what is assumed, what the exchanges prove of it, and what else narrows a bound. Nothing where both hosts
-/// read one clock.
+/// Returns the panel about assumptions: the assumptions, the results of the exchanges about them, and other facts that narrow a bound.
+/// Empty where both hosts read one clock.
 pub(crate) fn pairs(subject: &Subject<'_>, course: &Course) -> Pairs {
     let Some(assumptions) = &subject.assumptions else { return Pairs::new() };
     let newest = Newest::of(subject, course);

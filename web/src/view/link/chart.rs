@@ -19,15 +19,15 @@ use crate::zone::Zone;
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub(crate) enum OffsetView {
-    /// Without what a steady drift explains.
+    /// Without the part that a steady drift explains.
     #[default]
     Removed,
-    /// As it was measured.
+    /// As measured.
     Measured,
 }
 
 impl OffsetView {
-    /// As in an address.
+    /// Returns the word for an address.
     pub(crate) const fn word(self) -> &'static str {
         match self {
             Self::Removed => "removed",
@@ -47,7 +47,7 @@ const TAIL: f64 = 3.0;
 
 pub(super) struct Plan<'a> {
     pub(super) course: &'a Course,
-    /// The same with few enough points for whiskers.
+    /// The course with few enough points for whiskers.
     coarse: Course,
     gaps: Vec<(WallTime, WallTime)>,
 }
@@ -89,7 +89,7 @@ impl Plan<'_> {
     }
 }
 
-/// Largest of some values, but no larger than a few times what most of them stay below.
+/// Returns the largest value, but at most [`TAIL`] times the 95th percentile.
 pub(super) fn reach(values: impl Iterator<Item = f64>) -> f64 {
     let mut sorted: Vec<f64> = values.filter(|value| value.is_finite()).collect();
     sorted.sort_by(f64::total_cmp);
@@ -252,7 +252,7 @@ fn times(course: &Course, zone: Zone) -> Vec<(Percent, String)> {
     let ticks = ticks.take_while(|at| *at <= course.to).take(20);
     let ticks =
         ticks.map(|at| (Percent((at - course.from).seconds() / seconds * 100.0), zone.moment(at).minute()));
-    // A label at the very end would stand out of the picture.
+    // A label at the very end would extend beyond the picture.
     ticks.filter(|(x, _)| (1.5..=98.5).contains(&x.0)).collect()
 }
 

@@ -1,4 +1,4 @@
-//! The connections of a link: what was sent and received, and by which way.
+//! The connections of a link: sent and received messages, and the route.
 
 use peernet_clock::Span;
 use peernet_statistics::number::{NONE, SPACE, bytes, count, trip_ms};
@@ -26,7 +26,7 @@ pub(crate) struct Count {
     pub value: Option<String>,
 }
 
-/// Which way a connection takes, in words.
+/// Route of a connection, in words.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct Route {
     pub pipeline: String,

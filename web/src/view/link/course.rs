@@ -17,7 +17,7 @@ pub(crate) struct Course {
     pub to: WallTime,
     /// Seconds between points.
     pub bucket: i64,
-    /// Oldest first; what is missing is absent.
+    /// Points, oldest first; missing points are absent.
     pub points: Vec<ClockPoint>,
 }
 
@@ -50,7 +50,7 @@ impl Course {
         (self.to - self.from).seconds()
     }
 
-    /// The same with `seconds` a point.
+    /// Merges points so that each covers `seconds` seconds.
     pub(crate) fn thinned(&self, seconds: i64) -> Self {
         let seconds = seconds.max(1);
         // A point is named by its end: the one at a bucket's end belongs to it.
@@ -88,7 +88,7 @@ impl Course {
     }
 }
 
-/// All of some probes.
+/// Adds up counts of probes.
 pub(super) fn sum(counts: impl Iterator<Item = ProbeCounts>) -> ProbeCounts {
     counts.fold(ProbeCounts::default(), |sum, one| ProbeCounts {
         sent: sum.sent.saturating_add(one.sent),
@@ -116,7 +116,7 @@ fn merged(points: &[ClockPoint]) -> Option<ClockPoint> {
     if points.len() == 1 {
         return Some(last.clone());
     }
-    // What lies on the other side of a step says nothing about the offset after it.
+    // Samples from before a step say nothing about the offset after it.
     let begin = points.iter().rposition(|point| point.window != last.window).map_or(0, |at| at + 1);
     Some(ClockPoint {
         at: last.at,

@@ -78,7 +78,7 @@ impl Delays {
         Some(if lo == hi { EXACT.to_owned() } else { interval_ms(lo, hi) })
     }
 
-    /// Why there is no median.
+    /// Returns the reason why there is no median.
     pub(crate) fn reason(&self) -> &'static str {
         match self.verdict {
             None => "nothing was sent in the last 10 s",

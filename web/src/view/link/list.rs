@@ -103,7 +103,7 @@ impl LinkLine {
     }
 }
 
-/// Why no offset is shown.
+/// Returns the reason why no offset is shown.
 pub(super) fn no_offset(subject: &Subject<'_>) -> &'static str {
     match (subject.contradicts(), subject.was_related()) {
         (true, _) => CONTRADICTION,

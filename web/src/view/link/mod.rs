@@ -42,7 +42,7 @@ pub(crate) fn name(edge: &str, cloud: &str, network: &NetworkName) -> String {
     }
 }
 
-/// The same name with the network left out where it is `zmq-tcp`.
+/// Returns the name without the network where that is `zmq-tcp`.
 pub(crate) fn canonical(wanted: String) -> String {
     match parts(&wanted) {
         Some((edge, cloud, network)) => name(edge, cloud, &network),
@@ -120,16 +120,16 @@ pub(crate) struct Subject<'a> {
     pub assumptions: Option<DelayAssumptions>,
 }
 
-/// Estimate and half the width of the bounds, seconds; `None` where sources exclude each other, or exchanges do: what
-/// contradicts itself gives no value.
+/// Returns the estimate and half the width of the bounds, seconds; `None` where sources exclude each other, or exchanges contradict each
+/// other, because such an offset has no value.
 pub(crate) fn known(offset: &Offset) -> Option<(f64, f64)> {
     let half = offset.bounds.width().seconds() / 2.0;
     (offset.verdict != Verdict::Inconsistent).then(|| (offset.estimate.seconds(), half))
 }
 
-/// Why there is no value.
+/// Reason why there is no value.
 pub(crate) const CONTRADICTION: &str = "what is known of the clocks contradicts itself";
-/// Fewer exchanges than these relate no clocks.
+/// Number of exchanges below which clocks are not related.
 const LEAST_EXCHANGES: u64 = 3;
 
 /// Returns whether an offset is stale because the link is young, or a clock was stepped a moment ago.
@@ -166,7 +166,7 @@ impl<'a> Subject<'a> {
         }
     }
 
-    /// With what its newest stored window rests on.
+    /// Sets the assumptions of its newest stored window.
     pub(crate) fn assuming(self, assumptions: Option<DelayAssumptions>) -> Self {
         Self { assumptions, ..self }
     }
@@ -176,7 +176,7 @@ impl<'a> Subject<'a> {
         self.assumptions.map_or(RelatedClocks::Wall, |assumptions| assumptions.clocks)
     }
 
-    /// With what its course tells of the offset at last.
+    /// Sets the last offset of its course.
     pub(crate) fn remembering(self, course: &course::Course) -> Self {
         let told = course.points.iter().rev().find_map(|point| point.offset.clone());
         Self { told, ..self }
@@ -192,7 +192,7 @@ impl<'a> Subject<'a> {
         }
     }
 
-    /// Its name in addresses.
+    /// Returns the link's name in addresses.
     pub(crate) fn name(&self) -> String {
         name(&self.edge, &self.cloud, &self.key.network)
     }
@@ -215,7 +215,7 @@ impl<'a> Subject<'a> {
     /// Returns the current offset, or the one that the edge reported last.
     pub(crate) fn offset(&self) -> Option<&Offset> {
         let Some(link) = self.live else { return self.told.as_ref() };
-        // What was known before a step says nothing of what is now.
+        // An offset from before a step says nothing about the present.
         let counts = |point: &&Arc<ClockPoint>| !self.connected || point.window == link.live.now.window;
         let lately = if self.connected { 1 } else { link.history.len() };
         let mut before = link.history.iter().rev().take(lately).filter(counts);

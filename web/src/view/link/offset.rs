@@ -1,4 +1,4 @@
-//! The clock offset of a link over time: the band that is certain, the estimate in it, what other sources say.
+//! The clock offset of a link over time: the certain band, the estimate in it, and the intervals of other sources.
 
 use peernet_clock::{DelaySource, Interval, RelatedClocks, Span};
 use peernet_store::ClockPoint;
@@ -20,7 +20,7 @@ fn larger((lo, hi): Ends) -> f64 {
     lo.abs().max(hi.abs())
 }
 
-/// The scale that most bands need: what is wide right after a step, or belongs to the time before it, may leave it.
+/// Returns the scale for most bands. Bands that are wide right after a step, or that belong to the time before it, may exceed it.
 fn usual(sizes: impl Iterator<Item = f64>) -> f64 {
     let mut sorted: Vec<f64> = sizes.filter(|size| size.is_finite()).collect();
     sorted.sort_by(f64::total_cmp);
@@ -42,7 +42,7 @@ pub(super) fn track(cloud: &str, plan: &Plan<'_>, view: OffsetView) -> Track {
     };
     let ends =
         |point: &ClockPoint, interval: Interval| (shown(point, interval.lo), shown(point, interval.hi));
-    // Where what is known contradicts itself nothing is certain; what other sources say is drawn all the same.
+    // Where sources contradict each other there is no band; the intervals of other sources are drawn nevertheless.
     let offset = |point: &ClockPoint| point.offset.clone().filter(|offset| known(offset).is_some());
     let band = |point: &ClockPoint| Some(ends(point, offset(point)?.bounds));
     let said = |point: &ClockPoint, source: DelaySource| {
@@ -85,7 +85,7 @@ pub(super) fn track(cloud: &str, plan: &Plan<'_>, view: OffsetView) -> Track {
             continue;
         }
         for end in [|ends: Ends| ends.0, |ends: Ends| ends.1] {
-            // What lies beyond the axis is not drawn along its end.
+            // Values beyond the axis are left out, not drawn along its end.
             let at = |point: &ClockPoint| said(point, *source).map(end).filter(|value| ruler.holds(*value));
             let line = plan.broken(points, |x, point| Some((x, ruler.below(at(point)?))));
             track.draw("dashed", pen::line(line));

@@ -74,7 +74,7 @@ impl Origin {
             .collect();
         let several = offset.sources.len() > 1;
         let Some((_, half)) = known(offset) else {
-            // What holds two intervals that exclude each other is no interval of the offset.
+            // The hull of two intervals that exclude each other is not an interval of the offset.
             let name = if several { "no common interval" } else { "not to be trusted" };
             let none = || NONE.to_owned();
             rows.push(SourceRow { name: name.to_owned(), between: none(), width: none(), sum: true });
@@ -100,7 +100,7 @@ impl Origin {
     }
 }
 
-/// Returns what both hosts' time daemons claim now, where no delay rests on it.
+/// Returns the claims of both hosts' time daemons at present, where no delay depends on them.
 fn unused_claims(subject: &Subject<'_>, offset: &Offset) -> Option<SourceRow> {
     let (from, interval) = claimed_offset(subject)?;
     let is_unused = offset.sources.iter().all(|(source, _)| *source == DelaySource::InBand);
@@ -109,7 +109,7 @@ fn unused_claims(subject: &Subject<'_>, offset: &Offset) -> Option<SourceRow> {
     is_unused.then(|| row(format!("{}{of}, not used", source(from, 0)), interval, false))
 }
 
-/// Returns the offset of the wall clocks that follows from what both hosts' time daemons claim now.
+/// Returns the offset of the wall clocks that follows from the present claims of both hosts' time daemons.
 fn claimed_offset(subject: &Subject<'_>) -> Option<(DelaySource, Interval)> {
     let link = subject.live?;
     let claim = |clock: &Option<HostClock>| clock.as_ref()?.discipline;
@@ -219,7 +219,7 @@ fn hints(subject: &Subject<'_>, offset: Option<&Offset>) -> Vec<String> {
     let is_wide = offset.is_none_or(|offset| offset.bounds.width() > BEST_CLAIM + BEST_CLAIM);
     let claimed = claimed_offset(subject).map(|(_, interval)| interval);
     if !is_wide {
-        // What a time daemon claims would be wider.
+        // The claim of a time daemon would be wider.
     } else if !without.is_empty() {
         let hosts = without.join(" and ");
         hints.push(format!("PTP or chrony on {hosts}, which gives a second source where {TRUST} is set"));

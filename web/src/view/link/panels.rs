@@ -33,8 +33,8 @@ pub(crate) fn claims(clock: &HostClock) -> String {
     format!("{}{SPACE}ms from true time, {}", offset_ms(lo + half, half), bound(half))
 }
 
-/// Clocksources that count a processor's own counter. From any other the hypervisor supplies the time: what runs free for the guest may
-/// be moved from outside.
+/// Clocksources that count a processor's own counter. With any other the hypervisor supplies the time, and may change the rate of a clock
+/// that is free-running for the guest.
 const FREE_RUNNING: [&str; 2] = ["tsc", "arch_sys_counter"];
 
 /// Returns what synchronises a clock and what supplies it, in words.

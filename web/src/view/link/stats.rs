@@ -19,7 +19,7 @@ pub(crate) struct Stat {
     pub number: String,
     /// Empty where there is no number.
     pub unit: &'static str,
-    /// Why there is no number, or what it is.
+    /// Explanation of the number, or the reason why there is none.
     pub title: String,
     pub line: String,
     pub chip: Option<Chip>,
@@ -40,7 +40,7 @@ impl Stat {
     }
 }
 
-/// All of them.
+/// Returns all figures.
 pub(crate) fn all(subject: &Subject<'_>, course: &Course) -> Vec<Stat> {
     let mut stats = vec![delay(subject, Way::Up), delay(subject, Way::Down)];
     if !subject.same_clock() {
@@ -76,7 +76,7 @@ fn offset(subject: &Subject<'_>) -> Stat {
     };
     let then = if subject.connected { "" } else { ", when last told" };
     if subject.clocks() != RelatedClocks::Wall {
-        // A free-running clock counts from the start of its machine: which one is ahead says nothing of the time of day.
+        // A free-running clock counts from the start of its machine: which one is ahead says nothing about the time of day.
         let line = format!("free-running clocks count from the machine's start, {}{then}", bound(half));
         return Stat::new(name, Some(offset_ms(estimate, half)), "ms", line);
     }

@@ -42,7 +42,7 @@ impl Agent {
         Self { id, sending, spool: BTreeMap::new(), socket, clock: SharedClock::clone(clock) }
     }
 
-    /// Whose.
+    /// Returns the host's id.
     pub(crate) fn id(&self) -> HostId {
         self.id
     }

@@ -14,7 +14,7 @@ use peernet_stream::{
 
 use super::{Clocks, Line, slug};
 
-/// The rack's wall clock minus a camera's, in the middle of what is reported.
+/// The rack's wall clock minus a camera's, middle of the reported bounds.
 pub(super) const AHEAD: Span = Span::from_micros(1_204_180);
 /// Rate at which that offset grows.
 const SKEW_PPM: f64 = 12.4;
@@ -199,7 +199,7 @@ fn connection(pipeline: &str, at: WallTime) -> Connection {
     }
 }
 
-/// The link of a line, as its edge tells of it.
+/// Returns the link of a line, as its edge reports it.
 pub(super) fn live(line: &Line, now: ClockSample) -> LinkLive {
     let probing = match line.clocks {
         Clocks::Within(_) => Probing::On {

@@ -1,4 +1,4 @@
-//! Runs that are parted into episodes.
+//! Runs with episodes.
 
 use peernet_logger::RunId;
 use peernet_stream::{Event, ExperimentPlace, Outcome};

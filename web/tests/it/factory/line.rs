@@ -35,14 +35,14 @@ pub(crate) struct Line {
     pub(crate) answer: (f64, f64),
     /// Stages with mean and deviation in ms.
     pub(crate) stages: Vec<(Name, f64, f64)>,
-    /// Its current run.
+    /// Current run.
     pub(crate) run: Option<RunId>,
     /// `true` if the camera's clock is made wrong on purpose.
     pub(crate) rehearsed: bool,
 }
 
 impl Line {
-    /// On board.
+    /// Returns a line that computes on board.
     pub(crate) fn local() -> Self {
         Self::new(
             "local",
@@ -66,7 +66,7 @@ impl Line {
         )
     }
 
-    /// It is made smaller first.
+    /// Returns a line that reduces the picture before it sends it.
     pub(crate) fn resized() -> Self {
         Self::new(
             "offload-resized",
@@ -78,22 +78,22 @@ impl Line {
         )
     }
 
-    /// As `resized`, over clocks that were never related.
+    /// Returns `resized` over clocks that were never related.
     pub(crate) fn unrelated() -> Self {
         Self { name: "offload-unrelated", clocks: Clocks::Unrelated, ..Self::resized() }
     }
 
-    /// As `resized`, on a camera whose clock is made wrong on purpose.
+    /// Returns `resized` on a camera with an injected clock fault.
     pub(crate) fn rehearsed() -> Self {
         Self { rehearsed: true, ..Self::resized() }
     }
 
-    /// As `resized`, with both agents on one machine.
+    /// Returns `resized` with both agents on one machine.
     pub(crate) fn one_clock() -> Self {
         Self { name: "offload-here", clocks: Clocks::Shared, ..Self::resized() }
     }
 
-    /// As `resized`, with answers of all lengths.
+    /// Returns `resized` with answers of all lengths.
     pub(crate) fn talking() -> Self {
         Self { name: "offload-talking", answer: (100.0, 900.0), ..Self::resized() }
     }
@@ -151,7 +151,7 @@ impl Line {
         stages.collect()
     }
 
-    /// A camera that said nothing for half a minute, four minutes ago.
+    /// Returns whether the camera was silent `ago` seconds ago: for half a minute, four minutes ago.
     pub(crate) fn is_silent(&self, ago: i64) -> bool {
         self.name == "offload-full" && (200..235).contains(&ago)
     }
@@ -169,7 +169,7 @@ impl Line {
         }
     }
 
-    /// For people.
+    /// Returns the facts of its configuration for people.
     pub(crate) fn facts(&self) -> Vec<(String, String)> {
         let pairs =
             [("Sensor", "images, 1280 × 960"), ("Transforms", "resize to 320 × 240"), ("Load", "30 Hz")];
@@ -177,7 +177,7 @@ impl Line {
         pairs.into_iter().chain(rehearsal).map(|(name, value)| (name.to_owned(), value.to_owned())).collect()
     }
 
-    /// As in the file.
+    /// Returns its configuration as in the file.
     pub(crate) fn configuration(&self) -> String {
         format!(
             "name = \"{}\"\nload = {{ kind = \"rate\", hz = {} }}\nmodel = \"quality-control\"\n",

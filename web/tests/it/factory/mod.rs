@@ -1,5 +1,5 @@
-//! A factory that never was: three cameras and a rack, as their agents would report them. Everything goes through
-//! the aggregator's own socket, so that pages and API are shown what a real deployment would show them.
+//! An artificial factory: three cameras and a rack, as their agents would report them. All data passes through the aggregator's own
+//! socket, so that pages and API receive the same as in a real deployment.
 
 mod agent;
 mod backlog;
@@ -27,7 +27,7 @@ pub(crate) struct Factory {
     pub(crate) lines: Vec<Line>,
     /// Agents of the cameras, in the order of the lines, and of the rack.
     pub(crate) agents: Vec<Agent>,
-    /// Since when the second line catches up with a day's backlog, and the third has trouble with its spool.
+    /// Time since which the second line catches up with a day's backlog and the third has a failing spool.
     pub(crate) backlog: Option<WallTime>,
     clock: SharedClock,
     numbers: SplitMix64,
@@ -129,7 +129,7 @@ impl Factory {
         self.lines[index] = usual;
     }
 
-    /// Stores an experiment: as many users at once as each number says, the first lines; the more, the longer the queue.
+    /// Stores an experiment. Each number gives the users that measure at once, the first lines; with more users the queue is longer.
     pub(crate) async fn store_users(&mut self, iterations: u64, numbers: &[usize]) {
         let (id, usual) = (RunId::random().to_string(), self.lines.clone());
         for users in numbers {
@@ -248,7 +248,7 @@ impl Factory {
         events
     }
 
-    /// Stores what the edges knew of the rack's clock in the last `seconds`.
+    /// Stores the clock samples of the edges for the last `seconds`.
     pub(crate) async fn store_clocks(&mut self, seconds: i64) {
         let (rack, now) = (self.rack(), self.clock.wall());
         for index in (0..self.lines.len()).filter(|index| self.lines[*index].remote) {
@@ -263,7 +263,7 @@ impl Factory {
         }
     }
 
-    /// Tells of a few incidents.
+    /// Reports a few incidents.
     pub(crate) async fn store_incidents(&mut self) {
         let now = self.clock.wall();
         let told = [
@@ -315,7 +315,7 @@ impl Factory {
                 };
                 let load = 0.3 + 0.1 * index as f64;
                 self.live(index, vec![pipeline], chunk.first().copied(), load, to).await;
-                // An update tells of one second of a link: the others are told one after the other.
+                // An update holds one second of a link: the other seconds are sent one after the other.
                 let others = if self.lines[index].remote { &chunk[1..] } else { &[] };
                 for at in others {
                     self.live(index, Vec::new(), Some(*at), load, to).await;

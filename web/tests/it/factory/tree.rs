@@ -34,7 +34,7 @@ fn judge(line: &Line, name: &Name, delay: Span, raw: Span) -> OneWayDelay {
     }
 }
 
-/// As long as chance will have it, the same at each moment.
+/// Returns a pseudo-random length, which depends on the moment only.
 fn answer_bytes(line: &Line, at: WallTime) -> f64 {
     let (shortest, longest) = line.answer;
     let chance = at.unix_nanos().unsigned_abs().wrapping_mul(0x9E37_79B9_7F4A_7C15) >> 40;

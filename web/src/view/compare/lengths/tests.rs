@@ -38,7 +38,7 @@ pub(crate) fn answered(count: usize) -> Vec<(f64, f64)> {
     (0..count).map(point).collect()
 }
 
-/// As if every iteration were stored whose values are kept: the sorted ones of both, together.
+/// Returns answers as if every iteration were stored: the sorted values of both quantities, paired.
 pub(crate) fn read(comparison: &Comparison) -> Vec<Answers> {
     let varying = Varying::all(comparison).into_iter().take(MOST_DRAWN);
     let of = |it: Varying<'_>| {

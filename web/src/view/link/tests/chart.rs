@@ -41,8 +41,7 @@ fn nothing_at_all_still_makes_a_picture() {
 #[test]
 fn points_of_another_time_neither_tilt_the_line_nor_set_the_scale() {
     let mut link = link(Some(0.000_01), &[]);
-    // A clock was set back by five seconds: the second after it still holds what was known before, and the first band
-    // is wide.
+    // A clock was set back by five seconds: the second after it still holds the offset from before, and the first band is wide.
     for (place, point) in link.history.iter_mut().enumerate().skip(60) {
         let point = Arc::make_mut(point);
         point.window = 2;

@@ -1,4 +1,4 @@
-//! The page's title and what its verdicts mean.
+//! Tests of the page's title and of the meanings of its verdicts.
 
 use peernet_stream::DelaySecond;
 

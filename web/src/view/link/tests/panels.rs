@@ -1,4 +1,4 @@
-//! The figures and panels beside the chart.
+//! Tests of the figures and panels next to the chart.
 
 use peernet_clock::{DelaySource, Interval};
 use peernet_stream::{EstimateBasis, HostClock, ProbeCounts, Probing, ReflectorLive};
@@ -101,7 +101,7 @@ fn what_the_bounds_rest_on_is_told_with_what_is_proven() {
     // The offset of this link is narrowed by a claim.
     assert_eq!(basis::facts(&subject), ["bounds as claimed by chrony", "probes not authenticated"]);
 
-    // What cannot be told of one clock is not told.
+    // Two hosts with one clock have no offset to show.
     link.live.same_clock = true;
     assert!(basis::pairs(&Subject::live(&link), &course(&link)).is_empty());
 }
