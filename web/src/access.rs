@@ -13,7 +13,7 @@ use crate::error::WebError;
 use crate::server_names::is_name;
 use crate::state::App;
 
-/// The host of `HOST[:PORT]`, where `HOST` is a name, an IPv4 address or an IPv6 address in brackets, and nothing else.
+/// Returns the host of `HOST[:PORT]`, where `HOST` is a name, an IPv4 address or an IPv6 address in brackets, and nothing else.
 fn host_of(authority: &str) -> Option<&str> {
     let end =
         authority.find(']').map_or_else(|| authority.find(':').unwrap_or(authority.len()), |end| end + 1);
@@ -31,7 +31,7 @@ fn is_port(text: &str) -> bool {
     text.bytes().all(|digit| digit.is_ascii_digit()) && text.parse::<u16>().is_ok()
 }
 
-/// The host that a request names.
+/// Returns the host that a request names.
 fn requested_host(request: &Request) -> Result<&str, WebError> {
     let refused = |text: &str| WebError::BadRequest(text.to_owned());
     let mut hosts = request.headers().get_all(HOST).iter();

@@ -101,7 +101,7 @@ async fn an_experiment_is_compared_with_its_repeats_together() {
     let total = configurations[0]["stages"].as_array().expect("stages");
     let total = total.iter().find(|stage| stage["name"] == "total").expect("a total");
     assert_eq!(total["count"], counts, "{total}");
-    // Each configuration has enough values, and the common median lies between the two medians.
+    // Both runs together have enough values for a p99, and their median lies between the medians of each.
     let [p50, p95, p99, max] = ["p50", "p95", "p99", "max"].map(|name| total[name].as_f64().expect(name));
     assert!(p50 < p95 && p95 <= p99 && p99 <= max, "{total}");
     medians.sort_by(f64::total_cmp);

@@ -31,7 +31,7 @@ async fn what_was_deleted_is_said_and_what_remains_is_shown() {
     let mut database = options.connect().await.expect("opens");
     let deleted = async {
         while run(1).await["deleted_through"] != json!(200) {
-            // A retention period begins when retention has received the change, and that cannot be observed.
+            // A retention period begins when retention has processed the stored data, and that cannot be observed.
             let_days_pass(&mut database).await;
             tokio::time::sleep(Duration::from_millis(50)).await;
         }

@@ -14,8 +14,8 @@ const NAMED: usize = 8;
 /// A run with its configuration and its data to draw.
 pub(super) type Chosen<'a, T> = (&'a Configuration, &'a RunSummary, T);
 
-/// The first run of each configuration of which something is known, then the second, as far as there is room; in the order
-/// of configurations. With them how many there are, where not all are drawn.
+/// Returns the first run of each configuration with data, then the second, as far as there is room, in the order of
+/// configurations; and the number of all runs, where not all are drawn.
 pub(super) fn chosen<'a, T>(
     comparison: &'a Comparison,
     known: impl Fn(&'a RunSummary) -> Option<T>,
