@@ -86,7 +86,7 @@ pub(crate) fn prepare() {
     LazyLock::force(&ASSETS);
 }
 
-/// The folder of the current assets: `/static/HASH`.
+/// Returns the folder of the current assets: `/static/HASH`.
 pub(crate) fn folder() -> String {
     format!("/static/{}", ASSETS.version)
 }

@@ -57,7 +57,7 @@ impl WebConfig {
         self.listen_address().err().into_iter().chain(names).chain(self.warn.check()).collect()
     }
 
-    /// The address to listen on, if the configuration allows it.
+    /// Returns the address to listen on, if the configuration allows it.
     pub(crate) fn listen_address(&self) -> Result<SocketAddr, Problem> {
         let problem = |message| Problem { key: "listen", message };
         let address: SocketAddr = self.listen.parse().map_err(|_| {

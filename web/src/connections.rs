@@ -2,7 +2,7 @@
 //!
 //! At most [`Limits::connections`] are open at a time, and addresses share them ([`FairPlaces`]): a further connection closes the oldest
 //! one of the address that has most, or is closed itself.
-//! Of the streams that never end, at most [`Limits::streams`] are open, shared in the same way, and [`Limits::streams_per_address`] of
+//! Streams never end: at most [`Limits::streams`] are open, shared in the same way, and [`Limits::streams_per_address`] of
 //! one address, so that connections and processor time remain for all other requests; further streams are answered with 503.
 //! A connection that does not complete the header of its first or next request within [`Limits::silence`] is closed, whether it is idle
 //! or sends byte by byte. A connection whose peer reads nothing for [`Limits::unread`] is closed as well.
@@ -112,7 +112,7 @@ pub(crate) struct Streams {
 }
 
 impl Streams {
-    /// The place of one more stream.
+    /// Returns the place of one more stream.
     pub(crate) async fn take(&self) -> Result<Place, WebError> {
         self.places.take(self.address, self.leave.clone()).await.map_err(|refused| {
             WebError::TooManyStreams(match refused {

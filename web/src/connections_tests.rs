@@ -67,14 +67,14 @@ impl Server {
         TcpStream::connect(self.address).await.expect("connects")
     }
 
-    /// A connection that sent this.
+    /// Returns a connection that sent this.
     async fn sent(&self, text: &str) -> TcpStream {
         let mut stream = self.connect().await;
         stream.write_all(text.as_bytes()).await.expect("sends");
         stream
     }
 
-    /// A connection that had its first answer and is still open.
+    /// Returns a connection that had its first answer and is still open.
     async fn answered(&self) -> TcpStream {
         let mut stream = self.sent("GET / HTTP/1.1\r\nHost: here\r\n\r\n").await;
         let mut heard = String::new();

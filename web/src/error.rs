@@ -59,7 +59,7 @@ pub(crate) enum WebError {
 }
 
 impl WebError {
-    /// The error for a run that is not stored.
+    /// Returns the error for a run that is not stored.
     pub(crate) fn no_run(number: i64) -> Self {
         Self::NotFound(format!("no run {number} is stored"))
     }

@@ -59,7 +59,7 @@ impl FairPlaces {
         Self { count, of_one_address, free: Arc::new(Semaphore::new(count)), held: Arc::default() }
     }
 
-    /// A place for one more of `address`. Where all are taken, the oldest of the address that has most is given up: its
+    /// Returns a place for one more of `address`. Where all are taken, the oldest of the address that has most is given up: its
     /// token is cancelled, and this waits until its place is dropped. `leave` is the token of the new place.
     ///
     /// # Errors

@@ -22,12 +22,12 @@ pub(crate) const LATENESS: &str = "lateness";
 /// Values that tell how often a model was right, and how they are shown: means of 0 and 1.
 pub(crate) const ACCURACIES: [(&str, &str); 2] = [("top-1", "Top-1"), ("top-5", "Top-5")];
 
-/// The name of a stage where there is little room.
+/// Returns the name of a stage where there is little room.
 pub(crate) fn short(name: &str) -> &str {
     if name == NETWORK { "up + down" } else { name }
 }
 
-/// The entries of the key: waiting looks the same wherever one waits, and so does making a sample ready to cross a border.
+/// Returns the entries of the key: stages of one colour, such as the two queues, share an entry.
 pub(crate) fn key() -> impl Iterator<Item = &'static str> {
     STACK.iter().copied().filter(|name| class(name) == *name)
 }
@@ -38,7 +38,7 @@ pub(crate) fn entry(name: &str) -> &str {
     if name == "encode" { "encode, ipc" } else { name }
 }
 
-/// The colour class of a node: `f-CLASS` fills, `o-CLASS` is text on the fill.
+/// Returns the colour class of a node: `f-CLASS` is the fill, `o-CLASS` the text on it.
 pub(crate) fn class(name: &str) -> &'static str {
     match name {
         "send-queue" | "queue" => "queue",

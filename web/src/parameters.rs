@@ -37,7 +37,7 @@ impl<S: Send + Sync, T: DeserializeOwned> FromRequestParts<S> for Parameters<T> 
     }
 }
 
-/// A number within its limits, or its default.
+/// Returns a number within its limits, or its default.
 pub(crate) fn bounded<N: PartialOrd + Display + FromStr>(
     name: &str,
     value: Option<&str>,
@@ -64,12 +64,12 @@ pub(crate) fn names(parameter: &str, text: &str) -> Result<Vec<Name>, WebError> 
     Ok(names)
 }
 
-/// A name of a host or pipeline.
+/// Returns a name of a host or pipeline.
 pub(crate) fn slug(name: &str, value: &str) -> Result<Slug, WebError> {
     value.parse().map_err(|error| WebError::BadRequest(format!("query parameter {name}: {error}")))
 }
 
-/// A moment in RFC 3339.
+/// Returns a moment in RFC 3339.
 pub(crate) fn moment(name: &str, value: &str) -> Result<WallTime, WebError> {
     let parsed = DateTime::parse_from_rfc3339(value).ok().and_then(|time| time.timestamp_nanos_opt());
     parsed.map(WallTime::from_unix_nanos).ok_or_else(|| {
@@ -79,7 +79,7 @@ pub(crate) fn moment(name: &str, value: &str) -> Result<WallTime, WebError> {
     })
 }
 
-/// The values of a path.
+/// Returns the values of a path.
 pub(crate) fn path<T>(path: Result<Path<T>, PathRejection>) -> Result<T, WebError> {
     path.map(|Path(value)| value).map_err(|rejection| {
         let text = rejection.body_text();

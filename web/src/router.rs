@@ -33,7 +33,7 @@ const PATIENCE: Duration = Duration::from_secs(30);
 /// Paths, with all below them, that programs read: the API, Prometheus and supervisors.
 const FOR_PROGRAMS: [&str; 4] = ["/api", "/metrics", "/healthz", "/readyz"];
 
-/// The whole server.
+/// Returns the whole server.
 pub(crate) fn build(app: App) -> Router {
     let header = |name: HeaderName, value| {
         SetResponseHeaderLayer::if_not_present(name, HeaderValue::from_static(value))
@@ -113,7 +113,7 @@ async fn render_error(State(app): State<App>, request: Request, next: Next) -> R
     rendered
 }
 
-/// The answer for an address that is not there.
+/// Returns the answer for an address that is not there.
 async fn no_such_page(request: Request) -> WebError {
     let path = request.uri().path();
     // Who has an edge and a cloud at hand writes them as a folder and a file.

@@ -22,7 +22,7 @@ pub(crate) fn is_name(text: &str) -> bool {
 pub(crate) struct ServerNames(Vec<String>);
 
 impl ServerNames {
-    /// The configured names, and the machine's own with and without `.local` (multicast DNS).
+    /// Returns the configured names, and the machine's own with and without `.local` (multicast DNS).
     pub(crate) fn new(configured: &[String]) -> Self {
         let machine = std::fs::read_to_string("/proc/sys/kernel/hostname").unwrap_or_default();
         let machine = machine.trim();

@@ -58,7 +58,7 @@ impl AppState {
         })
     }
 
-    /// The live picture, now.
+    /// Returns the live picture, now.
     pub(crate) fn picture(&self) -> Arc<LiveState> {
         Arc::clone(&self.aggregator.live().borrow())
     }
@@ -75,7 +75,7 @@ impl AppState {
         failures.count(failure, None, self.clock.mono())
     }
 
-    /// The newest incidents, as many as a live page shows.
+    /// Returns the newest incidents, as many as a live page shows.
     pub(crate) async fn newest_incidents(&self) -> Result<Vec<IncidentRow>, StoreError> {
         let recent = self.recent_incidents().await?;
         Ok(recent.iter().take(Self::INCIDENTS).cloned().collect())

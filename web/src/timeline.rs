@@ -74,7 +74,7 @@ fn transits(tree: &Tree) -> impl Iterator<Item = (&Node, &Transit)> {
     })
 }
 
-/// The stay at host `index`, from the message that came there and the one that came back.
+/// Returns the stay at host `index`, from the message that came there and the one that came back.
 fn visit(tree: &Tree, index: usize, together: Option<f64>) -> Option<Visit> {
     let edge = tree.anchors().first()?;
     let anchor = tree.anchors().get(index)?;
@@ -196,7 +196,7 @@ impl Timeline {
         }
     }
 
-    /// The other host's stay, if there is exactly one.
+    /// Returns the other host's stay, if there is exactly one.
     pub(crate) fn visit(&self) -> Option<&Visit> {
         match self.visits.as_slice() {
             [Some(visit)] => Some(visit),

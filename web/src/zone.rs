@@ -41,7 +41,7 @@ impl Zone {
         self.at(time).offset().local_minus_utc()
     }
 
-    /// The zone's name at a moment: `UTC`, `UTC+1`, `UTC−3:30`.
+    /// Returns the zone's name at a moment: `UTC`, `UTC+1`, `UTC−3:30`.
     pub(crate) fn name(self, time: WallTime) -> String {
         let seconds = self.offset_seconds(time);
         let (sign, minutes) = (if seconds < 0 { '\u{2212}' } else { '+' }, seconds.unsigned_abs() / 60);
@@ -52,7 +52,7 @@ impl Zone {
         }
     }
 
-    /// A moment with all its forms.
+    /// Returns a moment with all its forms.
     pub(crate) fn moment(self, time: WallTime) -> Moment {
         Moment(self.at(time))
     }
@@ -106,29 +106,29 @@ impl From<Zone> for String {
 pub(crate) struct Moment(DateTime<FixedOffset>);
 
 impl Moment {
-    /// `14:11:02`.
+    /// Returns `14:11:02`.
     pub(crate) fn clock(&self) -> String {
         self.0.format("%H:%M:%S").to_string()
     }
 
-    /// `14:11`.
+    /// Returns `14:11`.
     pub(crate) fn minute(&self) -> String {
         self.0.format("%H:%M").to_string()
     }
 
-    /// `13:46:56.400`.
+    /// Returns `13:46:56.400`.
     pub(crate) fn milliseconds(&self) -> String {
         self.0.format("%H:%M:%S%.3f").to_string()
     }
 
-    /// `19 Nov 2026`.
+    /// Returns `19 Nov 2026`.
     pub(crate) fn date(&self) -> String {
         self.0.format("%-d %b %Y").to_string()
     }
 }
 
 impl fmt::Display for Moment {
-    /// The form of HTML's `datetime` attribute.
+    /// Writes the form of HTML's `datetime` attribute.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(&self.0.to_rfc3339_opts(chrono::SecondsFormat::Millis, true))
     }

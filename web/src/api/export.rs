@@ -19,7 +19,7 @@ use crate::error::{ProblemDetails, WebError};
 use crate::parameters::{Parameters, path};
 use crate::state::App;
 
-/// The operations of this resource.
+/// Returns the operations of this resource.
 pub(super) fn routes() -> OpenApiRouter<App> {
     OpenApiRouter::new().routes(routes!(table))
 }
@@ -94,7 +94,7 @@ struct Begun {
     through: u64,
 }
 
-/// The columns that a run needs, and the number of its last iteration.
+/// Returns the columns that a run needs, and the number of its last iteration.
 async fn columns(store: &Store, run: &RunSummary) -> Result<(Header, u64), WebError> {
     let (mut header, mut through) = (Header::default(), 0);
     while let Some((last, firsts)) = store.shapes(run, through).await? {

@@ -13,7 +13,7 @@ use utoipa_axum::routes;
 
 use crate::state::App;
 
-/// The operations of this resource.
+/// Returns the operations of this resource.
 pub(super) fn routes() -> OpenApiRouter<App> {
     OpenApiRouter::new().routes(routes!(alive)).routes(routes!(ready))
 }

@@ -13,7 +13,7 @@ use crate::error::{ProblemDetails, WebError};
 use crate::parameters::{Parameters, bounded};
 use crate::state::App;
 
-/// The operations of this resource.
+/// Returns the operations of this resource.
 pub(super) fn routes() -> OpenApiRouter<App> {
     OpenApiRouter::new().routes(routes!(list))
 }

@@ -43,7 +43,7 @@ fn described() -> OpenApiRouter<App> {
         .merge(metrics::routes())
 }
 
-/// The OpenAPI document.
+/// Returns the OpenAPI document.
 #[cfg(test)]
 fn document() -> utoipa::openapi::OpenApi {
     parts().1

@@ -10,7 +10,7 @@ use crate::error::{ProblemDetails, WebError};
 use crate::parameters::path;
 use crate::state::{App, AppState};
 
-/// The operations of this resource.
+/// Returns the operations of this resource.
 pub(super) fn routes() -> OpenApiRouter<App> {
     OpenApiRouter::new().routes(routes!(put, delete))
 }

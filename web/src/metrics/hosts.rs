@@ -6,7 +6,7 @@ use peernet_clock::Span;
 use super::scrape::Scrape;
 use super::table::{Sample, Sink};
 
-/// A sample of each host.
+/// Writes a sample of each host.
 pub(super) fn each(scrape: &Scrape, to: &mut Sink<'_>, of: impl Fn(&HostSnapshot) -> Sample) {
     scrape.hosts.iter().for_each(|host| to(&[host.description.name.as_str()], of(host)));
 }

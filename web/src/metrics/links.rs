@@ -10,7 +10,7 @@ use super::table::{Sample, Sink};
 /// Time over which probes are counted.
 const WINDOW: Span = Span::from_seconds(60);
 
-/// A sample of each link that has one.
+/// Writes a sample of each link that has one.
 pub(super) fn each(scrape: &Scrape, to: &mut Sink<'_>, of: impl Fn(&LinkSnapshot) -> Option<Sample>) {
     for link in &scrape.links {
         if let Some(sample) = of(link) {
@@ -71,7 +71,7 @@ impl End {
     }
 }
 
-/// A total of each direction of each connection that an end knows.
+/// Writes a total of each direction of each connection that an end knows.
 pub(super) fn directions(
     scrape: &Scrape,
     to: &mut Sink<'_>,

@@ -32,7 +32,7 @@ use crate::state::App;
 /// <https://prometheus.io/docs/specs/om/open_metrics_spec/>
 const FORM: &str = "application/openmetrics-text; version=1.0.0; charset=utf-8";
 
-/// The operations of this resource.
+/// Returns the operations of this resource.
 pub(crate) fn routes() -> OpenApiRouter<App> {
     OpenApiRouter::new().routes(routes!(serve))
 }

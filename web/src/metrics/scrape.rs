@@ -70,7 +70,7 @@ impl Scrape {
         Self { aggregator, hosts, pipelines, links, connections, omitted }
     }
 
-    /// The connections, each with its link.
+    /// Returns the connections, each with its link.
     pub(super) fn connections(&self) -> impl Iterator<Item = (&LinkSnapshot, &Connection)> {
         self.connections
             .iter()

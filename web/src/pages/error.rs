@@ -13,7 +13,7 @@ struct ErrorPage<'a> {
     problem: &'a ProblemDetails,
 }
 
-/// The page of a problem; its bare text if even that cannot be rendered.
+/// Returns the page of a problem; its bare text if even that cannot be rendered.
 pub(crate) fn render(app: &AppState, problem: &ProblemDetails) -> String {
     let shell = Shell::new(app, &app.picture(), "", problem.title());
     ErrorPage { shell, problem }.render().unwrap_or_else(|_| problem.detail().to_owned())

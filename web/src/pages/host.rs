@@ -138,7 +138,7 @@ fn steps(clock: &HostClock) -> String {
     }
 }
 
-/// The links of a host with the addresses of their pages.
+/// Returns the links of a host with the addresses of their pages.
 fn links(picture: &LiveState, name: &str) -> Vec<(String, String)> {
     let mine = picture.links.iter().map(|link| Subject::live(link));
     let mine = mine.filter(|link| link.edge == name || link.cloud == name);

@@ -220,7 +220,7 @@ pub(super) async fn update(app: &AppState, picture: &LiveState, rest: &str) -> R
     Ok(Update::new(page.shell.title, parts))
 }
 
-/// The incidents of both hosts that fall into a course, at their times on the edge's clock, newest first.
+/// Returns the incidents of both hosts that fall into a course, at their times on the edge's clock, newest first.
 fn concerning(subject: &Subject<'_>, course: &Course, rows: &[IncidentRow]) -> Vec<IncidentRow> {
     let names = [subject.edge.as_str(), subject.cloud.as_str()];
     let known = |name: &str| names.contains(&name);

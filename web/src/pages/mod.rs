@@ -59,7 +59,7 @@ pub(crate) fn routes() -> Router<App> {
     PAGES.iter().fold(Router::new(), |router, page| router.merge((page.routes)()))
 }
 
-/// The entries of the navigation.
+/// Returns the entries of the navigation.
 fn entries() -> impl Iterator<Item = &'static NavigationEntry> {
     PAGES.iter().filter_map(|page| page.entry.as_ref())
 }
@@ -73,7 +73,7 @@ pub(crate) fn topic_forms() -> impl Iterator<Item = &'static str> {
     live_topics().map(|topic| topic.form)
 }
 
-/// The topic of a live page.
+/// Returns the topic of a live page.
 pub(crate) fn topic(text: &str) -> Option<PageTopic> {
     PageTopic::find(text, live_topics())
 }
@@ -82,7 +82,7 @@ fn page(template: &impl Template) -> Page {
     Ok(Html(template.render()?))
 }
 
-/// The values of a path; nonsense in it is an address that does not exist.
+/// Returns the values of a path; nonsense in it is an address that does not exist.
 fn path<T>(path: Result<Path<T>, PathRejection>) -> Result<T, WebError> {
     path.map(|Path(value)| value).map_err(|rejection| WebError::NotFound(rejection.body_text()))
 }
@@ -103,7 +103,7 @@ pub(crate) struct Update {
 }
 
 impl Update {
-    /// An update of a page without charts.
+    /// Returns an update of a page without charts.
     fn new(title: String, parts: Vec<(&'static str, String)>) -> Self {
         Self { layout: String::new(), title, parts, marks: Vec::new(), obstacles: Vec::new() }
     }

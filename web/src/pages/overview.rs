@@ -95,7 +95,7 @@ pub(super) async fn update(app: &AppState, picture: &LiveState) -> Result<Update
 
 type Incidents = Result<Vec<IncidentRow>, String>;
 
-/// The newest incidents. A store that fails breaks its panel and nothing else.
+/// Returns the newest incidents. A store that fails breaks its panel and nothing else.
 async fn incidents(app: &AppState) -> Incidents {
     let rows = app.newest_incidents().await;
     rows.map_err(|error| WebError::from(error).to_problem(app).id().unwrap_or_default().to_owned())

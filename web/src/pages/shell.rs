@@ -37,12 +37,12 @@ impl Shell {
     /// Version of the program.
     pub(crate) const VERSION: &'static str = env!("CARGO_PKG_VERSION");
 
-    /// The entries of the navigation.
+    /// Returns the entries of the navigation.
     pub(crate) fn navigation() -> impl Iterator<Item = &'static NavigationEntry> {
         super::entries()
     }
 
-    /// The shell of a page that live updates do not change.
+    /// Returns the shell of a page that live updates do not change.
     pub(crate) fn new(
         app: &AppState,
         picture: &LiveState,

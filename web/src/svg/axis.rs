@@ -17,7 +17,7 @@ pub(crate) struct Scale {
 }
 
 impl Scale {
-    /// A scale that holds values up to `largest` with about `ticks` steps of 1, 2 or 5 times a power of ten.
+    /// Returns a scale that holds values up to `largest` with about `ticks` steps of 1, 2 or 5 times a power of ten.
     pub(crate) fn fit(largest: f64, ticks: usize) -> Self {
         let largest = if largest.is_finite() && largest > 0.0 { largest } else { 1.0 };
         let rough = largest / ticks.max(1) as f64;
@@ -27,7 +27,7 @@ impl Scale {
         Self { max: (largest / step - 1e-9).ceil().max(1.0) * step, step }
     }
 
-    /// A scale that ends exactly at `largest`, for a bar that fills its panel and has no axis.
+    /// Returns a scale that ends exactly at `largest`, for a bar that fills its panel and has no axis.
     pub(crate) fn whole(largest: f64) -> Self {
         let max = if largest.is_finite() && largest > 0.0 { largest } else { 1.0 };
         Self { max, step: max }
@@ -61,7 +61,7 @@ impl Scale {
         (0..=(max / step).round() as u32).map(move |tick| f64::from(tick) * step)
     }
 
-    /// The ticks' labels.
+    /// Returns the ticks' labels.
     pub(crate) fn labels(&self) -> Vec<String> {
         let decimals = (-self.step.log10().floor()).clamp(0.0, 6.0) as usize;
         self.values()
@@ -170,7 +170,7 @@ mod tests {
     }
 
     impl Axis {
-        /// The labels that are shown in a picture of `width` rem.
+        /// Returns the labels that are shown in a picture of `width` rem.
         pub(crate) fn labels_at(&self, width: u16) -> Vec<&str> {
             let shown = self.labels.iter().filter_map(|label| label.text.shown());
             shown.filter(|(_, from)| *from <= width).map(|(text, _)| text).collect()

@@ -74,7 +74,7 @@ struct Whisker {
     beyond: bool,
 }
 
-/// A value inside a segment, where there is room for few digits.
+/// Returns a value inside a segment, where there is room for few digits.
 fn short(milliseconds: f64) -> String {
     if (1.0..9.95).contains(&milliseconds) { fixed(milliseconds, 1) } else { figure(milliseconds) }
 }
@@ -173,7 +173,7 @@ pub(crate) struct ShareBar {
 impl askama::filters::HtmlSafe for ShareBar {}
 
 impl ShareBar {
-    /// The bar of a share between 0 and 1; a full bar leaves room for its number.
+    /// Returns the bar of a share between 0 and 1; a full bar leaves room for its number.
     pub(crate) fn new(name: &str, share: f64) -> Self {
         const FULL: f64 = 72.0;
         let width = share.clamp(0.0, 1.0) * FULL;

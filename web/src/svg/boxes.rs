@@ -36,7 +36,7 @@ pub(crate) struct Five {
 }
 
 impl Five {
-    /// `None` without samples. Quantiles are within 1 % of the true ones.
+    /// Returns the numbers of a distribution; `None` without samples. Quantiles are within 1 % of the true ones.
     pub(crate) fn of(summary: &Summary) -> Option<Self> {
         let [p5, p25, p50, p75, p95] = [0.05, 0.25, 0.5, 0.75, 0.95].map(|q| summary.quantile(q));
         let tails = p5.zip(p95).filter(|_| summary.count() >= P95_NEEDS);

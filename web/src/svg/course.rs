@@ -61,7 +61,7 @@ pub(crate) struct CourseData {
 }
 
 impl CourseData {
-    /// The largest quantile; where no bucket has enough samples for a high one, that of the whole run.
+    /// Returns the largest quantile; where no bucket has enough samples for a high one, that of the whole run.
     fn reach(&self) -> f64 {
         let largest =
             |of: fn(&CourseBucket) -> Option<f64>| self.buckets.iter().filter_map(of).reduce(f64::max);
@@ -161,7 +161,7 @@ pub(crate) struct CoursePlot {
 impl askama::filters::HtmlSafe for CoursePlot {}
 
 impl CoursePlot {
-    /// A course on axes that hold it.
+    /// Returns a course on axes that hold it.
     pub(crate) fn new(course: &CourseData, axes: &CourseAxes) -> Self {
         let path =
             |points: Vec<Option<(f64, f64)>>| points.into_iter().map(|point| point.map(|it| axes.at(it)));

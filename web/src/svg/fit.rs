@@ -10,7 +10,7 @@ const STEPS: [u16; 14] = [8, 10, 12, 15, 18, 21, 25, 30, 36, 43, 52, 62, 75, 90]
 const CHARACTER: f64 = 0.4;
 const ABOUT: f64 = 0.3;
 
-/// A text's width with the space about it, rem.
+/// Returns a text's width with the space about it, rem.
 pub(super) fn width(text: &str) -> f64 {
     text.chars().count() as f64 * CHARACTER + ABOUT
 }
@@ -32,7 +32,7 @@ impl Fitted {
         Self { text, width, needs: width / share * 100.0 }
     }
 
-    /// A text that nothing limits.
+    /// Returns a text that nothing limits.
     pub(super) fn anywhere(text: String) -> Self {
         Self { width: width(&text), text, needs: 0.0 }
     }
@@ -48,7 +48,7 @@ impl Fitted {
         self.apart(free, self.width / 2.0);
     }
 
-    /// The text, and the first of the style sheet's widths at which it fits; `None` if it fits in none.
+    /// Returns the text, and the first of the style sheet's widths at which it fits; `None` if it fits in none.
     pub(super) fn shown(&self) -> Option<(&str, u16)> {
         let step = STEPS.into_iter().find(|step| f64::from(*step) >= self.needs)?;
         Some((&self.text, step))

@@ -60,7 +60,7 @@ pub(crate) fn shown_in(unit: &str) -> (String, f64) {
 }
 
 impl HistogramPlot {
-    /// The plot of a distribution; `look` is the class of its colour.
+    /// Returns the plot of a distribution; `look` is the class of its colour.
     pub(crate) fn new(histogram: &Histogram, look: &'static str, view: DistributionView, log: bool) -> Self {
         let (unit, factor) = shown_in(&histogram.unit);
         let lo = histogram.edges.first().copied().unwrap_or(0.0) * factor;

@@ -33,7 +33,7 @@ pub(crate) fn line(points: impl IntoIterator<Item = Option<At>>) -> String {
     path
 }
 
-/// The area between two lines, in pieces where a value is missing.
+/// Returns the area between two lines, in pieces where a value is missing.
 pub(crate) fn band(points: impl IntoIterator<Item = Option<(f64, f64, f64)>>) -> String {
     let mut path = String::new();
     let mut piece: Vec<(f64, f64, f64)> = Vec::new();
@@ -57,7 +57,7 @@ pub(crate) fn band(points: impl IntoIterator<Item = Option<(f64, f64, f64)>>) ->
     path
 }
 
-/// The area between a line and the lower end of the sheet, in pieces where a value is missing.
+/// Returns the area between a line and the lower end of the sheet, in pieces where a value is missing.
 pub(crate) fn area(points: impl IntoIterator<Item = Option<At>>) -> String {
     let (mut path, mut last) = (String::new(), None);
     for point in points.into_iter().chain([None]) {

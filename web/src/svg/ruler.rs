@@ -58,12 +58,12 @@ impl Ruler {
         (self.lo..=self.hi).contains(&value)
     }
 
-    /// The upper end.
+    /// Returns the upper end.
     pub(crate) fn end(&self) -> f64 {
         self.hi
     }
 
-    /// The upper end as its tick names it, without a sign.
+    /// Returns the upper end as its tick names it, without a sign.
     pub(crate) fn end_label(&self) -> String {
         self.label(self.hi)
     }

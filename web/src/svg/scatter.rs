@@ -192,7 +192,7 @@ impl Scatter {
     }
 }
 
-/// A name at each point where there is room: right, left, above, below or askew, where nothing that is drawn runs through
+/// Returns a name at each point where there is room: right, left, above, below or askew, where nothing that is drawn runs through
 /// it if there is such a place; where there is no room, it joins the nearest name.
 fn beside<'a>(
     dots: &[Dot],
@@ -239,7 +239,7 @@ fn beside<'a>(
     names
 }
 
-/// `local, cloud and 4 more`: in the order of their points, each name once.
+/// Returns `local, cloud and 4 more`: in the order of their points, each name once.
 fn listed(points: &[(usize, String)]) -> String {
     let mut sorted = points.to_vec();
     sorted.sort();

@@ -72,7 +72,7 @@ impl SmallAxis {
         ((1.0 - below) * samples.count() as f64).round() as u64
     }
 
-    /// The edges in SI; the last bin takes the largest sample in where the axis ends there.
+    /// Returns the edges in SI; the last bin takes the largest sample in where the axis ends there.
     fn si(&self, samples: &Summary) -> Vec<f64> {
         let mut edges: Vec<f64> = self.edges.iter().map(|edge| edge / self.factor).collect();
         if let Some(end) = edges.last_mut().filter(|end| **end * (1.0 + ROUNDING) >= samples.moments.max) {

@@ -18,7 +18,7 @@ impl askama::filters::HtmlSafe for Spark {}
 impl Spark {
     const HEIGHT: f64 = 20.0;
 
-    /// The line of `values`; a moment without a value parts it.
+    /// Returns the line of `values`; a moment without a value parts it.
     pub(crate) fn new(label: String, values: &[Option<f64>]) -> Self {
         let step = 100.0 / values.len().saturating_sub(1).max(1) as f64;
         let (mut area, mut line) = (String::new(), String::new());

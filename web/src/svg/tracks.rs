@@ -91,12 +91,12 @@ pub(crate) struct Curve {
 }
 
 impl Track {
-    /// A track on that scale.
+    /// Returns a track on that scale.
     pub(crate) fn new(title: String, ruler: &Ruler) -> Self {
         Self { title, note: String::new(), class: "", ticks: ruler.ticks(), curves: Vec::new(), beyond: None }
     }
 
-    /// The ticks, where there is something to read off: an axis of nothing would be made up.
+    /// Returns the ticks, where there is something to read off: an axis of nothing would be made up.
     fn scale(&self) -> &[(Percent, String)] {
         if self.curves.is_empty() { &[] } else { &self.ticks }
     }

@@ -53,7 +53,7 @@ fn stretch(scale: &Scale, start: f64, length: f64) -> (Percent, Percent) {
     (from, Percent((to.0 - from.0).max(THINNEST)))
 }
 
-/// The strips in which a host's stay may shift: around its arrival and around its answer.
+/// Returns the strips in which a host's stay may shift: around its arrival and around its answer.
 fn bands(visit: &Visit, scale: &Scale) -> Vec<(Percent, Percent)> {
     let (earlier, later) = visit.shift;
     if later - earlier <= 0.0 {
@@ -64,7 +64,7 @@ fn bands(visit: &Visit, scale: &Scale) -> Vec<(Percent, Percent)> {
 }
 
 impl WaterfallRow {
-    /// The bar of a node; `tick` marks the run's median in it.
+    /// Returns the bar of a node; `tick` marks the run's median in it.
     pub(crate) fn new(node: &Placed, timeline: &Timeline, scale: &Scale, tick: bool) -> Self {
         let visit = timeline.visit();
         let away = node.at != Where::Host(0);
@@ -104,19 +104,19 @@ impl WaterfallRow {
         }
     }
 
-    /// The bar of the whole.
+    /// Returns the bar of the whole.
     pub(crate) fn total(seconds: f64, scale: &Scale) -> Self {
         Self { look: "total", grid: scale.grid(), bar: Some(stretch(scale, 0.0, seconds)), ..Self::default() }
     }
 
-    /// A row without a bar.
+    /// Returns a row without a bar.
     pub(crate) fn blank(scale: &Scale) -> Self {
         Self { grid: scale.grid(), ..Self::default() }
     }
 }
 
 impl Lanes {
-    /// The rails of an iteration that went to exactly one other host.
+    /// Returns the rails of an iteration that went to exactly one other host.
     pub(crate) fn new(timeline: &Timeline, label: String, scale: &Scale) -> Option<Self> {
         let visit = timeline.visit()?;
         let on = |host: u8| {

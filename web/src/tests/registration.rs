@@ -39,7 +39,7 @@ fn add_files(folder: &Path, found: &mut Vec<(PathBuf, String)>) {
     }
 }
 
-/// The first names of all paths below a module: `a` and `b` of `module::{a::c, b}`, `d` of `module::d`.
+/// Returns the first names of all paths below a module: `a` and `b` of `module::{a::c, b}`, `d` of `module::d`.
 fn names_below<'a>(text: &'a str, module: &str) -> Vec<&'a str> {
     let first = |path: &'a str| {
         let path = path.trim_start();

@@ -87,7 +87,7 @@ fn transfers(messages: u64, upload: Option<f64>) -> Transfers {
     })
 }
 
-/// A window whose means are `scale` times the usual ones.
+/// Returns a window whose means are `scale` times the usual ones.
 pub(crate) fn window(seconds: u32, hz: f64, scale: f64, verdict: Verdict) -> Window {
     let ok = (f64::from(seconds) * hz) as u64;
     let crossing = |name: &str| matches!(name, "upload" | "download");
@@ -128,7 +128,7 @@ pub(crate) fn placement(kind: PlacementKind) -> Placement {
     }
 }
 
-/// A pipeline; seconds whose place in `gaps` is reached are missing from its series.
+/// Returns a pipeline; seconds whose place in `gaps` is reached are missing from its series.
 pub(crate) fn pipeline(name: &str, hz: f64, scale: f64, verdict: Verdict, gaps: &[i64]) -> PipelineSnapshot {
     let last = NOW.unix_seconds();
     let series = (last - 120..=last).filter(|at| !gaps.contains(&(last - at)));
@@ -207,7 +207,7 @@ pub(crate) fn host(name: &str, kind: &str) -> HostSnapshot {
     }
 }
 
-/// An account that adds up: some events wait, some were dropped.
+/// Returns an account that adds up: some events wait, some were dropped.
 pub(crate) fn accounting() -> Accounting {
     Accounting {
         produced: 1_204_500,
@@ -313,7 +313,7 @@ pub(crate) fn clock_point(at: WallTime, window: u64, half: Option<f64>) -> Clock
     }
 }
 
-/// A link from `cam-1` to `rack-a` of two minutes; seconds whose place in `gaps` is reached are missing.
+/// Returns a link from `cam-1` to `rack-a` of two minutes; seconds whose place in `gaps` is reached are missing.
 pub(crate) fn link(half: Option<f64>, gaps: &[i64]) -> LinkSnapshot {
     let second = |ago: i64| WallTime::from_unix_nanos((NOW.unix_seconds() - ago) * 1_000_000_000);
     let known = (0..120).rev().filter(|ago| !gaps.contains(ago));
@@ -343,7 +343,7 @@ pub(crate) fn link(half: Option<f64>, gaps: &[i64]) -> LinkSnapshot {
     }
 }
 
-/// The connection of the pipeline `line` on the link of [`link`].
+/// Returns the connection of the pipeline `line` on the link of [`link`].
 fn connection() -> Connection {
     let sent = DirectionStatistics {
         bytes: 1_250_000_000,

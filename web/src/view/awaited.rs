@@ -17,7 +17,7 @@ pub(crate) fn starting(picture: &LiveState, since: WallTime) -> bool {
     known && picture.pipelines.is_empty() && (picture.hosts.is_empty() || picture.at - since < PATIENCE)
 }
 
-/// `2 hosts are known from before`; `None` where none is.
+/// Returns `2 hosts are known from before`; `None` where none is.
 pub(crate) fn known(picture: &LiveState) -> Option<String> {
     (picture.absent > 0).then(|| {
         let verb = if picture.absent == 1 { "is" } else { "are" };

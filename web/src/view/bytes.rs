@@ -68,7 +68,7 @@ impl ByteRow {
     }
 }
 
-/// A throughput; over a delay that is known only within a wide bound its interval, never one figure.
+/// Returns a throughput; over a delay that is known only within a wide bound its interval, never one figure.
 fn speed_of(detail: &IterationDetail, name: &str, delay: &str) -> (String, &'static str) {
     let node =
         |name: &str| detail.tree.nodes().iter().find(|node| node.name == *name).map(|node| &node.measure);
@@ -117,7 +117,7 @@ impl Beside {
     }
 }
 
-/// A node's names from below the root, as `inference / tokens`.
+/// Returns a node's names from below the root, as `inference / tokens`.
 fn path(detail: &IterationDetail, of: NodeId) -> String {
     let mut names = Vec::new();
     let mut at = Some(of);

@@ -126,7 +126,7 @@ struct PageData<'a> {
     marks: &'a [Mark],
 }
 
-/// The node names whose means a chart draws.
+/// Returns the node names whose means a chart draws.
 fn drawn() -> impl Iterator<Item = &'static str> {
     look::STACK.iter().copied().chain(["total"])
 }
@@ -169,7 +169,7 @@ impl ChartCard {
         (self.key.clone(), self.data.obstacles)
     }
 
-    /// The JSON block of a page with these charts.
+    /// Returns the JSON block of a page with these charts.
     pub(crate) fn data(cards: &[Self], marks: &[Mark]) -> Result<JsonBlock, serde_json::Error> {
         JsonBlock::new(&PageData { charts: cards.iter().map(|card| &card.data).collect(), marks })
     }

@@ -17,7 +17,7 @@ pub(crate) enum Tone {
 }
 
 impl Tone {
-    /// The class that carries its colour.
+    /// Returns the class that carries its colour.
     pub(crate) const fn class(self) -> &'static str {
         match self {
             Self::Ok => "ok",
@@ -47,7 +47,7 @@ impl Chip {
         Self { tone, sign, word }
     }
 
-    /// The chip of a verdict.
+    /// Returns the chip of a verdict.
     pub(crate) const fn verdict(verdict: Verdict) -> Self {
         let tone = match verdict {
             Verdict::Ok => Tone::Ok,

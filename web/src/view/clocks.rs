@@ -21,7 +21,7 @@ pub(crate) struct ClockCell {
     pub title: &'static str,
 }
 
-/// The verdict on the delays of one direction.
+/// Returns the verdict on the delays of one direction.
 pub(crate) fn verdict(bound: &Bound) -> Option<Verdict> {
     prevailing(&bound.verdicts)
 }
@@ -51,7 +51,7 @@ pub(crate) const fn meaning(verdict: Verdict) -> &'static str {
 }
 
 impl ClockCell {
-    /// The cell for both directions together: the larger bound and the worse verdict.
+    /// Returns the cell for both directions together: the larger bound and the worse verdict.
     pub(crate) fn of(kind: PlacementKind, bounds: &[Bound]) -> Self {
         if kind != PlacementKind::Remote {
             let title = "one host: nothing crosses between clocks";

@@ -7,7 +7,7 @@ pub(crate) const OVERVIEW: usize = 100;
 /// Rows of a list on a separate page.
 pub(crate) const LIST: usize = 500;
 
-/// `the first 100 of 5,000`, where not all of a list are shown.
+/// Returns `the first 100 of 5,000`, where not all of a list are shown.
 pub(crate) fn words(most: usize, all: usize) -> Option<String> {
     (all > most).then(|| format!("the first {} of {}", count(most as u64), count(all as u64)))
 }

@@ -9,7 +9,7 @@ use serde::Serialize;
 pub(crate) struct JsonBlock(String);
 
 impl JsonBlock {
-    /// The JSON form of a value.
+    /// Returns the JSON form of a value.
     pub(crate) fn new(value: &impl Serialize) -> Result<Self, serde_json::Error> {
         let text = serde_json::to_string(value)?;
         let mut safe = String::with_capacity(text.len());

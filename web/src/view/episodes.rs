@@ -17,7 +17,7 @@ pub(crate) fn said(known: &Episodes) -> Option<String> {
     Some(if too_many { format!("{whole}, too many to mark") } else { whole })
 }
 
-/// `3 without an answer`, and how many of them have a mark where not all have; `None` where all were answered.
+/// Returns `3 without an answer`, and how many of them have a mark where not all have; `None` where all were answered.
 pub(crate) fn unanswered(known: &Episodes, run: &RunSummary) -> Option<String> {
     let marked = known.unanswered.len() as u64;
     let counts = &run.counts;

@@ -174,7 +174,7 @@ pub(crate) fn worst(host: &HostSnapshot) -> Option<Remark> {
     remarks(host).into_iter().min_by_key(|remark| Reverse(remark.chip.tone))
 }
 
-/// The aggregator's account, as pairs.
+/// Returns the aggregator's account, as pairs.
 pub(crate) fn stored(
     stored: &Stored,
     arrivals: Option<&Arrivals>,

@@ -33,7 +33,7 @@ pub(crate) struct Health {
 }
 
 impl Health {
-    /// The health that a picture of an aggregator shows that serves since then.
+    /// Returns the health that a picture of an aggregator shows that serves since then.
     pub(crate) fn of(picture: &LiveState, zone: Zone, since: WallTime, warn: &WarnConfig) -> Self {
         let mut notes = Vec::new();
         notes.extend(picture.refused.iter().map(|refused| Note {

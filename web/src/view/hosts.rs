@@ -93,7 +93,7 @@ fn percent(share: Option<f64>) -> String {
     share.map_or_else(|| NONE.to_owned(), |share| fixed(share * 100.0, 0))
 }
 
-/// The name by which people know a machine: its accelerator, else its processor.
+/// Returns the name by which people know a machine: its accelerator, else its processor.
 pub(crate) fn hardware_name(hardware: &Hardware) -> String {
     let name = hardware.gpus.first().unwrap_or(&hardware.cpu);
     ["(R)", "(TM)", "NVIDIA ", "Processor", "CPU"]

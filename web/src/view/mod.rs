@@ -29,7 +29,7 @@ pub(crate) mod trust;
 pub(crate) mod warnings;
 pub(crate) mod waterfall;
 
-/// `1 link`, `3 links`.
+/// Returns `1 link`, `3 links`.
 pub(crate) fn counted(many: usize, one: &str, several: &str) -> String {
     format!("{} {}", peernet_statistics::number::count(many as u64), if many == 1 { one } else { several })
 }

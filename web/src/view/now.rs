@@ -58,7 +58,7 @@ pub(crate) struct NowRow {
     pub total: String,
 }
 
-/// Figure, or the reason why there is none.
+/// Figure, or the reason for its absence.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct Cell {
     pub text: String,
@@ -75,7 +75,7 @@ impl Cell {
     }
 }
 
-/// The chip of a state other than running.
+/// Returns the chip of a state other than running.
 pub(crate) fn state_chip(state: &PipelineState) -> Option<Chip> {
     let (tone, icon) = match state {
         PipelineState::Running => return None,
@@ -99,7 +99,7 @@ pub(crate) fn trouble(state: &PipelineState) -> Option<String> {
     state.reason().map(|reason| format!("{what}: {reason}"))
 }
 
-/// A quantile of `total`.
+/// Returns a quantile of `total`.
 fn quantile(total: Option<&Figures>, needs: u64, of: fn(&Figures) -> Option<f64>) -> (Option<f64>, Cell) {
     let value = total.and_then(of);
     let cell = value.map_or_else(
@@ -113,7 +113,7 @@ fn quantile(total: Option<&Figures>, needs: u64, of: fn(&Figures) -> Option<f64>
 }
 
 impl NowTable {
-    /// The pipelines as they were in the last minute.
+    /// Returns the pipelines as they were in the last minute.
     pub(crate) fn new(pipelines: &[&PipelineSnapshot]) -> Self {
         let windows: Vec<(&PipelineSnapshot, &Window)> =
             pipelines.iter().filter_map(|one| Some((*one, one.window(WINDOW_S)?))).collect();

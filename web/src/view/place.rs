@@ -9,7 +9,7 @@ use peernet_stream::{Placement, PlacementKind};
 /// Text in place of a model and a network.
 const ALONE: &str = "sensor alone";
 
-/// `cam-2 → rack-a` or `cam-1`.
+/// Returns `cam-2 → rack-a` or `cam-1`.
 pub(crate) fn route(host: &str, placement: &Placement) -> String {
     match (placement.kind, &placement.peer, &placement.address) {
         (PlacementKind::Local | PlacementKind::None, ..) => host.to_owned(),
@@ -34,7 +34,7 @@ pub(crate) fn means(placement: &Placement, window: Option<&Window>) -> String {
     }
 }
 
-/// The model with its device: `quality-control, cpu`.
+/// Returns the model with its device: `quality-control, cpu`.
 pub(crate) fn model(placement: &Placement) -> String {
     match &placement.device {
         _ if placement.kind == PlacementKind::None => ALONE.to_owned(),
@@ -43,12 +43,12 @@ pub(crate) fn model(placement: &Placement) -> String {
     }
 }
 
-/// The address of a pipeline's page.
+/// Returns the address of a pipeline's page.
 pub(crate) fn pipeline_href(host: &str, pipeline: &str) -> String {
     format!("/pipelines/{host}/{pipeline}")
 }
 
-/// A run's name for people: `offload-resized #412`.
+/// Returns a run's name for people: `offload-resized #412`.
 pub(crate) fn run_name(run: &RunSummary) -> String {
     format!("{} #{}", run.pipeline, run.number)
 }

@@ -95,7 +95,7 @@ struct Data {
 }
 
 impl Stored<'_> {
-    /// The first iterations without an answer, and why.
+    /// Returns the first iterations without an answer, and why.
     pub(crate) fn unanswered_rows(&self, zone: Zone) -> Vec<Unanswered> {
         let row = |row: &IterationRow| Unanswered {
             number: row.number,
@@ -150,12 +150,12 @@ impl Stored<'_> {
         is_known.then(|| (summary.counts.total() + summary.warm_up) as f64 / lasted)
     }
 
-    /// A scale that holds the slowest iteration.
+    /// Returns a scale that holds the slowest iteration.
     pub(crate) fn scale(&self) -> Scale {
         Scale::fit(self.slowest.first().and_then(|row| row.total).unwrap_or(0.0) * 1e3, 5)
     }
 
-    /// The course of the total, bucket by bucket.
+    /// Returns the course of the total, bucket by bucket.
     pub(crate) fn buckets(&self, zone: Zone) -> Vec<Bucket> {
         let points = self.series.stages.iter().flat_map(|stage| &stage.points);
         let rows = points.map(|point| Bucket {
@@ -211,7 +211,7 @@ impl Stored<'_> {
         .collect()
     }
 
-    /// The speed while sending: a figure, or its interval where the delays are known only within a wide bound.
+    /// Returns the speed while sending: a figure, or its interval where the delays are known only within a wide bound.
     fn speed(&self, way: Way, transfer: Transfer) -> Option<String> {
         let speed = transfer.speed()?;
         let bound = self.known.bounds.iter().find(|bound| bound.stage == *way.delay());
@@ -234,7 +234,7 @@ impl Stored<'_> {
         (seconds > 0.0 && self.standstill().is_none()).then_some(seconds)
     }
 
-    /// The slowest iterations, on one scale.
+    /// Returns the slowest iterations, on one scale.
     pub(crate) fn slow_rows(&self, zone: Zone) -> Vec<Slow> {
         let scale = self.scale();
         let rows = self.slowest.iter().take(SLOWEST).map(|row| {

@@ -70,7 +70,7 @@ fn told(verdict: Option<Verdict>, ok: u64) -> Option<&'static str> {
     }
 }
 
-/// The speed while sending in a direction in MB/s; over a delay that is known within a wide bound, the interval.
+/// Returns the speed while sending in a direction in MB/s; over a delay that is known within a wide bound, the interval.
 pub(crate) fn cell(kind: PlacementKind, window: &Window, way: Way) -> Cell {
     if kind != PlacementKind::Remote {
         return Cell::none("one host: nothing is sent");
@@ -92,7 +92,7 @@ pub(crate) fn cell(kind: PlacementKind, window: &Window, way: Way) -> Cell {
     }
 }
 
-/// The traffic up and down in MB/s, as `0.976 / 0.003`.
+/// Returns the traffic up and down in MB/s, as `0.976 / 0.003`.
 pub(crate) fn traffic(kind: PlacementKind, window: &Window) -> Cell {
     if kind != PlacementKind::Remote {
         return Cell::none("one host: nothing is sent");
@@ -105,12 +105,12 @@ pub(crate) fn traffic(kind: PlacementKind, window: &Window) -> Cell {
     Cell { text: format!("{up} / {down}"), title: Some("up / down, of successful iterations".to_owned()) }
 }
 
-/// The traffic of a direction in bits per second.
+/// Returns the traffic of a direction in bits per second.
 pub(crate) fn carried(window: &Window, way: Way) -> Option<f64> {
     way.of(&window.transfers)?.traffic(window.covered_s)
 }
 
-/// The throughput that follows from the ends of a delay's interval, in MB/s; `None` where the delay has no bound.
+/// Returns the throughput that follows from the ends of a delay's interval, in MB/s; `None` where the delay has no bound.
 pub(crate) fn interval(rate: f64, delay: Option<f64>, half: Option<f64>) -> Option<String> {
     let (delay, half) = delay.zip(half)?;
     Some(throughput_between(speed_between(rate, delay, half)))

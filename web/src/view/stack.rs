@@ -19,13 +19,13 @@ pub(crate) struct Stack {
 }
 
 impl Stack {
-    /// The stack of a live window.
+    /// Returns the stack of a live window.
     pub(crate) fn of_window(window: &Window) -> Self {
         let crossed = window.bounds.iter().any(|bound| bound.verdicts.iter().any(|(_, count)| *count > 0));
         Self::new(crossed, |name| window.value(name).copied()).bounded(&window.bounds)
     }
 
-    /// The stack of a stored run.
+    /// Returns the stack of a stored run.
     pub(crate) fn of_run(stages: &[StageStatistics], bounds: &[Bound]) -> Self {
         let find = |name: &str| stages.iter().find(|stage| stage.stage == *name).map(|stage| stage.figures);
         Self::new(!bounds.is_empty(), find).bounded(bounds)
@@ -46,7 +46,7 @@ impl Stack {
         Self { parts, total: of("total") }
     }
 
-    /// The stages of an iteration of a list, with both directions of the network where those are not known.
+    /// Returns the stages of an iteration of a list, with both directions of the network where those are not known.
     pub(crate) fn of_iteration(row: &IterationRow) -> Self {
         let part =
             |(name, seconds): &(Name, f64)| Part { name: name.to_string(), seconds: *seconds, bound: None };
@@ -73,7 +73,7 @@ impl Stack {
         self.parts.iter().map(|part| part.seconds).sum::<f64>() * 1e3
     }
 
-    /// The stack as a bar with its whiskers.
+    /// Returns the stack as a bar with its whiskers.
     pub(crate) fn bar(
         &self,
         class: &'static str,
@@ -83,7 +83,7 @@ impl Stack {
         Bar::new(class, self.finding(quantiles), &self.parts, scale).whiskers(quantiles.0, quantiles.1, scale)
     }
 
-    /// The stack as a bar that fills its panel.
+    /// Returns the stack as a bar that fills its panel.
     pub(crate) fn whole(&self, class: &'static str) -> Bar {
         let scale = Scale::whole(self.end_ms());
         Bar::new(class, self.finding((None, None)), &self.parts, &scale).without_grid()
@@ -136,7 +136,8 @@ pub(crate) fn parts(sent: bool, of: impl Fn(&str) -> Option<(u64, f64)>) -> Vec<
     parts
 }
 
-/// A stage that not every iteration had counts with its share, so that the sum of all stays exact.
+/// Returns the mean time of a stage per iteration. A stage that not every iteration had is weighted with its share, so that the
+/// sum of all stages stays exact.
 pub(super) fn shared((count, mean): (u64, f64), of: u64) -> f64 {
     mean * count as f64 / of.max(1) as f64
 }

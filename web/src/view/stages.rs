@@ -58,7 +58,7 @@ impl StageRow {
         }
     }
 
-    /// Returns whether there are samples, so that there is a distribution.
+    /// Returns whether there are samples, and therefore a distribution.
     pub(crate) fn measured(&self) -> bool {
         self.p50 != NONE
     }
@@ -116,7 +116,7 @@ impl StageRow {
         rows
     }
 
-    /// The rows of a live window.
+    /// Returns the rows of a live window.
     pub(crate) fn of_window(window: &Window) -> Vec<Self> {
         let stack = Stack::of_window(window);
         let total = stack.total.map_or(0.0, |total| total.mean);
@@ -157,7 +157,7 @@ impl BoundCell {
     }
 }
 
-/// The verdicts of both directions of a run, for its summary.
+/// Formats the verdicts of both directions of a run, for its summary.
 pub(crate) fn directions(bounds: &[Bound]) -> Vec<(String, Chip)> {
     let known = bounds.iter().filter_map(|bound| Some((bound, clocks::verdict(bound)?)));
     known.map(|(bound, verdict)| (bound.stage.to_string(), Chip::verdict(verdict))).collect()

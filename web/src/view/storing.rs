@@ -2,7 +2,7 @@
 
 use peernet_aggregator::Readiness;
 
-/// The sentence for people; `None` while all is well.
+/// Returns the sentence for people; `None` while all is well.
 pub(crate) fn notice(readiness: &Readiness) -> Option<String> {
     let Readiness::NotStoring(reason) = readiness else { return None };
     let mut characters = reason.chars();

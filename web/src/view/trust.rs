@@ -47,7 +47,7 @@ impl From<&Report> for Trust {
     }
 }
 
-/// A grade by word and sign.
+/// Returns a grade by word and sign.
 const fn chip(grade: Grade) -> Chip {
     match grade {
         Grade::Good => Chip::new(Tone::Ok, "ok", "good"),

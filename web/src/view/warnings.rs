@@ -118,7 +118,7 @@ mod tests {
     use super::*;
     use crate::tests::samples::{self, NOW, figures};
 
-    /// The words of the warnings about a minute that was changed like this.
+    /// Returns the words of the warnings about a minute that was changed like this.
     fn words(change: impl FnOnce(&mut Window)) -> Vec<&'static str> {
         let mut minute = samples::window(60, 30.0, 1.0, Verdict::Ok);
         change(&mut minute);

@@ -200,7 +200,7 @@ impl Row {
     }
 }
 
-/// A delay in ms with the digits that its bounds support.
+/// Returns a delay in ms with the digits that its bounds support.
 fn digits(seconds: f64, bounds: Option<(f64, f64)>) -> String {
     bounds.map_or_else(|| fixed(seconds * 1e3, 2), |bounds| within_ms(seconds, bounds))
 }
@@ -236,7 +236,7 @@ pub(crate) fn delays(timeline: &Timeline, judged: &[peernet_store::DelayRow]) ->
     shown.collect()
 }
 
-/// The journey in a sentence, for those who do not see the rails.
+/// Returns the journey in a sentence, for those who do not see the rails.
 pub(crate) fn journey(timeline: &Timeline, edge: &str, cloud: &str) -> String {
     let Some(visit) = timeline.visit() else { return String::new() };
     let at = |seconds: f64| format!("{}{SPACE}ms", stage_ms(seconds));
@@ -273,7 +273,7 @@ mod tests {
     use super::*;
     use crate::tests::samples;
 
-    /// An answered iteration of 1.2 s whose two directions were judged `stepped`.
+    /// Returns an answered iteration of 1.2 s whose two directions were judged `stepped`.
     fn stepped() -> IterationDetail {
         let mut detail = samples::iteration();
         let at = |seconds: i64| WallTime::from_unix_nanos(seconds * 1_000_000_000);

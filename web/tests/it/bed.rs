@@ -69,7 +69,7 @@ impl Bed {
         Self { aggregator, clock, stop, config, listening, router, _running: running, folder }
     }
 
-    /// A run of each line is stored and all of them are live.
+    /// Starts an aggregator with a stored run of each line; all lines are live.
     pub(crate) async fn with(lines: Vec<Line>) -> (Self, Factory) {
         let bed = Self::empty().await;
         let expected = lines.len();
@@ -89,7 +89,7 @@ impl Bed {
         (bed, factory)
     }
 
-    /// The database's file.
+    /// Returns the database's file.
     pub(crate) fn database(&self) -> std::path::PathBuf {
         self.folder.path().join("store.sqlite")
     }

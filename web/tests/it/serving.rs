@@ -35,7 +35,7 @@ async fn a_server_stops_with_a_stream_open() {
     listener.read_to_end(&mut rest).await.expect("the connection is closed");
 }
 
-/// A connection from this address of this machine that asked for something.
+/// Returns a connection from this address of this machine that asked for something.
 async fn asked(server: std::net::SocketAddr, from: &str, head: &str) -> TcpStream {
     let socket = TcpSocket::new_v4().expect("a socket");
     socket.bind(format!("{from}:0").parse().expect("an address")).expect("binds");

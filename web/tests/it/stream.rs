@@ -25,7 +25,7 @@ impl Events {
         Self { body: response.into_body().into_data_stream(), text: String::new() }
     }
 
-    /// The next event's name and data; `None` at the end of the stream.
+    /// Returns the next event's name and data; `None` at the end of the stream.
     async fn next(&mut self) -> Option<(String, String)> {
         loop {
             if let Some((event, rest)) = self.text.split_once("\n\n") {

@@ -15,7 +15,7 @@ use crate::parameters::{Parameters, bounded};
 use crate::state::App;
 use crate::view::compare::{Differences, Which, gather, run_means};
 
-/// The operations of this resource.
+/// Returns the operations of this resource.
 pub(super) fn routes() -> OpenApiRouter<App> {
     OpenApiRouter::new().routes(routes!(experiments)).routes(routes!(compare))
 }

@@ -180,7 +180,7 @@ impl Comparison {
     }
 }
 
-/// `A` to `Z`, then `AA`.
+/// Returns the letter of a configuration: `A` to `Z`, then `AA`.
 fn letter(mut at: usize) -> String {
     let mut text = String::new();
     loop {

@@ -17,7 +17,7 @@ use crate::parameters::{Parameters, bounded, path};
 use crate::state::App;
 use crate::view::runs::reject_deleted;
 
-/// The operations of this resource.
+/// Returns the operations of this resource.
 pub(super) fn routes() -> OpenApiRouter<App> {
     OpenApiRouter::new().routes(routes!(list)).routes(routes!(get))
 }

@@ -98,7 +98,7 @@ impl StageDelay {
 }
 
 impl StageTime {
-    /// The stages of an iteration in their order, those included of which only a raw difference is known.
+    /// Returns the stages of an iteration in their order, those included of which only a raw difference is known.
     fn all(row: &store::IterationRow) -> Vec<Self> {
         let of = |stage: Name| {
             let known = row.stages.iter().find(|(name, _)| *name == stage).map(|(_, seconds)| *seconds);

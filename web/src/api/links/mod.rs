@@ -21,7 +21,7 @@ use crate::parameters::{Parameters, bounded, moment, path};
 use crate::state::{App, AppState};
 use crate::view::link::{Subject, canonical, find, is_live, no_link};
 
-/// The operations of this resource.
+/// Returns the operations of this resource.
 pub(super) fn routes() -> OpenApiRouter<App> {
     OpenApiRouter::new().routes(routes!(list)).routes(routes!(get)).routes(routes!(clock))
 }

@@ -215,7 +215,7 @@ impl From<&LinkSnapshot> for Link {
 }
 
 impl Link {
-    /// A link that is stored and not in the live picture.
+    /// Returns a link that is stored and not in the live picture.
     pub(super) fn past(row: &LinkRow, assumptions: Option<&DelayAssumptions>) -> Self {
         let subject = Subject::past(row);
         Self {

@@ -36,7 +36,7 @@ use crate::pages::{self, PageTopic};
 use crate::parameters::Parameters;
 use crate::state::App;
 
-/// The operations of this resource.
+/// Returns the operations of this resource.
 pub(super) fn routes() -> OpenApiRouter<App> {
     let mut router = OpenApiRouter::with_openapi(Events::openapi()).routes(routes!(stream));
     describe_topics(router.get_openapi_mut());
@@ -146,7 +146,7 @@ async fn stream(
     Ok((unbuffered, Sse::new(events(app, topics, after, place)).keep_alive(keep_alive)))
 }
 
-/// The time of the picture that an event was made of, by the event's id.
+/// Returns the time of the picture that an event was made of, by the event's id.
 fn event_time(id: &str) -> Result<WallTime, WebError> {
     id.parse().map(WallTime::from_unix_nanos).map_err(|_| {
         WebError::BadRequest(format!("query parameter last_event_id: {id:?} is not the id of an event"))
@@ -162,7 +162,7 @@ fn seconds_since(after: WallTime, picture: &LiveState) -> usize {
     if wanted * picture.pipelines.len() > CATCH_UP { PipelineList::SECONDS } else { wanted.min(HISTORY) }
 }
 
-/// The topics of a list, each once.
+/// Returns the topics of a list, each once.
 fn topics(text: &str) -> Result<Vec<Topic>, WebError> {
     let mut topics = Vec::new();
     for topic in text.split(',').filter(|topic| !topic.is_empty()) {

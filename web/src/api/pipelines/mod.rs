@@ -15,7 +15,7 @@ use crate::error::{ProblemDetails, WebError};
 use crate::parameters::{Parameters, names, path};
 use crate::state::App;
 
-/// The operations of this resource.
+/// Returns the operations of this resource.
 pub(super) fn routes() -> OpenApiRouter<App> {
     OpenApiRouter::new().routes(routes!(list)).routes(routes!(get))
 }

@@ -18,7 +18,7 @@ pub(crate) use condition::{Condition, word};
 pub(crate) use figures::{Bound, Counts, NodeFigures, Placement, VerdictCount};
 pub(crate) use pipelines::{Pipeline, PipelineList};
 
-/// A moment as text: `2026-11-19T12:01:07.400000000Z`.
+/// Returns a moment as text: `2026-11-19T12:01:07.400000000Z`.
 pub(crate) fn time(time: WallTime) -> String {
     Utc.timestamp_nanos(time.unix_nanos()).to_rfc3339_opts(SecondsFormat::Nanos, true)
 }

@@ -66,7 +66,7 @@ pub(crate) struct TotalPoint {
 }
 
 impl TotalOverTime {
-    /// The buckets that reach to `since` or beyond, in seconds since the Unix epoch.
+    /// Returns the buckets that reach to `since` or beyond, in seconds since the Unix epoch.
     fn since(series: &PercentileSeries, since: i64) -> Self {
         let length = i64::from(series.bucket_s.unwrap_or(0));
         let points = series.points.iter().filter(|point| point.at + length > since);
@@ -183,7 +183,7 @@ impl From<&LiveSecond> for Second {
 }
 
 impl Pipeline {
-    /// A pipeline with its last `seconds`.
+    /// Returns a pipeline with its last `seconds`.
     pub(crate) fn new(picture: &PipelineSnapshot, seconds: usize) -> Self {
         let windows = picture.windows.iter().map(|window| Window {
             seconds: window.seconds,

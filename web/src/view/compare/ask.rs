@@ -44,7 +44,7 @@ pub(crate) fn doubts(comparison: &Comparison) -> Vec<String> {
     unfinished.into_iter().chain(skipped).chain(unanswered).collect()
 }
 
-/// A sentence for each configuration with samples whose label is no class of its model.
+/// Returns a sentence for each configuration with samples whose label is no class of its model.
 pub(crate) fn unknown_labels(comparison: &Comparison) -> Vec<String> {
     let of = comparison.configurations.iter().filter_map(|one| {
         let unknown = UnknownLabels::new(one.figures(UNKNOWN_LABEL)?.count, &[])?;

@@ -33,7 +33,7 @@ pub(super) fn chosen<'a, T>(
     (all.into_iter().map(|(.., run)| run).collect(), (measured > MOST).then_some(measured))
 }
 
-/// A sentence about the runs that have no picture because not one of their iterations was answered; `None` where there are
+/// Returns a sentence about the runs that have no picture because not one of their iterations was answered; `None` where there are
 /// no such runs.
 pub(super) fn without_answer(comparison: &Comparison) -> Option<String> {
     let runs: Vec<&RunSummary> = comparison.runs().filter(|run| run.counts.ok == 0).collect();

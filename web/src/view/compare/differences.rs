@@ -18,7 +18,7 @@ const READ_AT_ONCE: usize = 4;
 /// Means of the stages of each run, by its number.
 pub(crate) type RunMeans = HashMap<i64, Vec<StageMeans>>;
 
-/// The stages that are compared.
+/// Returns the stages that are compared.
 fn compared() -> Vec<Name> {
     [stage::TOTAL, stage::STAGES_TOTAL].into_iter().chain(stage::ORDER).collect()
 }
@@ -95,7 +95,7 @@ impl Differences {
         Self { baseline, others, ranking: Ranking::of(&ranked.collect::<Vec<_>>()) }
     }
 
-    /// The difference of the mean total of a configuration to the baseline.
+    /// Returns the difference of the mean total of a configuration to the baseline.
     pub(crate) fn total(&self, place: usize) -> Option<&StageDifference> {
         let (_, stages) = self.others.iter().find(|(other, _)| *other == place)?;
         stages.iter().find(|stage| stage.name == stage::TOTAL)

@@ -20,7 +20,7 @@ pub(super) struct Differing {
 }
 
 impl Differing {
-    /// The axes of the experiment's file.
+    /// Returns the axes of the experiment's file.
     pub(super) fn of_experiment(runs: &[RunDetail]) -> Self {
         let place = |run: &RunDetail| {
             run.summary.experiment.as_ref().map_or_else(Vec::new, |place| place.configuration.clone())

@@ -141,7 +141,7 @@ pub(crate) async fn gather(store: &Store, which: &Which) -> Result<Comparison, W
     Ok(Comparison { experiment, axes, settings, also, configurations, kept, left_out, cut })
 }
 
-/// The runs of an experiment that count, in their order, and those that do not.
+/// Returns the runs of an experiment that count, in their order, and those that do not.
 fn counted(runs: Vec<RunSummary>) -> (Vec<RunSummary>, Vec<LeftOut>) {
     let excluded = exclusions(&runs.iter().map(Candidate::from).collect::<Vec<_>>());
     let name = |at: usize| format!("#{}", runs[at].number);

@@ -167,7 +167,7 @@ pub(crate) fn lengths(comparison: &Comparison, answers: &[Answers]) -> Option<Le
     })
 }
 
-/// `Median 412 ms; answers of 20 to 320 tokens, median 96 tokens.`
+/// Returns `Median 412 ms; answers of 20 to 320 tokens, median 96 tokens.`
 fn sums(it: &Varying<'_>) -> String {
     let median = |known: &Summary| known.quantile(0.5).unwrap_or_default();
     let ends = (it.x.moments.min, it.x.moments.max);

@@ -32,7 +32,7 @@ pub(super) struct Median {
 }
 
 impl Median {
-    /// The median of a name's values, which are of this SI unit; `None` without any.
+    /// Returns the median of a name's values, which are of this SI unit; `None` without any.
     pub(super) fn of(kept: &MergeableStatistics, name: &str, unit: &str) -> Option<Self> {
         let value = kept.known(name)?.quantile(0.5)?;
         let delay = CROSSING.iter().find(|(known, _)| *known == *name).map(|(_, delay)| delay);
@@ -68,7 +68,7 @@ fn with(value: &str, unit: &str) -> String {
     if unit.is_empty() { value.to_owned() } else { format!("{value}{SPACE}{unit}") }
 }
 
-/// A value without its unit.
+/// Returns a value without its unit.
 fn plain(unit: &str, value: f64) -> String {
     match unit {
         "s" => milliseconds(value),

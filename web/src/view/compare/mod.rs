@@ -110,7 +110,7 @@ impl Configuration {
         self.stages.iter().find(|stage| stage.stage == *name).map(|stage| &stage.figures)
     }
 
-    /// The values of a node in all its runs together, in its SI unit.
+    /// Returns the values of a node in all its runs together, in its SI unit.
     pub(crate) fn known(&self, name: &str) -> Option<&Summary> {
         self.kept.known(name)
     }
@@ -135,7 +135,7 @@ impl Configuration {
         Misses::together(self.runs.iter().filter_map(|run| run.misses))
     }
 
-    /// The deadline, seconds; `None` where no run has one, or several have different ones.
+    /// Returns the deadline, seconds; `None` where no run has one, or several have different ones.
     pub(crate) fn deadline_s(&self) -> Option<f64> {
         let mut deadlines = self.runs.iter().map(|run| run.deadline_s);
         let first = deadlines.next()??;
@@ -152,7 +152,7 @@ impl Configuration {
 }
 
 impl Comparison {
-    /// The place of the configuration that the others are compared with: that of the run that an address names, or the first.
+    /// Returns the place of the configuration that the others are compared with: that of the run that an address names, or the first.
     ///
     /// # Errors
     /// When the run is not compared.
@@ -168,7 +168,7 @@ impl Comparison {
         })
     }
 
-    /// The values of a node in one run, by its number.
+    /// Returns the values of a node in one run, by its number.
     pub(crate) fn known(&self, run: i64, name: &str) -> Option<&Summary> {
         self.kept.get(&run)?.known(name)
     }

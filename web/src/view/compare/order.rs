@@ -36,7 +36,7 @@ fn label(a: &str, b: &str) -> Ordering {
     }
 }
 
-/// The value of `30`, `-1.5`, `1,000`, `1e6`, `30 kB`, `50 Hz`; of `224x224` its first number.
+/// Returns the value of `30`, `-1.5`, `1,000`, `1e6`, `30 kB`, `50 Hz`; of `224x224` its first number.
 fn quantity(label: &str) -> Option<f64> {
     let text = label.trim().replace(',', "");
     let is_number = |text: &str| text.parse::<f64>().ok().filter(|value| value.is_finite());

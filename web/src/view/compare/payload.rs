@@ -13,7 +13,7 @@ use crate::view::accuracy;
 
 /// Sizes within this factor are one size.
 const ALIKE: f64 = 1.1;
-/// Largest number of groups with separate lines; more lines could not be told apart.
+/// Largest number of groups with separate lines; more lines would be hard to distinguish.
 const MOST_GROUPS: usize = 3;
 /// Name of the values that tell how often the first answer was right.
 const TOP_1: &str = look::ACCURACIES[0].0;
@@ -123,7 +123,7 @@ pub(super) fn line(group: &Group<'_>, name: &Name) -> Option<(Fit, (f64, f64))> 
     Some((fit, ends))
 }
 
-/// `total (50 Hz): 0.12 ms (95 %: 0.10 – 0.14) and 0.84 ms (0.80 – 0.88) more per MB.`
+/// Returns `total (50 Hz): 0.12 ms (95 %: 0.10 – 0.14) and 0.84 ms (0.80 – 0.88) more per MB.`
 fn sentence(name: &Name, group: Option<&str>, fit: &Fit) -> String {
     let of = group.map_or_else(String::new, |group| format!(" ({group})"));
     let (base, slope) = (fit.intercept.span(), fit.slope.span());

@@ -50,7 +50,7 @@ pub(crate) struct PlaceRow {
     pub spread: BoxPlot,
 }
 
-/// The stages of all configurations on one scale, means with the standard deviation of the total.
+/// Returns the stages of all configurations on one scale, means with the standard deviation of the total.
 pub(crate) fn stacks(comparison: &Comparison, best: Option<usize>) -> (Vec<StackRow>, Axes) {
     let all = &comparison.configurations;
     let reach = |one: &Configuration| one.total().map_or(0.0, |total| total.mean + total.std.unwrap_or(0.0));

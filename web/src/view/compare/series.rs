@@ -87,7 +87,7 @@ pub(crate) async fn run_courses(store: &Store, comparison: &Comparison) -> Resul
     Ok(all)
 }
 
-/// The runs that are drawn, all on the same axes; `None` where nothing is known of any.
+/// Returns the runs that are drawn, all on the same axes; `None` where nothing is known of any.
 pub(crate) fn over_time(comparison: &Comparison, courses: &RunCourses) -> Option<OverTime> {
     let (chosen, of) = drawn(comparison);
     let known = chosen.into_iter().filter_map(|(one, run, name)| {
@@ -127,14 +127,14 @@ pub(crate) fn over_time(comparison: &Comparison, courses: &RunCourses) -> Option
     })
 }
 
-/// `5.3 ms from first to last start`; `None` of a single iteration, and where the clock was set back.
+/// Returns `5.3 ms from first to last start`; `None` of a single iteration, and where the clock was set back.
 fn lasted(run: &RunSummary, episodes: &Episodes) -> Option<String> {
     let seconds = (run.last_iteration? - episodes.first.unwrap_or(run.started)).seconds();
     let said = if seconds < 1.0 { duration(seconds).to_string() } else { length(seconds) };
     (seconds > 0.0).then(|| format!("{said} from first to last start"))
 }
 
-/// `points of 10 s`.
+/// Returns `points of 10 s`.
 fn points_of(seconds: f64) -> String {
     let (count, unit) = match seconds as u64 {
         hours if hours >= 3_600 => (hours / 3_600, "h"),
@@ -144,7 +144,7 @@ fn points_of(seconds: f64) -> String {
     format!("points of {count}\u{202f}{unit}")
 }
 
-/// A run in seconds since its first iteration.
+/// Returns a run in seconds since its first iteration.
 fn data(one: &Configuration, run: &RunSummary, name: &Name, course: &RunCourse) -> CourseData {
     let RunCourse { series, means, episodes } = course;
     let points: &[SeriesPoint] = series.stages.first().map_or(&[], |stage| &stage.points);

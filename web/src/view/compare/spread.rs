@@ -14,7 +14,7 @@ pub(crate) struct BoxRow {
     pub picture: BoxPlot,
 }
 
-/// The total of each configuration, its runs together, all on one scale.
+/// Returns the total of each configuration, its runs together, all on one scale.
 pub(crate) fn boxes(comparison: &Comparison) -> (Vec<BoxRow>, Axes) {
     let known = comparison.configurations.iter();
     let known: Vec<_> = known.filter_map(|one| Some((one, Five::of(one.known(&stage::TOTAL)?)?))).collect();

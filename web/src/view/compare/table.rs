@@ -101,7 +101,7 @@ impl Table {
     }
 }
 
-/// The miss rate of a configuration.
+/// Returns the miss rate of a configuration.
 fn missed(one: &Configuration) -> Cell {
     let Some(misses) = one.misses() else { return Cell::none("no deadline") };
     let Some(rate) = misses.rate() else { return Cell::none("no iteration") };
@@ -135,14 +135,14 @@ pub(crate) struct Changed {
 const MOST_DECIMALS: usize = 3;
 
 impl Changed {
-    /// The stages of a configuration, with one number of decimals for all.
+    /// Returns the stages of a configuration, with one number of decimals for all.
     pub(crate) fn of_stages(stages: &[StageDifference]) -> Vec<Self> {
         let decimals = stages.iter().filter_map(estimate).map(|estimate| estimate.decimals()).max();
         let decimals = decimals.unwrap_or_default().min(MOST_DECIMALS);
         stages.iter().map(|stage| Self::with(stage, |estimate| estimate.with_decimals(decimals))).collect()
     }
 
-    /// A stage by itself.
+    /// Returns a stage by itself.
     pub(crate) fn of(stage: &StageDifference) -> Self {
         Self::with(stage, |estimate| estimate)
     }

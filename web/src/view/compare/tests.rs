@@ -7,7 +7,7 @@ use super::series::{RunCourse, RunCourses};
 use super::*;
 use crate::tests::samples::{self, HOSTILE};
 
-/// A run with figures `scale` times the usual ones.
+/// Returns a run with figures `scale` times the usual ones.
 pub(crate) fn run(number: i64, kind: PlacementKind) -> RunSummary {
     RunSummary {
         number,
@@ -85,7 +85,7 @@ fn kept(stages: &[StageStatistics]) -> Arc<MergeableStatistics> {
     Arc::new(kept)
 }
 
-/// A run's total in buckets: a mean with some waves about it.
+/// Returns a run's total in buckets: a mean with some waves about it.
 pub(crate) fn course(mean: f64, buckets: usize) -> Vec<StageMeans> {
     let bucket = |at: usize| {
         let mut summary = Summary::default();
@@ -97,7 +97,7 @@ pub(crate) fn course(mean: f64, buckets: usize) -> Vec<StageMeans> {
     vec![StageMeans { stage: stage::TOTAL, buckets }]
 }
 
-/// A minute of each run, one point a second but for a gap, in four episodes of which the first is warm-up; the run with
+/// Returns a minute of each run, one point a second but for a gap, in four episodes of which the first is warm-up; the run with
 /// the smallest number has no answer three times.
 pub(crate) fn run_courses(comparison: &Comparison) -> RunCourses {
     let first = comparison.runs().map(|run| run.number).min();

@@ -56,7 +56,7 @@ pub(crate) fn title(comparison: &Comparison, differences: &Differences) -> Strin
     )
 }
 
-/// The configuration that the best is compared with: the baseline, or, where that is the best itself, the next one.
+/// Returns the configuration that the best is compared with: the baseline, or, where that is the best itself, the next one.
 fn compared_with(ranking: &Ranking, baseline: usize) -> Option<(usize, Difference)> {
     let known = || ranking.beyond.iter().filter_map(|(place, difference)| Some((*place, (*difference)?)));
     let next = || known().min_by(|a, b| a.1.value.total_cmp(&b.1.value));

@@ -9,7 +9,7 @@ use super::course::Course;
 use super::panels::Pairs;
 use super::stats::ppm;
 
-/// The clocks that are related, as the subject of a sentence.
+/// Returns the clocks that are related, as the subject of a sentence.
 const fn both(clocks: RelatedClocks) -> &'static str {
     match clocks {
         RelatedClocks::Raw => "the free-running clocks of both hosts",

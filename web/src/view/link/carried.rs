@@ -23,7 +23,7 @@ pub(crate) struct CarriedRow {
 }
 
 impl CarriedRow {
-    /// The pipelines that use the link, by name.
+    /// Returns the pipelines that use the link, by name.
     pub(crate) fn all(picture: &LiveState, subject: &Subject<'_>) -> Vec<Self> {
         let Some(link) = subject.live else { return Vec::new() };
         let uses =

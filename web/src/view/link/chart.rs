@@ -57,7 +57,7 @@ impl Plan<'_> {
         (at - self.course.from).seconds() / self.course.seconds().max(1.0)
     }
 
-    /// A value of each point in milliseconds or another unit, with breaks where points are missing. Where a clock was set
+    /// Returns a value of each point in milliseconds or another unit, with breaks where points are missing. Where a clock was set
     /// back, seconds come twice: each window is drawn for itself.
     pub(super) fn broken<T>(
         &self,
@@ -104,7 +104,7 @@ pub(super) fn beyond(values: impl Iterator<Item = f64>, ruler: &Ruler, unit: &st
     (many > 0).then(|| format!("{} beyond {}{SPACE}{unit} ↑", count(many), ruler.end_label()))
 }
 
-/// The picture of a course.
+/// Returns the picture of a course.
 pub(crate) fn tracks(
     subject: &Subject<'_>,
     course: &Course,
@@ -236,7 +236,7 @@ fn round_trips(plan: &Plan<'_>) -> Track {
     track
 }
 
-/// The width of a bucket in words: `2 s`, `24 min`.
+/// Returns the width of a bucket in words: `2 s`, `24 min`.
 fn bucket(seconds: i64) -> String {
     if seconds < 60 { format!("{seconds}{SPACE}s") } else { length(seconds as f64) }
 }
@@ -256,7 +256,7 @@ fn times(course: &Course, zone: Zone) -> Vec<(Percent, String)> {
     ticks.filter(|(x, _)| (1.5..=98.5).contains(&x.0)).collect()
 }
 
-/// The range of some values in words: `0.61 to 0.70 ms`.
+/// Returns the range of some values in words: `0.61 to 0.70 ms`.
 fn range(values: impl Iterator<Item = f64>) -> Option<String> {
     let (lo, hi) =
         values.fold((f64::INFINITY, f64::NEG_INFINITY), |(lo, hi), one| (lo.min(one), hi.max(one)));

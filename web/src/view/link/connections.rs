@@ -51,7 +51,7 @@ pub(crate) fn rows(subject: &Subject<'_>) -> Vec<DirectionRow> {
     connections(subject).iter().flat_map(of_connection).collect()
 }
 
-/// The way of each connection.
+/// Returns the way of each connection.
 pub(crate) fn routes(subject: &Subject<'_>) -> Vec<Route> {
     let words = |connection: &Connection| Route {
         pipeline: connection.pipeline.to_string(),
@@ -96,12 +96,12 @@ fn row(
     }
 }
 
-/// `10.0.0.2:40112 → 10.0.0.1:5551`.
+/// Returns `10.0.0.2:40112 → 10.0.0.1:5551`.
 fn ends(connection: &Connection) -> Option<String> {
     Some(format!("{} → {}", connection.local.as_ref()?, connection.remote.as_ref()?))
 }
 
-/// `by wlan0, wireless, MTU 1,500 bytes`.
+/// Returns `by wlan0, wireless, MTU 1,500 bytes`.
 fn interface(connection: &Connection) -> Option<String> {
     let interface = connection.interface.as_ref()?;
     let kind = interface.kind.as_ref().map(|kind| format!(", {kind}")).unwrap_or_default();
@@ -109,7 +109,7 @@ fn interface(connection: &Connection) -> Option<String> {
     Some(format!("by {}{kind}{}", interface.name, mtu.unwrap_or_default()))
 }
 
-/// `round trip of its packets 0.52 ms, at least 0.41 ms`.
+/// Returns `round trip of its packets 0.52 ms, at least 0.41 ms`.
 fn trip(connection: &Connection) -> Option<String> {
     let trip = connection.statistics.round_trip?;
     let ms = |span: Span| format!("{}{SPACE}ms", trip_ms(span.seconds()));
@@ -129,7 +129,7 @@ fn mishaps(connection: &Connection) -> impl Iterator<Item = String> {
 }
 
 impl Count {
-    /// The count, or a dash.
+    /// Returns the count, or a dash.
     pub(crate) fn text(&self) -> &str {
         self.value.as_deref().unwrap_or(NONE)
     }

@@ -22,7 +22,7 @@ pub(crate) struct Course {
 }
 
 impl Course {
-    /// The last seconds of a live link, two seconds a point. It ends with the last whole point, so that a picture of
+    /// Returns the last seconds of a live link, two seconds a point. It ends with the last whole point, so that a picture of
     /// it changes no more often than there is something new.
     pub(crate) fn live(history: &[Arc<ClockPoint>], end: WallTime, seconds: i64) -> Self {
         let to = WallTime::from_unix_nanos(end.unix_nanos().div_euclid(2_000_000_000) * 2_000_000_000);
@@ -81,7 +81,7 @@ impl Course {
         sum(self.points.iter().map(|point| point.probes))
     }
 
-    /// The smallest and the middle round trip of probes, seconds.
+    /// Returns the smallest and the middle round trip of probes, seconds.
     pub(crate) fn round_trips(&self) -> Option<(f64, f64)> {
         let trip = round_trip(self.points.iter().filter_map(|point| point.round_trip))?;
         Some((trip.min.seconds(), trip.median.seconds()))
@@ -98,7 +98,7 @@ pub(super) fn sum(counts: impl Iterator<Item = ProbeCounts>) -> ProbeCounts {
     })
 }
 
-/// The offset with the widest bounds, of equal ones the newest: as the store's buckets have it.
+/// Returns the offset with the widest bounds, of equal ones the newest. The store's buckets follow the same rule.
 fn widest(points: &[ClockPoint]) -> Option<Offset> {
     let known = points.iter().filter_map(|point| point.offset.as_ref());
     known.max_by_key(|offset| offset.bounds.width()).cloned()

@@ -22,7 +22,7 @@ pub(crate) struct Delays {
     pub verdict: Option<Verdict>,
 }
 
-/// The delays of a direction within one point.
+/// Returns the delays of a direction within one point.
 pub(crate) fn of_point(point: &ClockPoint, way: Way) -> Option<&DelaySecond> {
     match way {
         Way::Up => point.up.as_ref(),
@@ -30,18 +30,18 @@ pub(crate) fn of_point(point: &ClockPoint, way: Way) -> Option<&DelaySecond> {
     }
 }
 
-/// A delay with its lower bound at zero or above: nothing arrives before it was sent.
+/// Raises the lower bound of a delay to zero: nothing arrives before it was sent.
 pub(crate) fn bounds(point: &DelayPoint) -> (f64, f64) {
     (point.bounds.lo.seconds().max(0.0), point.bounds.hi.seconds().max(0.0))
 }
 
-/// A delay in ms with the digits that its bounds support.
+/// Returns a delay in ms with the digits that its bounds support.
 pub(super) fn digits(point: &DelayPoint) -> String {
     within_ms(point.value.seconds(), bounds(point))
 }
 
 impl Delays {
-    /// The delays of some points.
+    /// Returns the delays of some points.
     pub(crate) fn of<'a>(way: Way, points: impl IntoIterator<Item = &'a ClockPoint>) -> Self {
         let seconds: Vec<DelaySecond> =
             points.into_iter().filter_map(|point| of_point(point, way).copied()).collect();
@@ -62,17 +62,17 @@ impl Delays {
         }
     }
 
-    /// The chip of the verdict.
+    /// Returns the chip of the verdict.
     pub(crate) fn chip(&self) -> Option<Chip> {
         self.verdict.map(Chip::verdict)
     }
 
-    /// The median in ms, or a dash.
+    /// Returns the median in ms, or a dash.
     pub(crate) fn value(&self) -> String {
         self.median.map_or_else(|| NONE.to_owned(), |point| digits(&point))
     }
 
-    /// The interval that contains it in ms; `None` without a median.
+    /// Returns the interval that contains it in ms; `None` without a median.
     pub(crate) fn interval(&self) -> Option<String> {
         let (lo, hi) = bounds(self.median.as_ref()?);
         Some(if lo == hi { EXACT.to_owned() } else { interval_ms(lo, hi) })

@@ -11,7 +11,7 @@ use super::list::{TOO_YOUNG, no_offset};
 use super::{CONTRADICTION, Subject, is_young};
 use crate::zone::Zone;
 
-/// The title.
+/// Returns the title.
 pub(crate) fn title(subject: &Subject<'_>, zone: Zone) -> String {
     let route = subject.route();
     if subject.same_clock() {
@@ -123,7 +123,7 @@ fn meaning(delays: &Delays, young: bool) -> Meaning {
     Meaning { chip: delays.chip(), subject: delays.title(), text }
 }
 
-/// `4.2` or `12`: how many times.
+/// Returns `4.2` or `12`: how many times.
 fn figure_of_times(many: f64) -> String {
     peernet_statistics::number::fixed(many, usize::from(many < 9.95))
 }

@@ -117,7 +117,7 @@ pub(super) const TOO_YOUNG: &str =
     "too few exchanges yet: fewer than three since the link came up or a clock was stepped";
 
 impl PastLine {
-    /// The stored links that are not in the live picture.
+    /// Returns the stored links that are not in the live picture.
     pub(crate) fn all(rows: &[LinkRow], picture: &LiveState, zone: Zone) -> Vec<Self> {
         let past = rows.iter().filter(|row| !is_live(picture, row)).map(|row| {
             let subject = Subject::past(row);
@@ -127,7 +127,7 @@ impl PastLine {
     }
 }
 
-/// The answer to whether one-way delays can be trusted, in the title of the list.
+/// Returns the answer to whether one-way delays can be trusted, in the title of the list.
 pub(crate) fn title(picture: &LiveState) -> String {
     let links: Vec<Subject<'_>> = picture.links.iter().map(|link| Subject::live(link)).collect();
     let verdicts: Vec<Verdict> = links.iter().filter_map(Subject::verdict).collect();

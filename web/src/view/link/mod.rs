@@ -32,7 +32,7 @@ const LATELY: Span = Span::from_seconds(10);
 /// Between the names that make up that of a link: it cannot occur in any of them.
 pub(crate) const BETWEEN: char = '~';
 
-/// The name of a link in addresses: `EDGE~CLOUD` over `zmq-tcp`, as in earlier releases, and `EDGE~CLOUD~NETWORK` over any
+/// Returns the name of a link in addresses: `EDGE~CLOUD` over `zmq-tcp`, as in earlier releases, and `EDGE~CLOUD~NETWORK` over any
 /// other network.
 pub(crate) fn name(edge: &str, cloud: &str, network: &NetworkName) -> String {
     if network.is_default() {
@@ -59,12 +59,12 @@ fn parts(wanted: &str) -> Option<(&str, &str, NetworkName)> {
     }
 }
 
-/// The address of a link's page.
+/// Returns the address of a link's page.
 pub(crate) fn href(edge: &str, cloud: &str, network: &NetworkName) -> String {
     format!("/links/{}", name(edge, cloud, network))
 }
 
-/// The address of the page of the link that a placement uses, if the link is known.
+/// Returns the address of the page of the link that a placement uses, if the link is known.
 pub(crate) fn of_placement(picture: &LiveState, edge: &str, placement: &Placement) -> Option<String> {
     let cloud = placement.peer.as_ref().filter(|_| placement.kind == PlacementKind::Remote)?.as_str();
     let network = placement.network.as_ref().map(|network| network.parse::<NetworkName>());
@@ -73,7 +73,7 @@ pub(crate) fn of_placement(picture: &LiveState, edge: &str, placement: &Placemen
     find(picture, &name(edge, cloud, &network)).map(|_| href(edge, cloud, &network))
 }
 
-/// The link of that name in a picture.
+/// Returns the link of that name in a picture.
 pub(crate) fn find<'a>(picture: &'a LiveState, wanted: &str) -> Option<&'a LinkSnapshot> {
     let (edge, cloud, network) = parts(wanted)?;
     let matches = |link: &&LinkSnapshot| {
@@ -94,7 +94,7 @@ fn key_of(link: &LinkSnapshot) -> LinkKey {
     LinkKey { edge: link.edge, cloud: link.live.peer, network: link.live.network().clone() }
 }
 
-/// The error for a link that is neither in a picture nor stored.
+/// Returns the error for a link that is neither in a picture nor stored.
 pub(crate) fn no_link(wanted: &str) -> WebError {
     WebError::NotFound(format!(
         "no link {wanted} has ever been told of here; a link is named EDGE~CLOUD, or EDGE~CLOUD~NETWORK where the network \
@@ -138,7 +138,7 @@ pub(crate) fn is_young(offset: &Offset) -> bool {
 }
 
 impl<'a> Subject<'a> {
-    /// A link of the picture.
+    /// Returns a link of the picture.
     pub(crate) fn live(link: &'a LinkSnapshot) -> Self {
         Self {
             edge: link.edge_name.to_string(),
@@ -152,7 +152,7 @@ impl<'a> Subject<'a> {
         }
     }
 
-    /// A link that is only stored.
+    /// Returns a link that is only stored.
     pub(crate) fn past(row: &LinkRow) -> Self {
         Self {
             edge: row.edge_name.to_string(),
@@ -171,7 +171,7 @@ impl<'a> Subject<'a> {
         Self { assumptions, ..self }
     }
 
-    /// The clocks that are related.
+    /// Returns the clocks that are related.
     pub(crate) fn clocks(&self) -> RelatedClocks {
         self.assumptions.map_or(RelatedClocks::Wall, |assumptions| assumptions.clocks)
     }
@@ -182,7 +182,7 @@ impl<'a> Subject<'a> {
         Self { told, ..self }
     }
 
-    /// `cam-3 → rack-a`; with the network where that is not `zmq-tcp`.
+    /// Returns `cam-3 → rack-a`; with the network where that is not `zmq-tcp`.
     pub(crate) fn route(&self) -> String {
         let Self { edge, cloud, key, .. } = self;
         if key.network.is_default() {
@@ -197,7 +197,7 @@ impl<'a> Subject<'a> {
         name(&self.edge, &self.cloud, &self.key.network)
     }
 
-    /// The address of its page.
+    /// Returns the address of its page.
     pub(crate) fn href(&self) -> String {
         href(&self.edge, &self.cloud, &self.key.network)
     }
@@ -207,7 +207,7 @@ impl<'a> Subject<'a> {
         self.live.is_some_and(|link| link.live.same_clock)
     }
 
-    /// The last ten minutes.
+    /// Returns the last ten minutes.
     pub(crate) fn history(&self) -> &'a [Arc<ClockPoint>] {
         self.live.map_or(&[], |link| link.history.as_slice())
     }
@@ -242,7 +242,7 @@ impl<'a> Subject<'a> {
         known(self.offset()?).map(|(_, half)| half)
     }
 
-    /// The delays of data of the last ten seconds. Those that were judged before the clocks were known as they are now
+    /// Returns the delays of data of the last ten seconds. Those that were judged before the clocks were known as they are now
     /// do not count: a link is not to be coloured by its first moments.
     pub(crate) fn delays(&self, way: Way) -> Delays {
         let since = self.end - LATELY;
@@ -258,7 +258,7 @@ impl<'a> Subject<'a> {
         Delays::of(way, settled)
     }
 
-    /// The verdict of the whole link: that of the offset. Where that is well, delays may still be too short for its
+    /// Returns the verdict of the whole link: that of the offset. Where that is well, delays may still be too short for its
     /// bound.
     pub(crate) fn verdict(&self) -> Option<Verdict> {
         let clocks = match (self.same_clock(), self.offset()) {

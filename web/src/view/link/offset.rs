@@ -28,7 +28,7 @@ fn usual(sizes: impl Iterator<Item = f64>) -> f64 {
     sorted.get(most).map_or(0.0, |most| sorted.last().map_or(*most, |last| last.min(most * ROOM)))
 }
 
-/// The track of the offset of `cloud`.
+/// Returns the track of the offset of `cloud`.
 pub(super) fn track(cloud: &str, plan: &Plan<'_>, view: OffsetView) -> Track {
     let points = &plan.course.points;
     let trend = match view {

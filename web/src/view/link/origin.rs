@@ -37,7 +37,7 @@ fn row(name: String, interval: Interval, sum: bool) -> SourceRow {
     SourceRow { name, between, width: trip_ms(interval.width().seconds()), sum }
 }
 
-/// A source in words.
+/// Returns a source in words.
 pub(crate) fn source(source: DelaySource, exchanges: u64) -> String {
     match source {
         DelaySource::InBand => format!("in-band, {} exchanges", count(exchanges)),

@@ -78,7 +78,7 @@ pub(crate) fn probing(probing: &Probing) -> String {
     }
 }
 
-/// The panel about probes.
+/// Returns the panel about probes.
 pub(crate) fn probes(subject: &Subject<'_>, course: &Course) -> Pairs {
     let mut pairs: Pairs = match subject.live.map(|link| &link.live.probing) {
         Some(Probing::On { address, rate_hz, stamps }) => vec![
@@ -106,7 +106,7 @@ pub(crate) fn probes(subject: &Subject<'_>, course: &Course) -> Pairs {
     pairs
 }
 
-/// `1,200 sent, 1,198 answered, 2 lost`; refused ones where there are any.
+/// Returns `1,200 sent, 1,198 answered, 2 lost`; refused ones where there are any.
 fn counts_in_words(counts: &ProbeCounts) -> String {
     let [sent, answered, lost, refused] =
         [counts.sent, counts.answered, counts.lost, counts.refused].map(|one| count(one.into()));
@@ -118,7 +118,7 @@ fn trip_in_words(min: f64, median: f64) -> String {
     format!("{}{SPACE}ms at least, {}{SPACE}ms median", trip_ms(min), trip_ms(median))
 }
 
-/// The panel about the reflector that the configuration names; nothing where it names none.
+/// Returns the panel about the reflector that the configuration names; nothing where it names none.
 pub(crate) fn reflector(subject: &Subject<'_>) -> Pairs {
     let Some(reflector) = subject.live.and_then(|link| link.live.reflector.as_ref()) else {
         return Vec::new();

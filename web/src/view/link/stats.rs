@@ -19,7 +19,7 @@ pub(crate) struct Stat {
     pub number: String,
     /// Empty where there is no number.
     pub unit: &'static str,
-    /// Explanation of the number, or the reason why there is none.
+    /// Explanation of the number, or the reason for its absence.
     pub title: String,
     pub line: String,
     pub chip: Option<Chip>,

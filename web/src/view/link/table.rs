@@ -38,7 +38,7 @@ pub(crate) struct Direction {
 const ROWS: f64 = 30.0;
 
 impl Row {
-    /// The rows of a course, newest first.
+    /// Returns the rows of a course, newest first.
     pub(crate) fn all(course: &Course, zone: Zone) -> Vec<Self> {
         const STEPS: [i64; 8] = [10, 30, 60, 120, 300, 600, 1_800, 3_600];
         let wanted = (course.seconds() / ROWS) as i64;

@@ -23,7 +23,7 @@ struct Line {
 }
 
 impl Trend {
-    /// The trend of some points.
+    /// Returns the trend of some points.
     pub(crate) fn of(points: &[ClockPoint]) -> Self {
         let mut windows: BTreeMap<u64, Vec<(WallTime, f64)>> = BTreeMap::new();
         for point in points {
@@ -42,7 +42,7 @@ impl Trend {
 }
 
 impl Line {
-    /// The line of Theil and Sen: a few points that belong elsewhere do not tilt it. Too few points have a level alone.
+    /// Returns the line of Theil and Sen: a few points that belong elsewhere do not tilt it. Too few points have a level alone.
     fn through(known: &[(WallTime, f64)]) -> Option<Self> {
         let middle = known.get(known.len() / 2)?.0;
         let points: Vec<Point> =

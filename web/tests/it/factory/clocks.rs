@@ -40,7 +40,7 @@ pub(super) fn host_clock(rehearsed: bool, since: WallTime) -> HostClock {
     }
 }
 
-/// The delays of data in one direction within a second.
+/// Returns the delays of data in one direction within a second.
 fn delays(line: &Line, name: &str, numbers: &mut SplitMix64) -> DelaySecond {
     let mean = line.stages.iter().find(|(known, ..)| known == name).map_or(0.001, |(_, mean, _)| mean / 1e3);
     let value = mean * (1.0 + 0.03 * numbers.normal());
@@ -152,7 +152,7 @@ pub(super) fn sample(
     }
 }
 
-/// The connection of a line: an upload of 10 MB a second since the Unix epoch.
+/// Returns the connection of a line: an upload of 10 MB a second since the Unix epoch.
 fn connection(pipeline: &str, at: WallTime) -> Connection {
     let seconds = at.unix_seconds().unsigned_abs();
     let sent = DirectionStatistics {

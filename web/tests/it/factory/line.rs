@@ -54,7 +54,7 @@ impl Line {
         )
     }
 
-    /// The whole picture goes to the rack.
+    /// Returns a line that sends the whole picture to the rack.
     pub(crate) fn full() -> Self {
         Self::new(
             "offload-full",
@@ -242,7 +242,7 @@ impl Line {
         }
     }
 
-    /// The verdict of a direction.
+    /// Returns the verdict of a direction.
     pub(crate) fn verdict(&self, name: &Name) -> &'static str {
         let mean =
             self.stages.iter().find(|(known, ..)| known == name).map_or(0.0, |(_, mean, _)| mean / 1e3);

@@ -37,7 +37,7 @@ fn slug(name: &str) -> peernet_logger::Slug {
     name.parse().expect("a name")
 }
 
-/// A host that introduces itself.
+/// Returns a host that introduces itself.
 pub(crate) fn host(name: &str, gpu: &str, clock: ClockIdentity) -> HostDescription {
     HostDescription {
         id: HostId::random(),

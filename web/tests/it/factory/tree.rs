@@ -41,7 +41,7 @@ fn answer_bytes(line: &Line, at: WallTime) -> f64 {
     (shortest + (longest - shortest) * chance as f64 / f64::from(1 << 24)).round()
 }
 
-/// The tree of an iteration that began at `at`. The rack's wall clock is 1.2 s ahead unless shared.
+/// Returns the tree of an iteration that began at `at`. The rack's wall clock is 1.2 s ahead unless shared.
 pub(super) fn of(
     line: &Line,
     stages: &[(Name, f64)],
