@@ -1,9 +1,10 @@
-//! The pages with a factory that never was, for working on them: `cargo run -p peernet-web --example preview`.
+//! Preview of the pages with an artificial factory: `cargo run -p peernet-web --example preview`.
 //!
-//! `--late` lets the hosts come after ten seconds, `--empty` shows them before the first host has reported, `--many` with thirty pipelines, `--grid` with
-//! experiments of fifty configurations, of many users and with a run that was done again, and with long names, `--unrelated` with
-//! clocks that were never related, `--one-clock` with a camera that reads the rack's, `--talking` with one whose answers have all lengths, `--rehearsal` with one that is made wrong on purpose,
-//! `--backlog` with an agent that catches up with hours and one whose disk is full, and with a run with gaps. The address is the first free argument, 127.0.0.1:8040 otherwise.
+//! `--late` lets the hosts connect after ten seconds, `--empty` shows the pages before the first host has reported, `--many` uses thirty
+//! pipelines, `--grid` experiments of fifty configurations, of many users and with a repeated run, and long names, `--unrelated` clocks
+//! that were never related, `--one-clock` a camera that reads the rack's clock, `--talking` a camera whose answers have all lengths,
+//! `--rehearsal` a camera with an injected clock fault, `--backlog` an agent with hours of backlog, one whose disk is full, and a run
+//! with gaps. The address is the first free argument, 127.0.0.1:8040 otherwise.
 
 #[path = "../tests/it/factory/mod.rs"]
 mod factory;

@@ -203,8 +203,7 @@ async fn serve(stream: TcpStream, router: Router, streams: Streams, stop: Cancel
     let ended = tokio::select! {
         ended = connection.as_mut() => ended,
         () = stop.cancelled() => {
-            // A connection that is idle closes when told so; one in the middle of its first header would wait for
-            // the rest of it.
+            // An idle connection closes on this request; one in the middle of its first header would wait for the rest of it.
             if !asked.load(Ordering::Relaxed) {
                 return;
             }

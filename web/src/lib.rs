@@ -1,8 +1,14 @@
 //! The dashboard and the REST API: thin handlers that query the aggregator and render its answers.
 //!
 //! `pages/` holds one file per page with its template next to it, `api/` one file or folder per resource of `/api/v1`; the `mod.rs` of
-//! either registers them. `view/` holds the parts that several pages share, `svg/` the pictures that the server draws. Pages are complete
-//! when they arrive; scripts then update them.
+//! either registers them. `view/` holds the parts that several pages share, `svg/` the pictures that the server draws.
+//!
+//! Pages are complete without scripts: templates render tables and pictures on the server, and server-sent events replace parts of
+//! them. Only charts that zoom or move are drawn in the browser.
+//!
+//! Handlers read snapshots of the live state, and query the store over read-only connections. Statistics come from the store's
+//! roll-ups, so that no page reads all iterations of a run. The crate `analysis` computes comparisons, fits and findings, so that
+//! pages, API and commands give the same answer to the same question.
 
 mod access;
 mod api;

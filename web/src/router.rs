@@ -81,8 +81,7 @@ fn is_for_programs(path: &str) -> bool {
         .any(|root| path.strip_prefix(root).is_some_and(|rest| rest.is_empty() || rest.starts_with('/')))
 }
 
-/// Renders an error by its path, as problem+json where programs read and as a page elsewhere, those of the router itself
-/// included.
+/// Renders an error by its path, as problem+json where programs read and as a page elsewhere, including errors of the router itself.
 async fn render_error(State(app): State<App>, request: Request, next: Next) -> Response {
     let path = request.uri().path().to_owned();
     let mut response = next.run(request).await;

@@ -54,10 +54,10 @@ impl Running {
         self.address
     }
 
-    /// Waits until the server has ended: after `stop` was cancelled, or because it died.
+    /// Waits until the server has ended: after `stop` was cancelled, or after a failure.
     ///
     /// # Errors
-    /// When it died.
+    /// Returns an error when the server failed.
     pub async fn join(self) -> Result<(), Failure> {
         Ok(self.task.await?)
     }
@@ -73,12 +73,12 @@ pub fn router(
     crate::router::build(AppState::new(config, aggregator, clock, stop))
 }
 
-/// Serves the dashboard and the REST API of `aggregator` until `stop` is cancelled; open streams are then
-/// ended, other requests get 1.5 seconds to finish. At most `connections` are open at a time, a quarter of them from one
-/// address; one that completes no request header within 10 seconds is closed.
+/// Serves the dashboard and the REST API of `aggregator` until `stop` is cancelled; open streams are then ended, other requests get 1.5
+/// seconds to finish. At most `connections` are open at a time, a quarter of them from one address; a connection that completes no
+/// request header within 10 seconds is closed.
 ///
 /// # Errors
-/// When the configuration is refused or the address cannot be listened on.
+/// Returns an error when the configuration is refused or the server cannot listen on the address.
 pub async fn serve(
     config: WebConfig,
     aggregator: Aggregator,

@@ -1,4 +1,4 @@
-//! `GET /metrics`: the live picture as OpenMetrics text, for Prometheus and whatever reads its format.
+//! `GET /metrics`: the live picture as OpenMetrics text, for Prometheus and other readers of its format.
 //!
 //! Each metric is an entry of [`table`]; all samples of an answer come from one snapshot.
 

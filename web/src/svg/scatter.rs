@@ -6,8 +6,7 @@ use super::{Axis, Horizontal, Percent, Ruler, pen};
 
 /// Points of a line that is drawn: on a logarithmic axis a straight line is a curve.
 const STEPS: u32 = 64;
-/// Room that a letter takes on a narrow plot, percent of its width and height: less than a name above or below its point
-/// is away from it.
+/// Size of a letter on a narrow plot, percent of its width and height: less than the distance of a name above or below its point.
 const LETTER: (f64, f64) = (2.4, 6.0);
 /// Distance of a name from the middle of its point.
 const AWAY: (f64, f64) = (2.2, 6.5);

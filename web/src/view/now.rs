@@ -118,7 +118,7 @@ impl NowTable {
         let windows: Vec<(&PipelineSnapshot, &Window)> =
             pipelines.iter().filter_map(|one| Some((*one, one.window(WINDOW_S)?))).collect();
         let stacks: Vec<Stack> = windows.iter().map(|(_, window)| Stack::of_window(window)).collect();
-        // A tail that is far longer than the bars would squeeze them: its figure is in the table, its whisker leaves the
+        // A whisker that is far longer than the bars would compress them: its figure is in the table, and it is cut at the end of the
         // axis.
         let longest = stacks.iter().map(Stack::end_ms).fold(0.0, f64::max);
         let reach = windows.iter().map(|(_, window)| {

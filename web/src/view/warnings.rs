@@ -1,5 +1,4 @@
-//! Warnings of the overview: latencies that spread, busy processors, time that nothing accounts for, starts that do not
-//! keep the ordered rate.
+//! Warnings of the overview: latencies with a large spread, busy processors, unattributed time, starts that do not keep the ordered rate.
 
 use peernet_aggregator::{HostSnapshot, MetricsPoint, Window};
 use peernet_analysis::rows::SKIPPED_STARTS;

@@ -207,8 +207,8 @@ async fn two_runs_have_a_difference_that_says_whether_it_is_chance() {
     assert!(api.text().contains(&format!("{known}, and with either baseline\"")), "{}", api.text());
 }
 
-/// Counts and means are equal, deviations but for their last digits; quantiles are within the sketch's 1 %. The store knows means of
-/// seconds, the file single iterations, so that their batches begin elsewhere: the width of an interval from 30 batches varies by 13 %
+/// Counts and means are equal, deviations up to their last digits; quantiles are within the sketch's 1 %. The store has means of seconds,
+/// the file single iterations, so their batches begin at different times: the width of an interval from 30 batches varies by 13 %
 /// (standard deviation), and ends differ by less than half of it.
 #[tokio::test]
 async fn files_of_runs_and_store_give_the_same_comparison() {

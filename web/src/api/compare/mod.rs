@@ -28,8 +28,8 @@ struct CompareQuery {
     #[allow(dead_code, reason = "describes the parameter")]
     #[param(pattern = "^[0-9]+(,[0-9]+){0,11}$")]
     runs: Option<String>,
-    /// Id of an experiment: all its runs that were measured to their end, each repeat once, at most 200; repeats of a
-    /// configuration are taken together.
+    /// Id of an experiment: all its runs that were measured to their end, each repeat once, at most 200; repeats of a configuration are
+    /// combined.
     #[allow(dead_code, reason = "describes the parameter")]
     experiment: Option<String>,
     /// Number of a compared run: the others are compared with its configuration. Unless it is given, with the first one.
@@ -38,9 +38,9 @@ struct CompareQuery {
     baseline: Option<String>,
 }
 
-/// Runs side by side. Means and standard deviations of several runs are exact, quantiles are of all runs of a configuration
-/// together and within 1 %. The differences of the means to the baseline are given with a 95 % interval (Welch, from the means of at
-/// most 30 batches of each run).
+/// Comparison of runs. Means and standard deviations of several runs are exact, quantiles are of all runs of a configuration together and
+/// within 1 %. The differences of the means to the baseline have a 95 % interval (Welch, from the means of at most 30 batches of each
+/// run).
 #[utoipa::path(get, path = "/api/v1/compare", operation_id = "compareRuns", tag = "runs", params(CompareQuery), responses(
     (status = 200, body = Comparison),
     (status = "default", body = ProblemDetails, content_type = "application/problem+json"),

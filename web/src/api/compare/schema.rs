@@ -98,8 +98,8 @@ pub(crate) struct Configuration {
     pub stages: Vec<ComparedStage>,
 }
 
-/// Statistics of one node name over all runs of the configuration together, in its SI unit: counts, means, deviations and
-/// extremes are exact, quantiles within 1 % of those of all their iterations.
+/// Statistics of one node name over all runs of the configuration together, in its SI unit: counts, means, deviations and extremes are
+/// exact, quantiles within 1 % of those of all their iterations.
 #[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
 pub(crate) struct ComparedStage {
     pub name: String,

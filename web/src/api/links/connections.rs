@@ -5,7 +5,7 @@ use peernet_stream as stream;
 use serde::Serialize;
 use utoipa::ToSchema;
 
-/// An open connection of a link, by the account of its edge, and in `cloud` by that of its cloud. Totals count from when it was
+/// An open connection of a link, by the counts of its edge, and in `cloud` by those of its cloud. Totals count from the time when it was
 /// opened.
 #[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
 pub(crate) struct LinkConnection {
@@ -54,8 +54,7 @@ pub(crate) struct LinkCloudEnd {
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, ToSchema)]
 pub(crate) struct LinkInterface {
     pub name: String,
-    /// `ethernet`, `wireless`, `loopback`, `tunnel`, or `type N` with a hardware type of Linux; null where the system does
-    /// not tell.
+    /// `ethernet`, `wireless`, `loopback`, `tunnel`, or `type N` with a hardware type of Linux; null where the system does not report it.
     #[serde(rename = "type")]
     pub kind: Option<String>,
     pub mtu_bytes: Option<u32>,

@@ -137,8 +137,8 @@ pub(crate) struct LinkSeries {
 /// One bucket.
 #[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
 pub(crate) struct TimedPoint {
-    /// Changes when a clock was stepped: offsets of different windows say nothing about each other. A number beyond
-    /// 2⁵³, so as text.
+    /// Identifier that changes when a clock is stepped: offsets of different windows say nothing about each other. As text, because it
+    /// exceeds 2⁵³.
     pub window: String,
     #[serde(flatten)]
     pub point: LinkPoint,

@@ -1,7 +1,7 @@
 //! `GET /api/v1/live`: one stream of events per page.
 //!
-//! Each listener draws from the newest picture when it is ready for it, at most four times a second, less often
-//! when pictures are large, so a slow one skips pictures and never makes the others wait.
+//! Each listener takes the newest picture when it is ready for it, at most four times a second, less often when pictures are large. A
+//! slow listener therefore skips pictures and never delays the others.
 
 mod schema;
 
@@ -90,8 +90,8 @@ const HEARTBEAT: Duration = Duration::from_secs(2);
 struct Query {
     // Described by `describe_topics`: the pages say which there are.
     topics: Option<String>,
-    /// Id of the last event of an earlier stream, as the header `Last-Event-ID`, which an `EventSource` cannot set: the first
-    /// `picture` then holds the seconds since, at most 600. Everything else is sent as it is now.
+    /// Id of the last event of an earlier stream, as the header `Last-Event-ID`, which an `EventSource` cannot set: the first `picture`
+    /// then holds the seconds since, at most 600. All other parts are sent as they are now.
     #[param(pattern = "^-?[0-9]+$")]
     last_event_id: Option<String>,
 }

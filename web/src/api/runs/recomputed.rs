@@ -19,15 +19,14 @@ pub(super) fn routes() -> OpenApiRouter<App> {
     OpenApiRouter::new().routes(routes!(recomputed))
 }
 
-/// The one-way delays of a run as they were judged while it ran, and as all exchanges judge them, those after it
-/// included.
+/// The one-way delays of a run as they were judged while it ran, and as all exchanges judge them, including those after it.
 #[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
 pub(crate) struct Recomputed {
     pub run: i64,
     /// Stored clock samples that were used.
     pub samples: u64,
-    /// The clocks by whose stamps delays were judged again: `raw`, `raw-to-wall`, or `wall` of runs that were recorded before release
-    /// 0.3.0; steps and slews of wall clocks reach those delays. Empty where all stay as they were judged.
+    /// The clocks by whose stamps delays were judged again: `raw`, `raw-to-wall`, or `wall` for runs that were recorded before release
+    /// 0.3.0, whose delays depend on steps and slews of wall clocks. Empty where all delays stay as they were judged.
     pub clocks: Vec<&'static str>,
     /// `upload`, `download`.
     pub stages: Vec<RecomputedStage>,

@@ -37,8 +37,8 @@ pub(crate) struct Run {
     /// Warm-up left out.
     pub counts: Counts,
     pub warm_up: u64,
-    /// Starts of an open loop that were skipped because the pipeline was too far behind, whatever became of the iterations
-    /// after them; warm-up left out.
+    /// Starts of an open loop that were skipped because the pipeline was too far behind, whatever the outcome of the iterations after
+    /// them; warm-up left out.
     pub skipped_starts: u64,
     /// Deadline of an iteration, seconds; null without a deadline.
     pub deadline_s: Option<f64>,
@@ -51,8 +51,8 @@ pub(crate) struct Run {
     pub rehearsed: bool,
     /// `true` if it is kept (pinned): retention deletes nothing of it.
     pub pinned: bool,
-    /// Iterations up to and including this number were deleted because of their age or for want of room, their statistics
-    /// remain; 0: none.
+    /// Number of the last iteration deleted because of its age or to free space; 0 if none was deleted. The statistics of deleted
+    /// iterations remain.
     pub deleted_through: u64,
     /// Place in an experiment; null when the run belongs to none.
     pub experiment: Option<ExperimentPlace>,

@@ -9,8 +9,8 @@ use utoipa::ToSchema;
 /// Statistics of one node name.
 #[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
 pub(crate) struct NodeFigures {
-    /// A stage, `total`, `upload-throughput` and so on, or a name of the user's own. The figures of a throughput are those of
-    /// the ratios of single iterations: their mean is no speed over all of them.
+    /// A stage, `total`, `upload-throughput` and so on, or a user-defined name. The figures of a throughput are those of the ratios of
+    /// single iterations: their mean is not the speed over all of them.
     pub name: String,
     #[serde(flatten)]
     pub figures: Figures,

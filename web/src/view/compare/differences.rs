@@ -26,7 +26,7 @@ fn compared() -> Vec<Name> {
 /// Reads the means of the stages over the time of each run.
 ///
 /// # Errors
-/// When the store cannot be read.
+/// Returns an error when the store cannot be read.
 pub(crate) async fn run_means(store: &Store, comparison: &Comparison) -> Result<RunMeans, WebError> {
     let names = &compared();
     let runs: Vec<i64> = comparison.runs().map(|run| run.number).collect();

@@ -1,5 +1,4 @@
-//! Distributions of single runs side by side, quantity by quantity, each on one axis: the total and the six that the
-//! published program draws.
+//! Distributions of single runs, quantity by quantity, each quantity on one axis: the total and the six that the published program draws.
 
 use peernet_analysis::figure_files::HISTOGRAMS;
 use peernet_logger::{Name, stage};

@@ -83,10 +83,10 @@ fn counts(value: f64) -> bool {
     Summary::accepts(value)
 }
 
-/// Reads a sample of the iterations of each configuration that is drawn, of each of its runs as large a share.
+/// Reads a sample of the iterations of each configuration that is drawn; the share of each of its runs is equal.
 ///
 /// # Errors
-/// When the store cannot be read.
+/// Returns an error when the store cannot be read.
 pub(crate) async fn answers(store: &Store, comparison: &Comparison) -> Result<Vec<Answers>, WebError> {
     let varying = Varying::all(comparison);
     let drawn = varying.len().min(MOST_DRAWN);

@@ -109,8 +109,8 @@ pub(super) fn name_in(comparison: &Comparison, groups: &[Group<'_>], one: &Confi
     of.and_then(|group| group_name(comparison, group)).unwrap_or_default()
 }
 
-/// Seconds over bytes where there are three sizes, and the least and the largest of them. Each mean is weighted by how
-/// well it is known.
+/// Returns the line of seconds over bytes, and its smallest and largest size, where there are three sizes. Each mean is weighted by its
+/// precision.
 pub(super) fn line(group: &Group<'_>, name: &Name) -> Option<(Fit, (f64, f64))> {
     let known = group.iter().filter_map(|(one, size)| {
         let Figures { count, mean, std, .. } = *one.figures(name)?;

@@ -69,7 +69,7 @@ fn drawn(comparison: &Comparison) -> (Vec<Chosen<'_, Name>>, Option<usize>) {
 /// Reads the runs that are drawn.
 ///
 /// # Errors
-/// When the store cannot be read.
+/// Returns an error when the store cannot be read.
 pub(crate) async fn run_courses(store: &Store, comparison: &Comparison) -> Result<RunCourses, WebError> {
     let mut all = RunCourses::new();
     for (_, run, name) in drawn(comparison).0 {

@@ -134,8 +134,8 @@ impl Line {
         }
     }
 
-    /// Stage durations of one iteration in seconds; `when` is its place in the run, 0 to 1: the network is slow for
-    /// a while, and now and then something takes far longer.
+    /// Returns stage durations of one iteration in seconds; `when` is its position in the run, 0 to 1. The network is slow for a while,
+    /// and a few iterations take far longer.
     pub(crate) fn draw(&self, numbers: &mut SplitMix64, when: f64) -> Vec<(Name, f64)> {
         let slow = if (0.42..0.45).contains(&when) { 1.9 } else { 1.0 };
         let hiccup = numbers.unit() < 0.001;
