@@ -43,7 +43,7 @@ fn requested_host(request: &Request) -> Result<&str, WebError> {
     let named = host.to_str().ok().and_then(|text| Some((text, host_of(text)?)));
     let (authority, host) =
         named.ok_or_else(|| refused("the Host header is not a name or address with an optional port"))?;
-    // A request to a proxy names the server in its target, too (RFC 9112, 3.2.2): both are checked by checking one.
+    // A request to a proxy names the server in its target, too (RFC 9112, 3.2.2): the check of one covers both.
     match request.uri().authority() {
         Some(target) if !target.as_str().eq_ignore_ascii_case(authority) => {
             Err(refused("the Host header and the request's target name different servers"))
@@ -52,7 +52,7 @@ fn requested_host(request: &Request) -> Result<&str, WebError> {
     }
 }
 
-/// Answers only to the names of this server.
+/// Rejects requests that address another host name.
 pub(crate) async fn guard(State(app): State<App>, request: Request, next: Next) -> Response {
     match requested_host(&request) {
         Ok(host) if !app.names.contains(host) => WebError::OtherHost(host.to_owned()).into_response(),

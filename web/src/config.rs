@@ -17,7 +17,7 @@ use crate::zone::Zone;
 pub struct WebConfig {
     /// Address and port, such as `127.0.0.1:8040` or `[::]:8040`. Port 0 takes a free one.
     pub listen: String,
-    /// Required for listening wider than this machine: everyone who reaches the address then sees everything.
+    /// Required for listening beyond this machine: everyone who reaches the address can then see everything.
     pub allow_unauthenticated: bool,
     /// Names under which browsers reach the dashboard, in addition to IP addresses, `localhost` and the machine's own host name.
     pub server_names: Vec<String>,
@@ -27,7 +27,7 @@ pub struct WebConfig {
     pub warn: WarnConfig,
 }
 
-/// A value of the configuration that cannot work.
+/// An invalid value of the configuration.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("{key}: {message}")]
 pub struct Problem {
@@ -50,7 +50,7 @@ impl Default for WebConfig {
 }
 
 impl WebConfig {
-    /// Everything about the configuration that can be checked without starting.
+    /// Returns all problems of the configuration that can be found without starting.
     pub fn check(&self) -> Vec<Problem> {
         let names = self.server_names.iter().filter_map(|name| server_names::wrong_name(name));
         let names = names.map(|message| Problem { key: "server_names", message });

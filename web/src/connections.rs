@@ -34,7 +34,7 @@ use crate::fair_places::{FairPlaces, NoPlace, Place};
 const BUFFER: usize = 64 << 10;
 /// Largest size of a request's first line and headers together, bytes.
 const HEADER: usize = 64 << 10;
-/// Pause after an accept that failed for want of file descriptors or memory.
+/// Pause after an accept that failed because file descriptors or memory were exhausted.
 const SHORTAGE: Duration = Duration::from_secs(1);
 /// Largest number of streams of one address. Each makes the server compute an update four times a second.
 const STREAMS: usize = 32;
@@ -102,7 +102,7 @@ pub(crate) async fn accept(
     }
 }
 
-/// The live streams that may be open, as the requests of one connection find them.
+/// The places of live streams, as available to the requests of one connection.
 #[derive(Clone, Debug)]
 pub(crate) struct Streams {
     places: FairPlaces,
@@ -127,7 +127,7 @@ impl Streams {
     }
 }
 
-/// A connection that was taken in.
+/// An accepted connection.
 struct Accepted {
     stream: TcpStream,
     address: AddressGroup,
@@ -183,7 +183,7 @@ fn gone(error: &io::Error) -> bool {
 
 async fn serve(stream: TcpStream, router: Router, streams: Streams, stop: CancellationToken, limits: Limits) {
     if let Err(error) = SockRef::from(&stream).set_tcp_user_timeout(Some(limits.unread)) {
-        // Its peer is gone already, as a rule.
+        // The peer has usually closed the connection already.
         tracing::debug!(%error, "a connection cannot be given a time limit");
         return;
     }

@@ -19,7 +19,7 @@ const SOON: Duration = Duration::from_millis(20);
 const PATIENT: Limits =
     Limits { connections: 8, streams: 8, streams_per_address: 8, silence: HOUR, unread: HOUR, grace: HOUR };
 
-/// A server whose `/wait` answers when it is let go.
+/// A server whose `/wait` answers only when a permit is added.
 struct Server {
     address: SocketAddr,
     stop: CancellationToken,

@@ -16,7 +16,7 @@ use crate::state::AppState;
 /// Reason why a request is not answered.
 #[derive(Debug, thiserror::Error)]
 pub(crate) enum WebError {
-    /// A parameter of the query or path makes no sense; the text names it.
+    /// A parameter of the query or path is invalid; the text names it.
     #[error("{0}")]
     BadRequest(String),
     /// The requested item does not exist; the text names it.
@@ -35,7 +35,7 @@ pub(crate) enum WebError {
         "only pages of this dashboard and programs may change something here, not a page of {0}; a proxy in between must pass on the Host header"
     )]
     OtherSite(String),
-    /// The store has no answer.
+    /// The store returned an error.
     #[error("the store has no answer")]
     Store(#[from] StoreError),
     /// A template could not be rendered.
@@ -132,7 +132,7 @@ impl WebError {
             return ProblemDetails::new(status, text, None);
         }
         let text = Chain(self).to_string();
-        // The same failure has the same id, so that it is found in the log although not every one is written there.
+        // The same failure has the same id, so that it is found in the log although only some occurrences are written there.
         let id = id(&text);
         if let Some(times) = app.count_failure(&text) {
             if matches!(self, Self::TookTooLong(_)) {

@@ -31,7 +31,7 @@ struct HeldPlaces {
 /// Reason why there is no place.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum NoPlace {
-    /// The address has as many as one may have.
+    /// The address holds the largest number that one address may hold.
     AddressIsFull(usize),
     /// All of these places are taken, and no address has clearly more of them than the address that asks.
     AllTaken(usize),
@@ -81,7 +81,7 @@ impl FairPlaces {
             return Err(NoPlace::AddressIsFull(of_address));
         }
         if held.count == self.count {
-            // With a difference of one, two addresses would take the place from each other in turn.
+            // With a difference of one, two addresses would take the place from each other alternately.
             let crowded = held.most_crowded().filter(|(_, places)| *places >= of_address + 2);
             let (crowded, _) = crowded.ok_or(NoPlace::AllTaken(self.count))?;
             held.give_up_oldest(crowded);

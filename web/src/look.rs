@@ -19,7 +19,7 @@ pub(crate) const NETWORK_AND_REST: &str = "upload + download + unattributed";
 /// Time from the intended start to the actual start: a named part of the unattributed time.
 pub(crate) const LATENESS: &str = "lateness";
 
-/// Values that tell how often a model was right, and how they are shown: means of 0 and 1.
+/// Values of a model's accuracy, and their titles: means of 0 and 1.
 pub(crate) const ACCURACIES: [(&str, &str); 2] = [("top-1", "Top-1"), ("top-5", "Top-5")];
 
 /// Returns the name of a stage where there is little room.

@@ -23,7 +23,7 @@ use crate::error::{ProblemDetails, WebError};
 use crate::state::App;
 use crate::{access, api, assets, pages};
 
-/// No inline script, no inline style, nothing from elsewhere.
+/// Content security policy: no inline script, no inline style, nothing from other sites.
 const POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self'; font-src 'self'; \
                       connect-src 'self'; base-uri 'none'; form-action 'self'; frame-ancestors 'none'";
 
@@ -115,7 +115,7 @@ async fn render_error(State(app): State<App>, request: Request, next: Next) -> R
 /// Returns the answer for an address that is not there.
 async fn no_such_page(request: Request) -> WebError {
     let path = request.uri().path();
-    // Who has an edge and a cloud at hand writes them as a folder and a file.
+    // A user may write edge and cloud as a folder and a file.
     let link = path
         .strip_prefix("/api/v1")
         .unwrap_or(path)

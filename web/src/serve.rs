@@ -1,4 +1,4 @@
-//! Starting and stopping.
+//! Start and stop of the server.
 
 use std::io;
 use std::net::SocketAddr;
@@ -18,7 +18,7 @@ use crate::state::AppState;
 /// Reason why the server did not start.
 #[derive(Debug, thiserror::Error)]
 pub enum StartError {
-    /// A value of the configuration cannot work.
+    /// A value of the configuration is invalid.
     #[error("cannot serve the dashboard")]
     Configuration(#[from] Problem),
     /// The port is taken or the address is not this machine's.
@@ -28,7 +28,7 @@ pub enum StartError {
     Listen {
         /// The configured address.
         address: SocketAddr,
-        /// The system's own words.
+        /// The operating system's error.
         source: io::Error,
     },
 }
@@ -63,7 +63,7 @@ impl Running {
     }
 }
 
-/// Everything that [`serve`] answers, without a socket. Streams end when `stop` is cancelled.
+/// Returns all routes that [`serve`] serves, without a socket. Streams end when `stop` is cancelled.
 pub fn router(
     config: &WebConfig,
     aggregator: Aggregator,

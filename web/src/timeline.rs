@@ -42,7 +42,7 @@ pub(crate) struct Delay {
     pub verdict: Verdict,
 }
 
-/// Another host's stay in the iteration.
+/// Visit of the iteration to another host.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Visit {
     /// Time at which the message was handed to the network, on the edge's time line.
@@ -53,7 +53,7 @@ pub(crate) struct Visit {
     pub answered: Option<(f64, f64)>,
     /// Largest shift of the whole visit to an earlier and to a later time.
     pub shift: (f64, f64),
-    /// Upload and download together: free of any clock.
+    /// Upload and download together, which depends on no clock relation.
     pub network: Option<f64>,
 }
 
@@ -63,7 +63,7 @@ pub(crate) struct Timeline {
     pub nodes: Vec<Placed>,
     /// One entry per host other than the edge.
     pub visits: Vec<Option<Visit>>,
-    /// The end of everything.
+    /// End of the last node.
     pub end: f64,
 }
 

@@ -1,4 +1,4 @@
-//! A run as a table.
+//! Export of a run as a table.
 
 use axum::body::Body;
 use axum::extract::rejection::PathRejection;
@@ -86,10 +86,10 @@ async fn table(
     Ok((head, Body::from_stream(chunks)).into_response())
 }
 
-/// A table whose header is sent.
+/// State of a table whose header was sent.
 struct Begun {
     header: Header,
-    /// The last iteration that was sent, and the last that will be.
+    /// Number of the last iteration that was sent, and of the last one to send.
     after: u64,
     through: u64,
 }

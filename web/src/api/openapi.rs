@@ -24,7 +24,7 @@ pub(crate) async fn serve(document: utoipa::openapi::OpenApi) -> Json<utoipa::op
     Json(document)
 }
 
-/// Errors that every operation may answer with: status, name among the components, description.
+/// Errors of every operation: status, name among the components, description.
 const ERRORS: [(&str, &str, &str); 4] = [
     ("400", "BadRequest", "a parameter or the Host header is wrong; the detail names it"),
     ("421", "MisdirectedRequest", "the Host header names another server"),
@@ -46,7 +46,7 @@ const TOO_LARGE: (&str, &str, &str) = (
     "the first line and headers take more than 64 KiB, or there are too many",
 );
 
-/// Adds the errors that the server answers with whatever the operation.
+/// Adds the errors that do not depend on the operation.
 pub(crate) fn complete(document: &mut utoipa::openapi::OpenApi) {
     let components = document.components.get_or_insert_default();
     for (_, name, description) in ERRORS.into_iter().chain([FORBIDDEN, NOT_FOUND]) {
@@ -57,7 +57,7 @@ pub(crate) fn complete(document: &mut utoipa::openapi::OpenApi) {
         .responses
         .insert(name.to_owned(), ResponseBuilder::new().description(description).build().into());
     for (path, item) in &mut document.paths.paths {
-        // Errors of pages are pages.
+        // Errors of pages are sent as pages.
         if !path.starts_with("/api/") {
             continue;
         }

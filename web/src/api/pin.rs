@@ -1,4 +1,4 @@
-//! Runs that are kept (pinned) for ever.
+//! Pinned runs: retention deletes nothing of them.
 
 use axum::extract::rejection::PathRejection;
 use axum::extract::{Path, State};
@@ -27,7 +27,7 @@ async fn put(
     set(&app, path(number)?, true).await
 }
 
-/// Lets a run go (unpins it): keeps it no longer than others.
+/// Unpins a run: retention deletes it like others.
 #[utoipa::path(delete, path = "/api/v1/runs/{run}/pin", operation_id = "unpinRun", tag = "runs", params(("run" = i64, Path)), responses(
     (status = 204, description = "it is kept no longer than others"),
     (status = "default", body = ProblemDetails, content_type = "application/problem+json"),

@@ -1,4 +1,4 @@
-//! Whether a run can be published.
+//! Trust in a run: whether it can be published.
 
 use axum::Json;
 use axum::extract::rejection::PathRejection;
@@ -41,7 +41,7 @@ pub(crate) struct Trust {
     pub verdict: &'static str,
     /// The answer in a sentence.
     pub answer: String,
-    /// The most harmful first.
+    /// Observations, the most harmful first.
     pub sentences: Vec<Sentence>,
 }
 

@@ -1,4 +1,4 @@
-//! The `[web.warn]` table of the configuration file: from when on the overview warns.
+//! The `[web.warn]` table of the configuration file: limits beyond which the overview warns.
 
 use serde::{Deserialize, Serialize};
 

@@ -13,11 +13,11 @@ pub(super) struct AggregatorFigures {
     pub(super) connected: u64,
     /// Hosts of the picture.
     pub(super) known: u64,
-    /// Hosts that were turned away lately.
+    /// Hosts whose connections were refused recently.
     pub(super) refused: u64,
     /// Size of the database's files; `None` if there are none.
     pub(super) database_bytes: Option<u64>,
-    /// Connections turned away, by reason.
+    /// Refused connections, by reason.
     pub(super) rejected: Vec<(&'static str, u64)>,
     pub(super) totals: Totals,
 }
@@ -36,7 +36,7 @@ impl AggregatorFigures {
         }
     }
 
-    /// Adds the counts of connections that were turned away.
+    /// Adds the counts of refused connections.
     pub(super) fn with_rejections(mut self, counts: &RejectionCounts) -> Self {
         self.rejected = Rejection::ALL.map(|reason| (reason.name(), counts.count(reason))).to_vec();
         self
@@ -47,7 +47,7 @@ impl AggregatorFigures {
         self.database_bytes.into_iter().for_each(|bytes| to(&[], Sample::Size(bytes)));
     }
 
-    /// Writes the connections that were turned away, by reason.
+    /// Writes the refused connections, by reason.
     pub(super) fn rejected(&self, to: &mut Sink<'_>) {
         self.rejected.iter().for_each(|(reason, count)| to(&[reason], Sample::Count(*count)));
     }

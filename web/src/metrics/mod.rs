@@ -37,7 +37,7 @@ pub(crate) fn routes() -> OpenApiRouter<App> {
     OpenApiRouter::new().routes(routes!(serve))
 }
 
-/// Everything that is counted and measured, in the OpenMetrics text format; `docs/metrics.md` lists the metrics.
+/// All metrics, in the OpenMetrics text format; `docs/metrics.md` lists them.
 #[utoipa::path(get, path = "/metrics", operation_id = "getMetrics", tag = "health", responses(
     (status = 200, body = String, content_type = "application/openmetrics-text"),
 ))]
@@ -76,7 +76,7 @@ impl Collector for Scrape {
                 }
                 let labels: Vec<(&str, &str)> =
                     metric.labels.iter().copied().zip(values.iter().copied()).collect();
-                // An empty set of labels would leave its braces.
+                // An empty set of labels would leave its braces in the text.
                 written = if labels.is_empty() {
                     write(&mut family, sample)
                 } else {

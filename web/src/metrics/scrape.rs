@@ -59,7 +59,7 @@ impl Scrape {
             let places = 0..link.live.connections.len();
             places.map(|place| (Arc::clone(link), place)).collect::<Vec<_>>()
         };
-        // Those of a link that is not reported any more are closed.
+        // A link that is not reported any more has no open connections.
         let mut connections: Vec<_> = links.iter().filter(|link| link.connected).flat_map(listed).collect();
         let omitted = [
             ("hosts", cut(&mut hosts, HOSTS)),

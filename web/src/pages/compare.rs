@@ -36,7 +36,7 @@ pub(super) const PAGE: PageKind = PageKind {
 const STAGE: &str = "stage";
 /// Query parameter with the run whose configuration is the baseline.
 const BASELINE: &str = "baseline";
-/// Experiments that are offered when nothing was chosen.
+/// Number of experiments offered when nothing is selected.
 const OFFERED: u32 = 50;
 /// Longest label, in letters, that stays on one line.
 const SHORT: usize = 24;
@@ -72,7 +72,7 @@ struct Compare {
     pairs: Vec<Pair>,
     pairs_axes: Axes,
     baseline: Baseline,
-    /// Settings that tell nothing apart.
+    /// Settings that do not distinguish configurations.
     settings: Vec<Setting>,
     names: Vec<String>,
     payload: Option<(Scatter, Vec<String>)>,
@@ -96,7 +96,7 @@ struct Baseline {
     is_too_short: bool,
 }
 
-/// A configuration against the baseline.
+/// Difference of a configuration from the baseline.
 struct OtherRow {
     name: String,
     total: Option<Changed>,

@@ -43,9 +43,9 @@ struct Hosts {
     cut: Option<String>,
     /// Sentence about hosts that connected before, shown while none reports.
     known: Option<String>,
-    /// Hosts that were turned away lately.
+    /// Hosts whose connections were refused recently.
     refused: Vec<RefusedLine>,
-    /// Hosts that are stored but not in the live picture: name and last sign of life.
+    /// Hosts that are stored but not in the live picture: name and time of the last report.
     past: Vec<(String, Moment)>,
     /// Sentence shown where the list of past hosts is cut.
     past_cut: Option<String>,

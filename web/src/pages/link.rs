@@ -44,7 +44,7 @@ pub(super) const PAGE: PageKind = PageKind {
 
 /// Name of its topic of the live stream.
 const TOPIC: &str = "link";
-/// Points of a picture at most.
+/// Largest number of points of a picture.
 const POINTS: u32 = 360;
 /// Number of incidents searched for those of the link, and number of incidents listed.
 const INCIDENTS: u32 = 1_000;
@@ -132,7 +132,7 @@ pub(super) struct Link {
     rows: Vec<Row>,
     meanings: Vec<Meaning>,
     origin: Origin,
-    /// Under which conditions the bounds hold; `None` where both hosts read one clock.
+    /// Conditions under which the bounds hold; `None` where both hosts read one clock.
     promise: Option<String>,
     assumptions: Pairs,
     probes: Pairs,

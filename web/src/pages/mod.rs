@@ -90,7 +90,7 @@ fn path<T>(path: Result<Path<T>, PathRejection>) -> Result<T, WebError> {
 /// Changed parts of a live page.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub(crate) struct Update {
-    /// Changes when the page must be fetched again, because its parts are others.
+    /// Identifier of the layout; when it changes, the page must be fetched again, because it has other parts.
     pub layout: String,
     /// Title of the window.
     pub title: String,

@@ -1,4 +1,4 @@
-//! The stages of one thing, side by side on a scale in ms.
+//! Bar of stages on a scale in ms.
 
 use askama::Template;
 use peernet_statistics::number::{figure, fixed};
@@ -7,9 +7,9 @@ use super::fit::Fitted;
 use super::{Percent, Scale};
 use crate::look;
 
-/// Between segments narrower than this the parting line would hide them.
+/// Width below which a segment is drawn without a dividing line, which would hide it.
 const CUT_FITS: f64 = 0.6;
-/// Narrower error bars would be mistaken for the line between two segments.
+/// Width below which an error bar is left out: it would look like the line between two segments.
 const BOUND_SEEN: f64 = 0.4;
 
 /// One stage of a bar.

@@ -1,4 +1,4 @@
-//! A distribution in five numbers, lying, under others on the same scale.
+//! A distribution in five numbers, drawn horizontally; several share one scale.
 
 use askama::Template;
 use peernet_statistics::Summary;

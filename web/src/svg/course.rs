@@ -75,7 +75,8 @@ impl CourseData {
         self.buckets.chunk_by(|a, b| b.begin - a.begin < self.width * 1.5)
     }
 
-    /// One value of all buckets over time: each in the middle of its bucket, the ends of a piece drawn out to their buckets'.
+    /// Returns the line of one value of all buckets: each in the middle of its bucket, and the ends of a piece extended to the ends of
+    /// their buckets.
     fn outline(&self, value: impl Fn(&CourseBucket) -> Option<f64>) -> Vec<Option<(f64, f64)>> {
         // A bucket in which the warm-up ends holds nothing from before.
         let begun = self.warm_up.unwrap_or(0.0).clamp(0.0, self.length);

@@ -1,4 +1,4 @@
-//! A small line without axes, never without its number.
+//! A small line without axes, always shown with its number.
 
 use std::fmt::Write as _;
 

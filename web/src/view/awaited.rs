@@ -1,4 +1,4 @@
-//! The first moments of an aggregator: agents that it knows have not come back yet.
+//! State shortly after an aggregator's start, when known agents have not reconnected yet.
 
 use peernet_aggregator::LiveState;
 use peernet_clock::{Span, WallTime};

@@ -89,7 +89,7 @@ fn speed_of(detail: &IterationDetail, name: &str, delay: &str) -> (String, &'sta
 }
 
 impl Beside {
-    /// Everything that no other table of the page shows.
+    /// Returns the measurements that no other table of the page shows.
     pub(crate) fn all(detail: &IterationDetail) -> Vec<Self> {
         let shown_elsewhere = |node: &Node| {
             let name = node.name.as_str();

@@ -1,4 +1,4 @@
-//! A sign and a word: verdicts and states. Each has its own sign, so that colour is never needed.
+//! Chip of a sign and a word for verdicts and states. Each has a different sign, so that colour is not needed.
 
 use askama::Template;
 use peernet_clock::Verdict;
@@ -12,7 +12,7 @@ pub(crate) enum Tone {
     Quiet,
     /// State that needs attention.
     Warn,
-    /// Wrong.
+    /// Bad state.
     Bad,
 }
 

@@ -11,9 +11,9 @@ use super::chip::Chip;
 /// The clock bound of a pipeline or run.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct ClockCell {
-    /// `±0.65`; `None` where there is nothing to bound or no bound is known.
+    /// Bound, such as `±0.65`; `None` where there is nothing to bound or no bound is known.
     pub bound: Option<String>,
-    /// The worst verdict that was given.
+    /// Worst verdict.
     pub chip: Option<Chip>,
     /// Words shown without emphasis where there is no bound.
     pub words: &'static str,

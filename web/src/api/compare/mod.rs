@@ -1,4 +1,4 @@
-//! Runs side by side, and experiments.
+//! Comparisons of runs, and experiments.
 
 mod schema;
 
@@ -32,7 +32,7 @@ struct CompareQuery {
     /// combined.
     #[allow(dead_code, reason = "describes the parameter")]
     experiment: Option<String>,
-    /// Number of a compared run: the others are compared with its configuration. Unless it is given, with the first one.
+    /// Number of a compared run: its configuration is the baseline. Unless given, that of the first run.
     #[allow(dead_code, reason = "describes the parameter")]
     #[param(value_type = Option<i64>)]
     baseline: Option<String>,

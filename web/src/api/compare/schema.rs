@@ -1,4 +1,4 @@
-//! Runs side by side, and experiments.
+//! Schema of comparisons and experiments.
 
 use peernet_analysis::deadline::Misses;
 use peernet_store::{self as store, Figures};
@@ -20,7 +20,7 @@ pub(crate) struct Experiment {
     /// Id of the experiment; equal for all runs of one execution.
     pub id: String,
     pub name: String,
-    /// Runs that began.
+    /// Number of runs that began.
     pub runs: u64,
     /// Number of these runs that have not ended.
     pub open: u64,
@@ -39,28 +39,28 @@ impl From<&store::ExperimentSummary> for Experiment {
     }
 }
 
-/// Configurations side by side; successful iterations only, warm-up left out.
+/// Comparison of configurations; successful iterations only, warm-up left out.
 #[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
 pub(crate) struct Comparison {
-    /// Id of the experiment that was asked for.
+    /// Id of the requested experiment.
     pub experiment: Option<String>,
     /// Names of the settings in which the configurations differ.
     pub axes: Vec<String>,
     pub configurations: Vec<Configuration>,
-    /// Settings in which they differ as well, and those that the experiment declares for all alike.
+    /// Further settings in which they differ, and those that the experiment declares for all alike.
     pub settings: Vec<Setting>,
     /// Letter of the configuration with the lowest mean of `total`; null where there is nothing to compare. Configurations whose
     /// model only answers what it was sent are left out where others compute.
     pub best: Option<String>,
-    /// Letters of the configurations whose mean of `total` is larger than the lowest by no more than chance.
+    /// Letters of the configurations whose mean of `total` is not significantly larger than the lowest.
     pub ties: Vec<String>,
-    /// Letter of the configuration that the others are compared with.
+    /// Letter of the baseline.
     pub baseline: Option<String>,
     /// Differences between each other configuration and the baseline, stage by stage, where the interval is known.
     pub differences: Vec<Difference>,
     /// Reasons not to take the figures at face value, as sentences; for example starts that were skipped.
     pub doubts: Vec<String>,
-    /// Runs of the experiment that do not count: those that were not measured to their end, and those that were measured again.
+    /// Runs of the experiment that are excluded: those that were not measured to their end, and those that were measured again.
     pub left_out: Vec<LeftOut>,
     /// `true` if there were more runs than are compared.
     pub cut: bool,
@@ -71,11 +71,11 @@ pub(crate) struct Comparison {
 pub(crate) struct LeftOut {
     /// Number of the run.
     pub run: i64,
-    /// The reason: how it ended, or as which one it was measured again.
+    /// Reason: how it ended, or the number of the run that replaces it.
     pub why: String,
 }
 
-/// Runs of one configuration, taken together.
+/// Runs of one configuration, combined.
 #[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
 pub(crate) struct Configuration {
     /// `A`, `B` and so on, in the order of the list.
@@ -86,7 +86,7 @@ pub(crate) struct Configuration {
     pub values: Vec<String>,
     /// Numbers of its runs.
     pub runs: Vec<i64>,
-    /// Starts that came due, warm-up left out; in a closed loop as many as there are iterations.
+    /// Number of starts that came due, warm-up left out; in a closed loop the number of iterations.
     pub starts: u64,
     /// Number of these starts that were skipped because the pipeline was too far behind.
     pub skipped_starts: u64,
@@ -103,7 +103,7 @@ pub(crate) struct Configuration {
 #[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
 pub(crate) struct ComparedStage {
     pub name: String,
-    /// `s`, `B`, `bit/s` or the user's own.
+    /// Unit: `s`, `B`, `bit/s` or user-defined.
     pub unit: String,
     #[serde(flatten)]
     pub figures: Figures,

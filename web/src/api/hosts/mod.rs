@@ -1,4 +1,4 @@
-//! Hosts.
+//! The resource of hosts.
 
 mod schema;
 

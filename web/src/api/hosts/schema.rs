@@ -13,14 +13,14 @@ use crate::api::schema::{HostClock, time};
 #[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
 pub(crate) struct HostList {
     pub hosts: Vec<Host>,
-    /// Hosts that were turned away in the last ten minutes, newest first.
+    /// Hosts whose connections were refused in the last ten minutes, newest first.
     pub refused: Vec<RefusedHost>,
 }
 
-/// A host that was turned away.
+/// A host whose connection was refused.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, ToSchema)]
 pub(crate) struct RefusedHost {
-    /// The name that it gave.
+    /// Name that it sent.
     pub name: String,
     /// Address that the connection came from, if the transport reports it.
     pub address: Option<String>,
@@ -50,7 +50,7 @@ pub(crate) struct Host {
     pub connected: bool,
     pub last_seen: String,
     pub description: Description,
-    /// Null for a host that is not in the live picture.
+    /// Current state; null for a host that is not in the live picture.
     pub now: Option<Now>,
     /// The host's wall clock by its own account; null for a host that is not in the live picture.
     pub clock: Option<HostClock>,
@@ -85,7 +85,7 @@ pub(crate) struct Now {
     pub clock_ahead_s: f64,
     /// Delay of storing behind measuring, seconds: age of the oldest waiting event, by the host's own clock; null when nothing waits.
     pub behind_s: Option<f64>,
-    /// Null while that does not fall, or is below five seconds.
+    /// Rate of catching up; null while the lag does not fall, or is below five seconds.
     pub catching_up: Option<CatchingUp>,
     /// Busy share of all cores, 0 to 1.
     pub cpu: Option<f64>,
@@ -94,7 +94,7 @@ pub(crate) struct Now {
     pub gpu: Option<f64>,
     pub temperature_celsius: Option<f64>,
     pub power_watts: Option<f64>,
-    /// CPU time of the agent itself as a share of one core.
+    /// CPU time of the agent process as a share of one core.
     pub agent_cpu: Option<f64>,
     pub agent_memory_bytes: Option<u64>,
     pub events: EventAccount,
@@ -103,7 +103,7 @@ pub(crate) struct Now {
 /// Counts of an agent's events since its spool was made, by its own account; produced = acknowledged + waiting + dropped.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, ToSchema)]
 pub(crate) struct EventAccount {
-    /// Events that were made; gaps that are reported count as events of their own.
+    /// Number of events produced; each reported gap counts as an event.
     pub produced: u64,
     /// Number of these written to the spool, or stored without it while its disk failed.
     pub spooled: u64,
@@ -111,17 +111,17 @@ pub(crate) struct EventAccount {
     pub sent: u64,
     /// Number of these acknowledged as stored.
     pub acknowledged: u64,
-    /// Events that wait on the agent, in memory or in the spool.
+    /// Number of events that wait on the agent, in memory or in the spool.
     pub waiting: u64,
-    /// Events that were dropped for want of room or lost when the agent was killed, and counted in gaps.
+    /// Number of events dropped because there was no room or lost when the agent was killed; gaps count them.
     pub dropped: u64,
-    /// Gaps that were reported.
+    /// Number of gaps reported.
     pub gaps: u64,
-    /// Bytes of the batches in the spool.
+    /// Size of the batches in the spool, bytes.
     pub spool_bytes: u64,
-    /// Bytes that the spool may take.
+    /// Largest size of the spool, bytes.
     pub spool_limit_bytes: u64,
-    /// Bytes of events in memory that are not in the spool yet.
+    /// Size of the events in memory that are not in the spool yet, bytes.
     pub memory_bytes: u64,
     /// Time of the oldest waiting event, on the agent's wall clock; null when none waits.
     pub oldest: Option<String>,
@@ -169,9 +169,9 @@ impl From<&Accounting> for EventAccount {
 /// Rate at which storing catches up with measuring.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, ToSchema)]
 pub(crate) struct CatchingUp {
-    /// Seconds by which the lag falls in a second, over the last 10 s or so.
+    /// Seconds by which the lag falls per second, over about the last 10 s.
     pub rate: f64,
-    /// Events stored in a second, over the same time.
+    /// Events stored per second, over the same time.
     pub events_per_second: f64,
     /// Seconds until there is no lag, at the present rate.
     pub left_s: f64,
@@ -188,11 +188,11 @@ pub(crate) struct Stored {
     pub gaps: u64,
     /// Events missing in the gaps, as far as they could be counted.
     pub missing: u64,
-    /// Batches that came more than once and were stored once, since the aggregator started.
+    /// Batches that arrived more than once and were stored once, since the aggregator started.
     pub duplicates: u64,
-    /// Batches put aside because they could not be stored as they were.
+    /// Batches quarantined because they could not be stored.
     pub quarantined: u64,
-    /// Batches for which there was no room and that were asked for again, since the aggregator started.
+    /// Batches that were requested again because there was no room, since the aggregator started.
     pub deferred: u64,
     /// Batches whose bytes did not match their hash, since the aggregator started.
     pub damaged: u64,

@@ -1,4 +1,4 @@
-//! Iterations of a run.
+//! The resource of iterations.
 
 mod schema;
 
@@ -22,7 +22,7 @@ pub(super) fn routes() -> OpenApiRouter<App> {
     OpenApiRouter::new().routes(routes!(list)).routes(routes!(get))
 }
 
-/// The order of a list.
+/// Order of a list.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, ToSchema)]
 #[serde(rename_all = "lowercase")]
 enum Order {
@@ -51,7 +51,7 @@ struct Query {
     order: Order,
 }
 
-/// Iterations by rising number, or the slowest; those that retention deleted are left out.
+/// Iterations by increasing number, or the slowest; those that retention deleted are left out.
 #[utoipa::path(get, path = "/api/v1/runs/{run}/iterations", operation_id = "listIterations", tag = "iterations", params(("run" = i64, Path), Query), responses(
     (status = 200, body = IterationList),
     (status = "default", body = ProblemDetails, content_type = "application/problem+json"),
@@ -82,7 +82,7 @@ async fn list(
     Ok(Json(IterationList { iterations: rows.iter().map(IterationSummary::from).collect(), next }))
 }
 
-/// One iteration with its tree. 410 where retention deleted it, 404 where there never was one.
+/// One iteration with its tree. 410 if retention deleted it, 404 if it never existed.
 #[utoipa::path(get, path = "/api/v1/runs/{run}/iterations/{iteration}", operation_id = "getIteration", tag = "iterations",
     params(("run" = i64, Path), ("iteration" = u64, Path)),
     responses(

@@ -1,4 +1,4 @@
-//! Iterations of a run.
+//! Schema of iterations.
 
 use peernet_analysis::slowness::Cause;
 use peernet_clock::DelaySource;
@@ -31,7 +31,7 @@ pub(crate) struct IterationSummary {
     pub started: String,
     /// Seconds from the intended start to the end.
     pub total: Option<f64>,
-    /// `total` over the run's median of it.
+    /// Ratio of `total` to the run's median of it.
     pub factor: Option<f64>,
     /// First element of `causes`; null if `causes` is empty.
     pub blame: Option<Blame>,
@@ -41,7 +41,7 @@ pub(crate) struct IterationSummary {
     pub causes: Vec<Blame>,
     /// Seconds per stage, in their order.
     pub stages: Vec<StageTime>,
-    /// Seconds that `total` holds beyond its stages.
+    /// Time of `total` that its stages do not account for, seconds.
     pub unattributed: Option<f64>,
     /// Sum of `upload` and `download` where one of them has no value alone, seconds: the time that the edge waited less the time that the
     /// cloud took. `total` is this, `unattributed` and the other stages. Null where each is known.
@@ -52,7 +52,7 @@ pub(crate) struct IterationSummary {
 #[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
 pub(crate) struct StageTime {
     pub name: String,
-    /// Null for a one-way delay of which nothing is known.
+    /// Duration, seconds; null for a one-way delay without a value.
     pub seconds: Option<f64>,
     /// Accuracy of a one-way delay; null for other stages.
     pub delay: Option<StageDelay>,
@@ -110,7 +110,7 @@ impl StageTime {
     }
 }
 
-/// A part of an iteration that took longer than in the median of its run.
+/// A part of an iteration that took longer than the median of its run.
 #[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
 pub(crate) struct Blame {
     pub name: String,
@@ -157,11 +157,11 @@ pub(crate) struct Iteration {
     pub tree: serde_json::Value,
     /// Names of the hosts of the tree's anchors.
     pub hosts: Vec<Option<String>>,
-    /// Place among the slowest, from 1.
+    /// Rank among the slowest, from 1.
     pub rank: Option<u64>,
     pub previous: Option<u64>,
     pub next: Option<u64>,
-    /// The whole run, for comparison.
+    /// Figures of the whole run, for comparison.
     pub run_figures: Vec<NodeFigures>,
 }
 

@@ -10,7 +10,7 @@ use crate::view::link::known;
 /// Offset between the two related clocks at one time: cloud minus edge. `clocks` names the clocks.
 #[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
 pub(crate) struct ClockOffset {
-    /// The best guess, seconds; null with its bounds when the verdict is `inconsistent`: then nothing is known.
+    /// Best estimate, seconds; null with its bounds when the verdict is `inconsistent`.
     pub estimate_s: Option<f64>,
     pub lo_s: Option<f64>,
     pub hi_s: Option<f64>,
@@ -64,9 +64,9 @@ impl From<&Offset> for ClockOffset {
 pub(crate) struct Probes {
     pub sent: u32,
     pub answered: u32,
-    /// Did not come back in time.
+    /// Number of probes that did not come back in time.
     pub lost: u32,
-    /// Packets that arrived and were refused as answers, and probes that could not be sent.
+    /// Number of packets that were refused as answers, and of probes that could not be sent.
     pub refused: u32,
 }
 
@@ -94,9 +94,9 @@ impl From<stream::RoundTrip> for RoundTrip {
 pub(crate) struct Delay {
     /// Number of judged delays.
     pub count: u32,
-    /// The worst verdict that at least a twentieth of them were given.
+    /// The worst verdict that at least a twentieth of them have.
     pub verdict: &'static str,
-    /// The median of those that have a value, with the bounds of that very one; null when none has.
+    /// The median of the delays that have a value, with the bounds of the same delay; null when none has.
     pub median: Option<MedianDelay>,
 }
 

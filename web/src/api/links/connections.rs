@@ -1,4 +1,4 @@
-//! The connections of a link, in numbers.
+//! Schema of the connections of a link.
 
 use peernet_clock::Span;
 use peernet_stream as stream;
@@ -25,9 +25,9 @@ pub(crate) struct LinkConnection {
     pub down: LinkDirection,
     /// The round trip of the transport's own packets; null where the transport does not measure one.
     pub transport_round_trip: Option<TransportRoundTrip>,
-    /// Messages that arrived and made no sense.
+    /// Number of messages that arrived and could not be decoded.
     pub malformed_messages: u64,
-    /// Answers that arrived after the request had been given up.
+    /// Number of answers that arrived after the request had been given up.
     pub late_messages: u64,
     /// Requests that will never be answered, because they or their answers were lost on the way or the connection ended.
     pub lost_messages: u64,
@@ -44,7 +44,7 @@ pub(crate) struct LinkCloudEnd {
     pub down: LinkDirection,
     /// The round trip of the transport's own packets; null where the transport does not measure one.
     pub transport_round_trip: Option<TransportRoundTrip>,
-    /// Messages that arrived there and made no sense.
+    /// Number of messages that arrived there and could not be decoded.
     pub malformed_messages: u64,
     /// Answers that could not be handed to the network, or that were lost on the way.
     pub lost_messages: u64,
@@ -66,22 +66,22 @@ pub(crate) struct LinkDirection {
     /// Bytes of the messages, without overhead of the transport.
     pub bytes: u64,
     pub messages: u64,
-    /// Datagrams with data, with TCP segments with data; those sent again count again.
+    /// Number of datagrams with data, with TCP segments with data; retransmissions count again.
     pub datagrams: Option<u64>,
-    /// Sent and did not arrive.
+    /// Number sent and not received.
     pub lost_datagrams: Option<u64>,
-    /// Arrived more than once.
+    /// Number received more than once.
     pub duplicated_datagrams: Option<u64>,
-    /// Arrived out of order.
+    /// Number received out of order.
     pub reordered_datagrams: Option<u64>,
-    /// Sent again.
+    /// Number retransmitted.
     pub retransmitted_datagrams: Option<u64>,
 }
 
 /// Round trip of a transport's packets and their acknowledgements (RFC 6298), seconds.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, ToSchema)]
 pub(crate) struct TransportRoundTrip {
-    /// The shortest lately; null before the first.
+    /// Shortest recent round trip; null before the first.
     pub min_s: Option<f64>,
     pub smoothed_s: f64,
     /// Smoothed mean deviation.

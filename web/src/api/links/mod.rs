@@ -1,4 +1,4 @@
-//! Links and their clocks.
+//! The resource of links and their clocks.
 
 mod clock;
 mod connections;

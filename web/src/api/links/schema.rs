@@ -34,15 +34,15 @@ pub(crate) struct Link {
     pub connected: bool,
     /// Time of the newest sample, on the edge's wall clock.
     pub last_sample: String,
-    /// Under which conditions the bounds contain the true delays, in one sentence; null where both hosts read one clock.
+    /// Conditions under which the bounds contain the true delays, in one sentence; null where both hosts read one clock.
     pub promise: Option<String>,
     /// Assumptions as figures, by the newest sample.
     pub assumptions: Option<Assumptions>,
-    /// Null for a link that is not in the live picture.
+    /// Current state; null for a link that is not in the live picture.
     pub now: Option<LinkNow>,
 }
 
-/// A link, now.
+/// Current state of a link.
 #[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
 pub(crate) struct LinkNow {
     /// Kinds of network in use: that of the link.
@@ -56,14 +56,14 @@ pub(crate) struct LinkNow {
     pub probing: Probing,
     pub edge_clock: Option<HostClock>,
     pub cloud_clock: Option<HostClock>,
-    /// The limit of drift that the bounds rest on, parts per million.
+    /// Limit of drift that the bounds assume, parts per million.
     pub max_drift_ppm: f64,
     pub exchanges: Exchanges,
     /// Open connections, one for each pipeline.
     pub connections: Vec<LinkConnection>,
     /// The reflector that the edge's configuration names for the cloud (`[probes] reflectors`); null where it names none.
     pub reflector: Option<Reflector>,
-    /// The last second.
+    /// Statistics of the last second.
     #[serde(flatten)]
     pub second: LinkPoint,
 }
@@ -72,13 +72,13 @@ pub(crate) struct LinkNow {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, ToSchema)]
 pub(crate) struct Exchanges {
     pub taken: u64,
-    /// Refused: no two clocks can show them.
+    /// Number refused because no two clocks can show them.
     pub impossible: u64,
-    /// Refused: they contradict all others.
+    /// Number refused because they contradict all others.
     pub outliers: u64,
-    /// Refused: a clock was stepped on the way.
+    /// Number refused because a clock was stepped on the way.
     pub stepped: u64,
-    /// Windows begun after a step.
+    /// Number of windows begun after a step.
     pub restarts: u32,
 }
 
@@ -94,14 +94,14 @@ impl From<ExchangeCounts> for Exchanges {
 pub(crate) struct LinkPoint {
     /// The end of the second or bucket, on the edge's wall clock.
     pub at: String,
-    /// Null while nothing is known. Of a bucket the widest bounds.
+    /// Offset; null while nothing is known. For a bucket, the one with the widest bounds.
     pub offset: Option<ClockOffset>,
     pub probes: Probes,
     /// Null when no probe came back.
     pub round_trip: Option<RoundTrip>,
     /// Delays of data, edge to cloud; null when there were none.
     pub up: Option<Delay>,
-    /// Cloud to edge.
+    /// Delays of data, cloud to edge; null when there were none.
     pub down: Option<Delay>,
     /// The clocks that the offset is between: `raw`, `raw-to-wall` or `wall`. A free-running clock counts from the start of its machine.
     pub clocks: &'static str,

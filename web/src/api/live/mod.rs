@@ -76,11 +76,11 @@ const PAUSE: Duration = Duration::from_millis(250);
 const RATE: usize = 512 << 10;
 /// Largest number of different topics on one stream. A page needs one.
 const TOPICS: usize = 16;
-/// Seconds of each pipeline that are sent at most to one who was away.
+/// Largest number of seconds of each pipeline sent to a listener that reconnects.
 const HISTORY: usize = 600;
 /// Largest number of seconds of all pipelines together in one event. A listener that needs more requests each pipeline separately.
 const CATCH_UP: usize = 10_000;
-/// Time between two signs of life while nothing changes.
+/// Time between two heartbeats while nothing changes.
 const HEARTBEAT: Duration = Duration::from_secs(2);
 
 /// Query parameters of the live stream.
@@ -88,7 +88,7 @@ const HEARTBEAT: Duration = Duration::from_secs(2);
 #[serde(deny_unknown_fields, default)]
 #[into_params(parameter_in = Query)]
 struct Query {
-    // Described by `describe_topics`: the pages say which there are.
+    // `describe_topics` describes this parameter, because the pages define the topics.
     topics: Option<String>,
     /// Id of the last event of an earlier stream, as the header `Last-Event-ID`, which an `EventSource` cannot set: the first `picture`
     /// then holds the seconds since, at most 600. All other parts are sent as they are now.
@@ -156,7 +156,7 @@ fn event_time(id: &str) -> Result<WallTime, WebError> {
 /// Returns how many last seconds of each pipeline to send to a listener that has received everything up to `after`.
 fn seconds_since(after: WallTime, picture: &LiveState) -> usize {
     let missed = (picture.at - after).seconds().ceil();
-    // An id from the future is of another clock: all there is.
+    // An id from the future comes from another clock: all seconds are sent.
     let missed = if (0.0..HISTORY as f64).contains(&missed) { missed as usize } else { HISTORY };
     let wanted = missed + PipelineList::SECONDS;
     if wanted * picture.pipelines.len() > CATCH_UP { PipelineList::SECONDS } else { wanted.min(HISTORY) }

@@ -1,4 +1,4 @@
-//! Pipelines, now.
+//! The resource of live pipelines.
 
 use axum::Json;
 use axum::extract::rejection::PathRejection;
@@ -22,7 +22,7 @@ pub(super) fn routes() -> OpenApiRouter<App> {
 
 /// Lengths of the windows, seconds.
 const WINDOWS: [&str; 3] = ["1", "10", "60"];
-/// Seconds of one pipeline where no window is chosen.
+/// Number of seconds of one pipeline where no window is selected.
 const HISTORY: usize = 600;
 
 /// Parts of a pipeline to return; all of them unless given.
@@ -38,7 +38,7 @@ struct Query {
     stage: Option<String>,
 }
 
-/// A [`Query`] that makes sense.
+/// A valid [`Query`].
 struct Part {
     window: Option<u32>,
     names: Option<Vec<Name>>,

@@ -1,4 +1,4 @@
-//! Stored runs.
+//! The resource of stored runs.
 
 mod recomputed;
 mod schema;

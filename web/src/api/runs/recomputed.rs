@@ -42,7 +42,7 @@ pub(crate) struct RecomputedStage {
     pub after: Judgement,
 }
 
-/// Delays and how well they are known.
+/// Delays and their accuracy.
 #[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
 pub(crate) struct Judgement {
     /// Delays that have a value, seconds.

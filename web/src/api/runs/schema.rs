@@ -19,7 +19,7 @@ pub(crate) struct RunList {
 /// One pipeline configuration executed for many iterations.
 #[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
 pub(crate) struct Run {
-    /// The small number people use.
+    /// Number of the run, for people.
     pub number: i64,
     pub id: String,
     /// Name of the edge host.
@@ -127,12 +127,12 @@ pub(crate) struct Fact {
     pub value: String,
 }
 
-/// Events that never reached the store.
+/// A gap: events that never reached the store.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, ToSchema)]
 pub(crate) struct Gap {
     pub from: String,
     pub to: String,
-    /// 0 when not known.
+    /// Number of events; 0 when not known.
     pub count: u64,
     pub reason: String,
 }

@@ -1,4 +1,4 @@
-//! Statistics of a run, their course and distribution.
+//! Statistics of a run, over time and as distributions.
 
 use axum::Json;
 use axum::extract::rejection::PathRejection;
@@ -41,7 +41,7 @@ async fn stages(
     }))
 }
 
-/// Refuses to answer about a run that is not there.
+/// Returns an error for a run that does not exist.
 async fn check_exists(app: &AppState, number: i64) -> Result<(), WebError> {
     app.store().run(number).await?.map(|_| ()).ok_or_else(|| WebError::no_run(number))
 }
@@ -139,7 +139,7 @@ impl From<&transfer::Transfers> for SpeedWhileSending {
 #[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
 pub(crate) struct Stage {
     pub name: String,
-    /// `s`, `B`, `bit/s` or the user's own.
+    /// Unit: `s`, `B`, `bit/s` or user-defined.
     pub unit: String,
     /// `true` if it is one of the stages that add up to `stages-total`.
     pub is_stage: bool,

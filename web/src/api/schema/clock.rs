@@ -47,7 +47,7 @@ pub(crate) struct Claim {
 /// Clock fault injected on purpose.
 #[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
 pub(crate) struct Rehearsal {
-    /// Ahead from the start.
+    /// Offset at the start, seconds; positive if the clock is ahead.
     pub offset_s: f64,
     /// Drift, parts per million; positive if the clock runs fast.
     pub drift_ppm: f64,
@@ -56,7 +56,7 @@ pub(crate) struct Rehearsal {
     pub since: String,
 }
 
-/// A step of a clock that is made wrong on purpose.
+/// A step of a clock fault.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, ToSchema)]
 pub(crate) struct RehearsalStep {
     /// Time since the start, seconds.

@@ -4,7 +4,7 @@ use peernet_stream as stream;
 use serde::Serialize;
 use utoipa::ToSchema;
 
-/// Something about a host that decides how far a measurement on it can be trusted.
+/// Condition of a host that affects whether a measurement on it can be trusted.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, ToSchema)]
 pub(crate) struct Condition {
     /// Name of the host.

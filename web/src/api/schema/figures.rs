@@ -57,11 +57,11 @@ impl From<&store::Bound> for Bound {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, ToSchema)]
 pub(crate) struct Counts {
     pub ok: u64,
-    /// The sample or the model failed.
+    /// Number of iterations whose sample or model failed.
     pub failed: u64,
-    /// The connection broke.
+    /// Number of iterations whose connection broke.
     pub lost: u64,
-    /// No answer in time.
+    /// Number of iterations without an answer in time.
     pub timeout: u64,
 }
 

@@ -1,4 +1,4 @@
-//! Pipelines, now.
+//! Schema of live pipelines.
 
 use std::collections::BTreeMap;
 
@@ -17,7 +17,7 @@ pub(crate) struct PipelineList {
     pub pipelines: Vec<Pipeline>,
 }
 
-/// One pipeline, now.
+/// Current state of one pipeline.
 #[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
 pub(crate) struct Pipeline {
     /// Name of the host it senses on.
@@ -29,7 +29,7 @@ pub(crate) struct Pipeline {
     pub state: &'static str,
     /// Reason why it waits or failed.
     pub reason: Option<String>,
-    /// Number of its current or last run, once that reached the store.
+    /// Number of its current or last run; null until that is stored.
     pub run: Option<i64>,
     pub placement: Placement,
     /// The intended load in words: `closed`, `5 Hz`.
@@ -44,13 +44,13 @@ pub(crate) struct Pipeline {
     pub total_over_time: TotalOverTime,
 }
 
-/// 95th percentile of `total` over time. Each is that of all iterations of its bucket: their sketches are merged.
+/// 95th percentile of `total` over time, of all iterations of a bucket: their sketches are merged.
 #[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
 pub(crate) struct TotalOverTime {
     /// Length of each bucket, seconds: the shortest of 1, 2, 5, 10, 30, 60, 120, 300 and 600 that holds 60 iterations at
     /// the pipeline's rate; null while even the longest holds fewer.
     pub bucket_s: Option<u32>,
-    /// Buckets that hold 60 iterations or more, oldest first; the newest one may be under way.
+    /// Buckets that hold 60 iterations or more, oldest first; the newest one may be incomplete.
     pub points: Vec<TotalPoint>,
 }
 
@@ -80,7 +80,7 @@ impl TotalOverTime {
 pub(crate) struct Window {
     /// Complete seconds: 1, 10 or 60.
     pub seconds: u32,
-    /// Seconds really covered, with the one under way: fewer where the pipeline began within the window.
+    /// Seconds covered, including the current one: fewer where the pipeline began within the window.
     pub covered_s: f64,
     pub counts: Counts,
     /// Iterations of any outcome per second.
@@ -219,7 +219,7 @@ impl PipelineList {
     /// Seconds of each pipeline in lists and events: enough to bridge a slow reader's pauses.
     pub(crate) const SECONDS: usize = 5;
 
-    /// Every pipeline, as far as it is taken.
+    /// Converts the requested part of every pipeline.
     pub(crate) fn of(picture: &LiveState, taken: impl Fn(&PipelineSnapshot) -> Pipeline) -> Self {
         let pipelines = picture.pipelines.iter().map(|one| taken(one));
         Self { at: time(picture.at), pipelines: pipelines.collect() }
