@@ -36,7 +36,7 @@ impl Zone {
         utc.with_timezone(&offset)
     }
 
-    /// Seconds east of UTC at a moment.
+    /// Returns the seconds east of UTC at a moment.
     pub(crate) fn offset_seconds(self, time: WallTime) -> i32 {
         self.at(time).offset().local_minus_utc()
     }

@@ -20,13 +20,13 @@ pub(super) fn each(scrape: &Scrape, to: &mut Sink<'_>, of: impl Fn(&LinkSnapshot
     }
 }
 
-/// Half the width of the offset's interval.
+/// Returns half the width of the offset's interval.
 pub(super) fn half_width(link: &LinkSnapshot) -> Option<Sample> {
     let bounds = link.live.now.offset.as_ref()?.bounds;
     Some(Sample::Value((bounds.hi - bounds.lo).seconds() / 2.0))
 }
 
-/// Share of probes that were lost.
+/// Returns the share of probes that were lost.
 pub(super) fn loss(link: &LinkSnapshot) -> Option<Sample> {
     let newest = link.history.last()?.at;
     let recent = link.history.iter().filter(|point| newest - point.at < WINDOW);

@@ -43,12 +43,12 @@ impl Scale {
         Percent((value / self.max * 100.0).clamp(0.0, 100.0))
     }
 
-    /// Positions of the ticks.
+    /// Returns the positions of the ticks.
     pub(crate) fn grid(&self) -> Vec<Percent> {
         self.values().map(|value| self.at(value)).collect()
     }
 
-    /// Positions and labels of the ticks of an axis that ends exactly at `end`.
+    /// Returns the positions and labels of the ticks of an axis that ends exactly at `end`.
     pub(crate) fn ticks_until(end: f64, ticks: usize) -> Vec<(Percent, String)> {
         let scale = Self::fit(end, ticks);
         let all = scale.values().zip(scale.labels());
@@ -97,7 +97,7 @@ fn sides(text: &str, anchor: &str) -> [f64; 2] {
 }
 
 impl Axis {
-    /// Labels in ms; `class` is `small` for the axis under a bar that only phones show.
+    /// Returns the labels in ms; `class` is `small` for the axis under a bar that only phones show.
     pub(crate) fn milliseconds(scale: &Scale, class: &'static str) -> Self {
         let positions = scale.grid();
         let last = positions.len().saturating_sub(1);
@@ -110,7 +110,7 @@ impl Axis {
         Self::new(class, &labels.collect::<Vec<_>>())
     }
 
-    /// Labels below a plot, each in the middle below its tick.
+    /// Returns the labels below a plot, each in the middle below its tick.
     pub(crate) fn below(labels: Vec<(Percent, String)>) -> Self {
         let labels = labels.into_iter().map(|(x, text)| (x, "middle", text));
         Self::new("xaxis", &labels.collect::<Vec<_>>())

@@ -70,7 +70,7 @@ impl CourseData {
         high.into_iter().chain(largest(|bucket| Some(bucket.median))).fold(0.0, f64::max)
     }
 
-    /// Stretches of buckets that follow upon one another, as indices of the first and the one behind the last.
+    /// Returns the stretches of buckets that follow upon one another, as indices of the first and the one behind the last.
     fn pieces(&self) -> impl Iterator<Item = &[CourseBucket]> {
         self.buckets.chunk_by(|a, b| b.begin - a.begin < self.width * 1.5)
     }

@@ -161,7 +161,7 @@ fn vertical(largest: f64, log: bool) -> (Vec<(Percent, String)>, Height) {
     (rows, Box::new(move |count| scale.at(count)))
 }
 
-/// About six round values between two others, with their labels.
+/// Returns about six round values between two others, with their labels.
 fn ticks(lo: f64, hi: f64) -> Vec<(f64, String)> {
     if hi <= lo {
         return vec![(lo, peernet_statistics::number::figure(lo))];

@@ -75,7 +75,7 @@ impl Horizontal {
         }
     }
 
-    /// Positions and labels of the ticks.
+    /// Returns the positions and labels of the ticks.
     pub(crate) fn ticks(&self) -> Vec<(Percent, String)> {
         let (lo, hi) = match self {
             Self::Linear(scale) => return scale.grid().into_iter().zip(scale.labels()).collect(),

@@ -88,7 +88,7 @@ pub(crate) fn dots(points: impl IntoIterator<Item = At>) -> String {
     path
 }
 
-/// Upright error bars with caps of that share of the sheet to each side: left, upper end, lower end.
+/// Returns upright error bars with caps of that share of the sheet to each side: left, upper end, lower end.
 pub(crate) fn whiskers(points: impl IntoIterator<Item = (f64, f64, f64)>, cap: f64) -> String {
     let mut path = String::new();
     for (x, upper, lower) in points {
@@ -102,7 +102,7 @@ pub(crate) fn whiskers(points: impl IntoIterator<Item = (f64, f64, f64)>, cap: f
     path
 }
 
-/// Upright ticks: left, upper end, lower end.
+/// Returns upright ticks: left, upper end, lower end.
 pub(crate) fn ticks(ticks: impl IntoIterator<Item = (f64, f64, f64)>) -> String {
     let mut path = String::new();
     for (x, upper, lower) in ticks {

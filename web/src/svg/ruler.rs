@@ -79,7 +79,7 @@ impl Ruler {
         ((self.hi - value) / (self.hi - self.lo)).clamp(-0.05, 1.05)
     }
 
-    /// Positions from above and labels of the ticks.
+    /// Returns the positions from above and labels of the ticks.
     pub(crate) fn ticks(&self) -> Vec<(Percent, String)> {
         let count = ((self.hi - self.lo) / self.step).round().clamp(1.0, 50.0) as u32;
         let ticks = (0..=count).map(|tick| {

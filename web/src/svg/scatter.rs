@@ -80,7 +80,7 @@ struct Dot {
 }
 
 impl Dot {
-    /// Points along its error bar.
+    /// Returns the points along its error bar.
     fn whole_whisker(&self) -> impl Iterator<Item = (f64, f64)> {
         let ends = self.whisker.into_iter().map(|(low, high)| (low.0, high.0));
         ends.flat_map(move |(low, high)| {

@@ -161,7 +161,7 @@ pub(crate) fn pipeline(name: &str, hz: f64, scale: f64, verdict: Verdict, gaps: 
     }
 }
 
-/// Percentiles of the last two minutes in buckets of 10 s, where those hold enough iterations.
+/// Returns the percentiles of the last two minutes in buckets of 10 s, where those hold enough iterations.
 fn percentiles(last: i64, hz: f64, scale: f64) -> PercentileSeries {
     let count = 10 * hz as u64;
     if count < 60 {

@@ -38,7 +38,7 @@ fn median<'a>(figures: &'a [(Name, Figures)], name: &str) -> Option<&'a Figures>
 }
 
 impl ByteRow {
-    /// Both directions, for an iteration that was sent anywhere.
+    /// Returns both directions, for an iteration that was sent anywhere.
     pub(crate) fn both(detail: &IterationDetail) -> Vec<Self> {
         let rows = [
             ("upload", "upload-bytes", "upload-logger-bytes", "upload-throughput"),

@@ -224,7 +224,7 @@ impl ChartData {
     }
 }
 
-/// Means per minute, newest first, weighted with each second's iterations.
+/// Returns the means per minute, newest first, weighted with each second's iterations.
 fn minutes(series: &[std::sync::Arc<LiveSecond>], columns: &[&'static str], zone: Zone) -> Vec<Minute> {
     let mut by_minute: BTreeMap<i64, Vec<&LiveSecond>> = BTreeMap::new();
     for second in series {

@@ -1,4 +1,4 @@
-//! Long lists: how much of them a page shows, so that it stays readable and a live one cheap.
+//! Limits of long lists, so that a page stays readable and a live page cheap.
 
 use peernet_statistics::number::count;
 

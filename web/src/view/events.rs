@@ -15,11 +15,11 @@ use crate::zone::Zone;
 
 /// Delay of storing behind measuring from which on a note is shown.
 pub(crate) const FAR_BEHIND: Span = Span::from_seconds(5);
-/// A spool fuller than this has room for little more.
+/// Fill level above which a spool is reported as nearly full.
 const NEARLY_FULL: f64 = 0.95;
 /// Reasons why events are lost. The gaps name the actual reason.
 const LOST: &str = "dropped for want of room in the agent's spool, or lost when the agent was killed";
-/// The agent compresses when batches wait, whatever holds them up.
+/// Explanation of compression: the agent compresses when batches wait, for any reason.
 const COMPRESSED: &str = "batches wait for the link or the aggregator";
 
 /// A sentence with its chip.

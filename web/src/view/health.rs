@@ -16,7 +16,7 @@ use crate::zone::Zone;
 
 /// Largest number of notes shown; further notes are counted.
 const NOTES: usize = 5;
-/// A share of lost iterations worth a note.
+/// Share of lost iterations from which on a note is shown.
 const MANY_LOST: f64 = 0.001;
 
 /// Title and notes.

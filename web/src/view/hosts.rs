@@ -38,10 +38,10 @@ pub(crate) struct HostLine {
     pub rehearsal: Option<Chip>,
 }
 
-/// A host that was turned away.
+/// A host whose connection was refused.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct RefusedLine {
-    /// The name that it gave, with its address where it is known.
+    /// Name that it sent, with its address where it is known.
     pub who: String,
     pub why: String,
     pub at: Moment,
@@ -64,7 +64,7 @@ impl RefusedLine {
 /// The points of the sparklines: ten minutes at five seconds.
 const POINTS: usize = 120;
 const POINT_EVERY_S: f64 = 5.0;
-/// Between two points: the host was away.
+/// Time between two points from which on the host counts as absent.
 const SILENT: Span = Span::from_seconds(15);
 
 fn history(
@@ -116,7 +116,7 @@ pub(crate) fn clock_words(theirs: &ClockIdentity, ours: &ClockIdentity, ahead: S
         return ("the aggregator's".to_owned(), title.to_owned());
     }
     let title = format!("its own clock, within 1{SPACE}s of the aggregator's when its last update arrived");
-    // The comparison includes the update's own way, so small differences mean nothing.
+    // The comparison includes the time that the update travelled, so small differences mean nothing.
     if size < 1.0 {
         return ("its own".to_owned(), title);
     }

@@ -1,4 +1,4 @@
-//! Things to look at, in sentences.
+//! Notes on things that need attention, in sentences.
 
 use peernet_clock::Verdict;
 use peernet_logger::Name;
@@ -8,7 +8,7 @@ use peernet_store::{Bound, Figures};
 use super::chip::Chip;
 use super::clocks;
 
-/// One thing to look at.
+/// A note.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct Note {
     pub chip: Chip,

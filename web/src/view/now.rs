@@ -39,7 +39,7 @@ pub(crate) struct NowRow {
     pub name: String,
     pub href: String,
     pub about: String,
-    /// Shown when it does anything but run.
+    /// State of the pipeline; `None` while it runs.
     pub state: Option<Chip>,
     pub bar: Bar,
     pub p50: Cell,

@@ -39,7 +39,7 @@ pub(crate) fn words(description: &ClockFaults) -> String {
     parts.join(", ")
 }
 
-/// Hosts that are rehearsed now, by name, with how.
+/// Hosts with an injected clock fault, by name, with the fault in words.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub(crate) struct Rehearsed(BTreeMap<String, String>);
 
@@ -50,7 +50,7 @@ impl Rehearsed {
         let told = connected.filter_map(|host| {
             Some((host.description.name.to_string(), words(host.clock.rehearsal.as_ref()?)))
         });
-        // A cloud may report to another aggregator: its edges tell of its clock.
+        // A cloud may report to another aggregator: its edges report its clock.
         let links = picture.links.iter().filter(|link| link.connected);
         let heard = links.filter_map(|link| {
             Some((link.live.peer_name.to_string(), words(link.live.cloud.as_ref()?.rehearsal.as_ref()?)))

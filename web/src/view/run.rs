@@ -26,7 +26,7 @@ const SLOWEST: usize = 8;
 /// Number of iterations from which on a run can stand still: in a shorter run, a gap of more than half of its time may be one slow
 /// iteration.
 const MANY: u64 = 100;
-/// Seconds that no wait for an answer or a model explains.
+/// Seconds that are longer than any wait for an answer or a model.
 const LONG: f64 = 600.0;
 
 /// Stored data of a run.
@@ -173,7 +173,7 @@ impl Stored<'_> {
         // Counts are shown above, as a share or a sum: quantiles of counts have little meaning.
         let counts = [SKIPPED_STARTS, UNKNOWN_LABEL, DEADLINE_MISSED].into_iter().chain(ACCURACIES);
         let counted = |stage: &StageStatistics| counts.clone().any(|name| stage.stage == *name);
-        // A mean of the single iterations' throughputs is no speed: `sent` has one.
+        // A mean of the throughputs of single iterations is not a speed: `sent` returns the speed.
         let ratio = |stage: &StageStatistics| {
             [stage::UPLOAD_THROUGHPUT, stage::DOWNLOAD_THROUGHPUT].contains(&stage.stage)
         };
@@ -189,7 +189,7 @@ impl Stored<'_> {
         shown.chain(self.sent()).collect()
     }
 
-    /// Speed while sending and traffic of both directions.
+    /// Returns the speed while sending and traffic of both directions.
     fn sent(&self) -> Vec<Other> {
         let transfers = self.known.transfers();
         let row = |name, value: Option<String>| Other {

@@ -13,7 +13,7 @@ use super::{counted, place, rehearsal};
 use crate::error::WebError;
 use crate::zone::{Moment, Zone};
 
-/// The chip of a run of which retention deletes nothing.
+/// Chip of a pinned run, of which retention deletes nothing.
 pub(crate) const PINNED: Chip = Chip::new(Tone::Quiet, "pin", "pinned");
 
 /// End of a run.
@@ -87,7 +87,7 @@ fn why_deleted(retention: &RetentionConfig) -> String {
     }
 }
 
-/// Refuses an iteration whose tree retention deleted.
+/// Returns an error for an iteration whose tree retention deleted.
 pub(crate) fn reject_deleted(
     run: &RunSummary,
     iteration: u64,
@@ -146,7 +146,7 @@ pub(crate) fn unrecorded(gaps: &[GapRow], zone: Zone) -> Vec<Note> {
     notes.collect()
 }
 
-/// Share of iterations without an answer.
+/// Returns the share of iterations without an answer.
 pub(crate) fn lost_share(run: &RunSummary) -> Option<f64> {
     unanswered_share(&run.counts)
 }

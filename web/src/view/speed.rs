@@ -24,7 +24,7 @@ pub(crate) enum Way {
 }
 
 impl Way {
-    /// Name of the delay's node.
+    /// Returns the name of the delay's node.
     pub(crate) const fn delay(self) -> &'static str {
         match self {
             Self::Up => "upload",

@@ -63,7 +63,7 @@ impl StageRow {
         self.p50 != NONE
     }
 
-    /// Both directions together, exact where neither alone is known.
+    /// Returns both directions together, exact where neither alone is known.
     fn network(part: &Part, share: Option<f64>) -> Self {
         let title = "free of any clock: the round trip less the time on the other host";
         Self {
@@ -87,7 +87,7 @@ impl StageRow {
             .filter(shown)
             .map(|stage| Self::new(&stage.stage, Some(&stage.figures), stage.bound.as_ref(), stage.share))
             .collect();
-        // A direction of which no delay is known has a bound and no statistics.
+        // A direction without a known delay has a bound and no statistics.
         for bound in bounds.iter().filter(|bound| stages.iter().all(|stage| stage.stage != bound.stage)) {
             let at = rows.partition_point(|row| rank(&row.name) < rank(&bound.stage));
             rows.insert(at, Self::new(&bound.stage, None, Some(bound), None));

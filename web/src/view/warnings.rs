@@ -59,13 +59,13 @@ fn tail(minute: &Window, warn: &WarnConfig) -> Option<(Chip, String)> {
     Some((Chip::new(Tone::Warn, "slow", "tail"), text))
 }
 
-/// Seconds per iteration, and their share of the total.
+/// Returns the seconds per iteration, and their share of the total.
 fn share(minute: &Window, seconds: f64) -> Option<f64> {
     let total = minute.value(&stage::TOTAL)?;
     (seconds > LEAST_S && total.mean > 0.0).then(|| seconds / total.mean)
 }
 
-/// Mean per successful iteration; of a name that not all of them have, its share.
+/// Returns the mean per successful iteration; of a name that not all of them have, its share.
 fn mean(minute: &Window, name: &str) -> f64 {
     let Some(total) = minute.value(&stage::TOTAL) else { return 0.0 };
     minute.value(name).map_or(0.0, |known| shared((known.count, known.mean), total.count))

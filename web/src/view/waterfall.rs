@@ -210,7 +210,7 @@ pub(crate) fn delays(timeline: &Timeline, judged: &[peernet_store::DelayRow]) ->
     let known = timeline.nodes.iter().filter_map(|node| Some((node, node.delay?)));
     let shown = known.map(|(node, delay)| {
         let bounds = delay.bounds;
-        // Of an exact delay there is nothing to say beyond its value.
+        // An exact delay needs no interval beside its value.
         let apart = bounds.filter(|(lo, hi)| hi > lo).map(|(lo, hi)| ends_ms(lo, hi));
         let end =
             |at: usize| apart.as_ref().map(|ends| ends[at].clone()).or(bounds.map(|_| EXACT.to_owned()));

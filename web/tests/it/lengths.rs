@@ -5,7 +5,7 @@ use crate::factory::Line;
 
 const HEADING: &str = "Response length against latency</h2>";
 
-/// Length and latency of the iterations that count, from the file of a run.
+/// Returns the length and latency of the iterations that count, from the file of a run.
 fn exported(csv: &str) -> Vec<(String, String)> {
     let mut rows = csv::Reader::from_reader(csv.as_bytes());
     let header = rows.headers().expect("a header").clone();

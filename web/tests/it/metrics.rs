@@ -1,4 +1,4 @@
-//! The answer for Prometheus: read line by line as the OpenMetrics specification has it.
+//! Tests of the answer for Prometheus, read line by line as the OpenMetrics specification defines it.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -44,7 +44,7 @@ fn labels(text: &str) -> Vec<String> {
     names
 }
 
-/// Reads an answer; panics at the first line that is not as it should be.
+/// Reads an answer; panics at the first invalid line.
 fn read(text: &str) -> BTreeMap<String, Family> {
     let body = text.strip_suffix("# EOF\n").expect("the last line says that it is the last");
     let mut families: BTreeMap<String, Family> = BTreeMap::new();

@@ -1,4 +1,4 @@
-//! Readiness, accounts that add up, runs that are kept.
+//! Tests of readiness, of accounts that add up, and of pinned runs.
 
 use axum::body::Body;
 use axum::http::{Method, Request, StatusCode};

@@ -34,12 +34,12 @@ pub(crate) async fn run_means(store: &Store, comparison: &Comparison) -> Result<
     futures::stream::iter(runs).map(read).buffered(READ_AT_ONCE).try_collect().await
 }
 
-/// Differences of all configurations to one of them.
+/// Differences between the baseline and the other configurations.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Differences {
-    /// Place of the configuration that the others are compared with.
+    /// Index of the baseline.
     pub baseline: usize,
-    /// Place of each other one with its stages in their order, those of which nothing is known left out.
+    /// Index of each other configuration with its stages in their order, without unmeasured stages.
     pub others: Vec<(usize, Vec<StageDifference>)>,
     /// Configuration with the smallest mean total, among those whose model computes something where there are any.
     pub ranking: Option<Ranking>,
@@ -51,7 +51,7 @@ pub(crate) struct StageDifference {
     pub name: Name,
     /// Mean of the baseline and of the other, where it is known.
     pub means: (Option<f64>, Option<f64>),
-    /// The other less the baseline, where both are known.
+    /// Difference: the other configuration minus the baseline, where both means are known.
     pub found: Option<Difference>,
 }
 
@@ -63,7 +63,7 @@ impl StageDifference {
 }
 
 impl Differences {
-    /// Compares all configurations with the one at `baseline`.
+    /// Compares all configurations with the one at index `baseline`.
     pub(crate) fn of(comparison: &Comparison, means: &RunMeans, baseline: usize) -> Self {
         let names = compared();
         let all = &comparison.configurations;
@@ -86,7 +86,7 @@ impl Differences {
             (place, names.iter().enumerate().filter_map(stage).collect())
         };
         let others = (0..all.len()).filter(|place| *place != baseline).map(stages).collect();
-        // A sensor alone has no total, and is not ranked with pipelines.
+        // A run without a model has no total, and is not ranked with pipelines.
         let is_ranked = |place: &usize| {
             let (one, some_compute) = (&all[*place], all.iter().any(|one| one.computes));
             one.figures(&stage::TOTAL).is_some() && one.computes == some_compute

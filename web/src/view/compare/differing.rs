@@ -50,7 +50,7 @@ impl Differing {
     }
 }
 
-/// Everything that is known of any run, in the order of its first appearance.
+/// Collects the facts of all runs, in the order of their first appearance.
 fn tabulated(runs: &[RunDetail], known: impl Fn(&RunDetail) -> Vec<(String, String)>) -> Vec<Column> {
     let facts: Vec<Vec<(String, String)>> = runs.iter().map(known).collect();
     let mut columns: Vec<Column> = Vec::new();

@@ -50,7 +50,7 @@ pub(crate) struct RunHistogram {
 /// A link to other distributions.
 pub(crate) struct Choice {
     pub name: String,
-    /// The node to ask for; `None` for all.
+    /// Node of the link; `None` for all.
     pub stage: Option<String>,
     pub is_shown: bool,
 }

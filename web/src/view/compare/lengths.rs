@@ -28,7 +28,7 @@ const KILOBYTES: f64 = 10_000.0;
 /// A configuration whose answers differ in length.
 struct Varying<'a> {
     one: &'a Configuration,
-    /// The node that is the length of an answer.
+    /// Node with the length of an answer.
     length: &'a str,
     x: &'a Summary,
     y: &'a Summary,
@@ -97,7 +97,7 @@ pub(crate) async fn answers(store: &Store, comparison: &Comparison) -> Result<Ve
         let whole: u64 = it.one.runs.iter().map(answered).sum();
         let mut known = Answers { name: it.one.name.clone(), points: Vec::new(), is_whole: true };
         for run in &it.one.runs {
-            // Warm-up and iterations without an answer are asked for, too: of a run that is read whole, all.
+            // Warm-up and iterations without an answer are read as well, so that a run with room for all of them is read whole.
             let share = if whole <= most { MOST_READ } else { (most * answered(run)).div_ceil(whole) };
             let pairs = store.pairs(run.number, [it.length, LATENCY], share as u32).await?;
             known.is_whole &= pairs.is_whole();
@@ -125,7 +125,7 @@ pub(crate) struct Lengths {
     pub is_counted: bool,
 }
 
-/// Configurations whose answers differ in length, on shared axes; `None` where there are none.
+/// Returns the configurations whose answers differ in length, on shared axes; `None` where there are none.
 pub(crate) fn lengths(comparison: &Comparison, answers: &[Answers]) -> Option<Lengths> {
     let mut varying = Varying::all(comparison);
     let rest = varying.split_off(varying.len().min(MOST_DRAWN));

@@ -1,4 +1,4 @@
-//! The median of a quantity in one run, and how well the hosts' clocks let it be known.
+//! The median of a quantity in one run, with its uncertainty by the hosts' clocks.
 
 use peernet_analysis::transfer::speed_between;
 use peernet_clock::Verdict;
@@ -77,7 +77,7 @@ fn plain(unit: &str, value: f64) -> String {
     }
 }
 
-/// Both ends; the dash does not begin a line.
+/// Formats both ends; the dash does not begin a line.
 fn between(unit: &str, ends: (f64, Option<f64>)) -> String {
     let (lo, hi) = closed(ends);
     let text = if unit == "bit/s" { throughput_between(ends) } else { interval_ms(lo, hi) };

@@ -1,4 +1,4 @@
-//! Several runs side by side, from their roll-ups, and from so few single rows that the length of a run does not matter.
+//! Comparison of runs, from their roll-ups and a bounded number of rows, so that its cost does not depend on the length of a run.
 
 mod ask;
 mod choice;
@@ -55,21 +55,21 @@ pub(crate) struct Comparison {
     pub experiment: Option<(String, String)>,
     /// Names of the settings in which the configurations differ.
     pub axes: Vec<String>,
-    /// Settings in which configurations differ as well, and those that an experiment declares for all alike.
+    /// Further settings in which configurations differ, and those that an experiment declares for all alike.
     pub settings: Vec<Setting>,
     /// Names of further settings in which selected runs differ, in hashes, paths and lists that no table has room for.
     pub also: Vec<String>,
-    /// An experiment's by their labels, axis by axis; runs as they were asked for.
+    /// Configurations: an experiment's by their labels, axis by axis; runs as requested.
     pub configurations: Vec<Configuration>,
     /// All stored statistics of each run, by its number.
     pub kept: HashMap<i64, Arc<MergeableStatistics>>,
-    /// Runs of the experiment that do not count, oldest first.
+    /// Excluded runs of the experiment, oldest first.
     pub left_out: Vec<LeftOut>,
     /// `true` if there were more runs than are compared.
     pub cut: bool,
 }
 
-/// A run that does not count.
+/// An excluded run.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct LeftOut {
     /// Number of the run.
@@ -85,7 +85,7 @@ pub(crate) struct Setting {
     pub values: Vec<String>,
 }
 
-/// Runs of one configuration, taken together.
+/// Runs of one configuration, combined.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Configuration {
     /// Differences from the other configurations in words; unique.
@@ -105,7 +105,7 @@ pub(crate) struct Configuration {
 }
 
 impl Configuration {
-    /// Figures of a node by its name.
+    /// Returns the figures of a node by its name.
     pub(crate) fn figures(&self, name: &str) -> Option<&Figures> {
         self.stages.iter().find(|stage| stage.stage == *name).map(|stage| &stage.figures)
     }
@@ -115,7 +115,7 @@ impl Configuration {
         self.kept.known(name)
     }
 
-    /// Figures of the total, seconds; of the sensor alone where there is no more.
+    /// Returns the figures of the total, seconds; of the sensor alone where there is no more.
     pub(crate) fn total(&self) -> Option<&Figures> {
         self.figures("total").or_else(|| self.figures("sensing"))
     }

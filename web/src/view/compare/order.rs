@@ -2,7 +2,7 @@
 
 use std::cmp::Ordering;
 
-/// Units that labels are written with, and how many of the smallest of their kind they are.
+/// Units of labels, each with its value in the smallest unit of its kind.
 const UNITS: [(&str, f64); 14] = [
     ("b", 1.0),
     ("kb", 1e3),

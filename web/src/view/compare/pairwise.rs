@@ -11,7 +11,7 @@ use crate::svg::{SmallAxis, SmallHistogram};
 /// Largest number of distributions that are drawn.
 const MOST: usize = 24;
 
-/// A configuration against the baseline.
+/// Difference of a configuration from the baseline.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct PairwiseRow {
     /// Share of the pairs in which it is faster, percent.
@@ -30,7 +30,7 @@ pub(crate) fn pairwise(comparison: &Comparison, differences: &Differences) -> Ve
         .take(MOST)
         .map(|(place, _)| PairwiseDifference::of(total(differences.baseline)?, total(*place)?))
         .collect();
-    // Zero is on the axis: left of it is faster.
+    // The axis contains zero: values to its left are faster.
     let mut zero = Summary::default();
     zero.record(0.0);
     let known = found.iter().flatten().map(|found| &found.differences);

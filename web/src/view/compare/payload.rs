@@ -15,7 +15,7 @@ use crate::view::accuracy;
 const ALIKE: f64 = 1.1;
 /// Largest number of groups with separate lines; more lines would be hard to distinguish.
 const MOST_GROUPS: usize = 3;
-/// Name of the values that tell how often the first answer was right.
+/// Name of the values of top-1 accuracy.
 const TOP_1: &str = look::ACCURACIES[0].0;
 
 fn sent(one: &Configuration) -> Option<f64> {
@@ -139,7 +139,7 @@ fn sentence(name: &Name, group: Option<&str>, fit: &Fit) -> String {
     )
 }
 
-/// Share of right first answers against the median of the total, where at least two configurations have both.
+/// Returns the share of right first answers against the median of the total, where at least two configurations have both.
 pub(crate) fn accuracy(comparison: &Comparison) -> Option<Scatter> {
     let point = |one: &Configuration| {
         let scores = one.figures(TOP_1)?;

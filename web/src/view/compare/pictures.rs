@@ -73,7 +73,7 @@ pub(crate) fn stacks(comparison: &Comparison, best: Option<usize>) -> (Vec<Stack
     (all.iter().enumerate().map(row).collect(), Axes::of(&scale))
 }
 
-/// Means of the stages; of a sensor alone its sensing.
+/// Returns the means of the stages; of a sensor alone its sensing.
 fn parts(one: &Configuration) -> Vec<Part> {
     let mut parts = Stack::of_run(&one.stages, &one.bounds).parts;
     if parts.is_empty() {
@@ -118,7 +118,7 @@ fn routes(one: &Configuration) -> String {
     ways.into_iter().map(route).collect::<Vec<_>>().join("; ")
 }
 
-/// Models that ran both on board and in the cloud, each with its inference alone, all on one scale.
+/// Returns the models that ran both on board and in the cloud, each with its inference alone, all on one scale.
 pub(crate) fn pairs(comparison: &Comparison) -> (Vec<Pair>, Axes) {
     let mut models: Vec<String> = Vec::new();
     for placement in comparison.configurations.iter().filter_map(Configuration::placement) {

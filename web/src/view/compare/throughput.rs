@@ -27,7 +27,7 @@ pub(crate) struct Throughput {
     pub said: Vec<String>,
 }
 
-/// One configuration, one way.
+/// One configuration, one direction.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct ThroughputRow {
     pub name: String,
@@ -36,7 +36,7 @@ pub(crate) struct ThroughputRow {
     pub size: String,
     /// Mean delay, ms.
     pub delay: String,
-    /// MB/s, and between which ends the clock bounds leave it.
+    /// Throughput in MB/s, and its interval by the clock bounds.
     pub throughput: (String, Option<String>),
 }
 
@@ -95,7 +95,7 @@ pub(crate) fn throughput(comparison: &Comparison) -> Option<Throughput> {
     let ways: Vec<(&Name, Vec<Known<'_>>)> = ways.collect();
     let all = || ways.iter().flat_map(|(_, known)| known);
     ways.first()?;
-    // A bound that leaves next to nothing of a delay would press all points to the ground.
+    // An upper end that is far above all values would compress the points at the bottom.
     let highest = all().map(|it| it.value).fold(0.0, f64::max) * MEGABYTES;
     let reach = all().filter_map(|it| it.ends?.1).map(|high| (high * MEGABYTES).min(2.0 * highest));
     let up = Ruler::from_zero(reach.fold(highest, f64::max), 5);

@@ -63,7 +63,7 @@ fn share(run: &RunSummary) -> Option<Share> {
 }
 
 fn plot(curves: &[Vec<(&UsersLine, &Configuration)>]) -> Scatter {
-    // Who is served by one cloud waits for the others.
+    // Users of one cloud wait for each other.
     let series = [stage::TOTAL, stage::QUEUE].map(|name| {
         let point = |(line, one): &(&UsersLine, &Configuration)| {
             let figures = one.figures(&name)?;

@@ -18,7 +18,8 @@ const fn both(clocks: RelatedClocks) -> &'static str {
     }
 }
 
-/// Under which conditions the intervals contain the true delays: the sentence of README.md and docs/clocks.md with the figures of a link.
+/// Returns the conditions under which the intervals contain the true delays: the sentence of README.md and docs/clocks.md with the
+/// figures of a link.
 pub(crate) fn promise(assumptions: &DelayAssumptions) -> String {
     let clocks = both(assumptions.clocks);
     let drift = assumptions.max_drift_ppm.map_or_else(

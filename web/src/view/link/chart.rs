@@ -38,9 +38,9 @@ impl OffsetView {
 
 /// Whiskers over the whole width.
 const WHISKERS: f64 = 60.0;
-/// A gap as wide as this has its reason above it.
+/// Width of a gap from which on its reason is shown above it.
 const REASON_FITS: f64 = 8.0;
-/// Signs closer to each other than this would overlap.
+/// Distance of signs below which they would overlap.
 const SIGN_FITS: f64 = 2.2;
 /// A value larger than this multiple of the 95th percentile does not extend the scale.
 const TAIL: f64 = 3.0;

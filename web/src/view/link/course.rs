@@ -1,4 +1,4 @@
-//! The course of a link over a stretch of time.
+//! Samples of a link over a time range.
 
 use std::sync::Arc;
 
@@ -45,7 +45,7 @@ impl Course {
         }
     }
 
-    /// Seconds from its begin to its end.
+    /// Returns the seconds from its begin to its end.
     pub(crate) fn seconds(&self) -> f64 {
         (self.to - self.from).seconds()
     }
@@ -76,7 +76,7 @@ impl Course {
         nearest.map_or(at, |offset| at - offset.estimate)
     }
 
-    /// Probes of the whole course.
+    /// Returns the probes of the whole course.
     pub(crate) fn probes(&self) -> ProbeCounts {
         sum(self.points.iter().map(|point| point.probes))
     }
@@ -110,7 +110,7 @@ fn delays(points: &[ClockPoint], way: Way) -> Option<DelaySecond> {
     Some(DelaySecond { count, median: delays.median, verdict: delays.verdict? })
 }
 
-/// Several points as one.
+/// Merges several points into one.
 fn merged(points: &[ClockPoint]) -> Option<ClockPoint> {
     let last = points.last()?;
     if points.len() == 1 {

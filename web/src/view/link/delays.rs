@@ -16,9 +16,9 @@ pub(crate) struct Delays {
     pub way: Way,
     /// Number of judged delays.
     pub count: u64,
-    /// The median, with the bounds of that very one.
+    /// Median, with the bounds of the same delay.
     pub median: Option<DelayPoint>,
-    /// The worst verdict that at least a twentieth were given.
+    /// Worst verdict that at least a twentieth of the delays have.
     pub verdict: Option<Verdict>,
 }
 
@@ -48,13 +48,13 @@ impl Delays {
         Self::merge(way, &seconds)
     }
 
-    /// Several seconds as one.
+    /// Merges several seconds into one.
     pub(crate) fn merge(way: Way, seconds: &[DelaySecond]) -> Self {
         let sum: DelaySum = seconds.iter().collect();
         Self { way, count: sum.count(), median: sum.median(), verdict: sum.verdict() }
     }
 
-    /// Name of the stage, as a sentence begins with it.
+    /// Returns the name of the stage, as a sentence begins with it.
     pub(crate) const fn title(&self) -> &'static str {
         match self.way {
             Way::Up => "Upload",

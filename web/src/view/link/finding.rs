@@ -83,7 +83,7 @@ pub(crate) struct Meaning {
     pub text: String,
 }
 
-/// Both directions.
+/// Returns both directions.
 pub(crate) fn meanings(subject: &Subject<'_>) -> Vec<Meaning> {
     let young = subject.offset().is_some_and(is_young);
     [Way::Up, Way::Down].map(|way| subject.delays(way)).iter().map(|delays| meaning(delays, young)).collect()

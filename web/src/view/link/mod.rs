@@ -29,7 +29,7 @@ use delays::Delays;
 /// Time span of the figures.
 const LATELY: Span = Span::from_seconds(10);
 
-/// Between the names that make up that of a link: it cannot occur in any of them.
+/// Separator of the parts of a link's name; it cannot occur in any of them.
 pub(crate) const BETWEEN: char = '~';
 
 /// Returns the name of a link in addresses: `EDGE~CLOUD` over `zmq-tcp`, as in earlier releases, and `EDGE~CLOUD~NETWORK` over any
@@ -234,7 +234,7 @@ impl<'a> Subject<'a> {
         })
     }
 
-    /// Half the width of the offset's bounds, seconds; `None` where there are none.
+    /// Returns half the width of the offset's bounds, seconds; `None` where there are none.
     pub(crate) fn bound(&self) -> Option<f64> {
         if self.same_clock() {
             return Some(0.0);
@@ -271,7 +271,7 @@ impl<'a> Subject<'a> {
         Some(if clocks == Verdict::Ok && limited { Verdict::Limited } else { clocks })
     }
 
-    /// Names of the pipelines that use the link, with the addresses of their pages.
+    /// Returns the names of the pipelines that use the link, with the addresses of their pages.
     pub(crate) fn pipelines(&self) -> Vec<(String, String)> {
         let used = self.live.into_iter().flat_map(|link| &link.live.pipelines);
         used.map(|name| (name.to_string(), super::place::pipeline_href(&self.edge, name.as_str()))).collect()

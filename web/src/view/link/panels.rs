@@ -52,7 +52,7 @@ pub(crate) fn discipline(clock: &HostClock) -> String {
     }
 }
 
-/// Both hosts.
+/// Returns both hosts.
 pub(crate) fn hosts(subject: &Subject<'_>) -> Vec<HostRow> {
     let Some(link) = subject.live else { return Vec::new() };
     let row = |name: &str, role, clock: Option<&HostClock>| HostRow {

@@ -80,7 +80,7 @@ fn offset(subject: &Subject<'_>) -> Stat {
         let line = format!("free-running clocks count from the machine's start, {}{then}", bound(half));
         return Stat::new(name, Some(offset_ms(estimate, half)), "ms", line);
     }
-    // Within its bound an offset may be none at all.
+    // If zero lies within the bounds, neither clock is known to be ahead.
     let who = if estimate.abs() <= half {
         "level".to_owned()
     } else if estimate > 0.0 {

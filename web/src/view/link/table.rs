@@ -46,7 +46,7 @@ impl Row {
         course.thinned(seconds).points.iter().rev().map(|point| Self::of(point, zone)).collect()
     }
 
-    /// Both directions.
+    /// Returns both directions.
     pub(crate) fn ways(&self) -> [&Direction; 2] {
         [&self.up, &self.down]
     }

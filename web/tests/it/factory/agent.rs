@@ -13,9 +13,9 @@ use peernet_stream::{
 };
 use zeromq::{Message, Options, Socket, SocketType};
 
-/// Longest time that anything may take before it counts as hung.
+/// Longest time that an operation may take before it counts as hung.
 const PATIENCE: Duration = Duration::from_secs(60);
-/// Everything may wait in memory: a factory drops nothing.
+/// Limits of the queue in memory, large enough that no event is dropped.
 const MEMORY: Usage = Usage { events: 1_000_000, bytes: 1 << 30 };
 
 /// An agent: the real state machine, a spool in memory, a socket.
@@ -28,7 +28,7 @@ pub(crate) struct Agent {
 }
 
 impl Agent {
-    /// Connects.
+    /// Connects to an aggregator.
     pub(crate) async fn new(host: HostDescription, address: &str, clock: &SharedClock) -> Self {
         let id = host.id;
         let config =
@@ -52,7 +52,7 @@ impl Agent {
         self.sending.accounting()
     }
 
-    /// Hands events in.
+    /// Queues events.
     pub(crate) fn offer(&mut self, events: impl IntoIterator<Item = Event>) {
         events.into_iter().for_each(|event| self.sending.offer(&event, self.clock.stamp()));
     }
@@ -112,7 +112,7 @@ impl Agent {
         assert!(tokio::time::timeout(PATIENCE, speak).await.is_ok(), "waited in vain until {what}");
     }
 
-    /// Speaks until the aggregator has taken it in.
+    /// Exchanges messages until the aggregator has accepted the connection.
     pub(crate) async fn until_up(&mut self) {
         self.until("the agent is welcome", Sending::is_up).await;
     }

@@ -1,12 +1,12 @@
-//! Accounts of agents that are in trouble, for looking at them.
+//! Event accounts of agents with a backlog or a failing disk.
 
 use peernet_clock::{Span, WallTime};
 use peernet_stream::Accounting;
 
-/// Seconds that storing was behind at first, and by how many of them it catches up in a second.
+/// Initial delay of storing, seconds, and the seconds by which it falls per second.
 const BEHIND_S: f64 = 14_400.0;
 const RATE: f64 = 48.0;
-/// Events that a second of measuring makes.
+/// Events per second of measuring.
 const HZ: f64 = 300.0;
 
 /// Changes the reports of agents: the second one catches up since `since`, the third has a disk that fails.

@@ -1,4 +1,4 @@
-//! One pipeline: how long its stages take.
+//! One pipeline, with the durations of its stages.
 
 use peernet_clock::WallTime;
 use peernet_logger::{Name, RunId, stage};
@@ -8,11 +8,11 @@ use peernet_stream::{OutcomeCounts, Placement, PlacementKind, Second};
 /// Relation of the clocks of a line's two hosts.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) enum Clocks {
-    /// One clock.
+    /// Both hosts read one clock.
     Shared,
     /// Offset known to within this number of seconds either way.
     Within(f64),
-    /// Never related.
+    /// The clocks were never related.
     Unrelated,
 }
 
