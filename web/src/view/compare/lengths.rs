@@ -22,7 +22,7 @@ const MOST_DRAWN: usize = 6;
 /// Largest number of iterations that a page reads, and largest number of one configuration.
 const MOST_READ: u64 = 1_500;
 const MOST_EACH: u64 = 750;
-/// Smallest longest answer, bytes, from which on lengths are shown in kB.
+/// Length of the longest answer, bytes, from which on lengths are shown in kB.
 const KILOBYTES: f64 = 10_000.0;
 
 /// A configuration whose answers differ in length.

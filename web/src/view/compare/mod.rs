@@ -152,7 +152,7 @@ impl Configuration {
 }
 
 impl Comparison {
-    /// Returns the place of the configuration that the others are compared with: that of the run that an address names, or the first.
+    /// Returns the index of the baseline: the configuration of the run that an address names, or the first.
     ///
     /// # Errors
     /// When the run is not compared.
