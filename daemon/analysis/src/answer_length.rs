@@ -1,10 +1,10 @@
-//! How long answers are: which quantity is their length, whether it varies, and how latency grows with it.
+//! Length of answers: the quantity that measures it, whether it varies, and how latency grows with it.
 
 use crate::fit::{Fit, Point, theil_sen};
 
-/// How long answers take.
+/// Column of the time that an answer takes.
 pub const LATENCY: &str = "inference";
-/// How long answers are, where no tokens are counted.
+/// Column of the length of an answer where no tokens are counted.
 const ANSWER: &str = "download-bytes";
 /// With this end the names of those that a run counts itself.
 const TOKENS: &str = "tokens";
@@ -13,8 +13,8 @@ const ASKED: [&str; 2] = ["prompt", "input"];
 /// The longest answer is at least so much longer than the shortest, or its length is not what matters.
 const VARIED: f64 = 1.5;
 
-/// Which of these names is the length of an answer: of those that count tokens the first by name, those of the answer
-/// before those of the question; `download-bytes` where nobody counted.
+/// Returns the name of the quantity that is the length of an answer. Among the names that count tokens it is the first one by name, those
+/// of the answer before those of the question; `download-bytes` if no tokens are counted.
 pub fn answer_length<'a>(names: impl Iterator<Item = &'a str>) -> &'a str {
     let is_asked = |name: &str| ASKED.iter().any(|word| name.contains(word));
     names.filter(|name| is_tokens(name)).min_by_key(|name| (is_asked(name), *name)).unwrap_or(ANSWER)
@@ -59,7 +59,7 @@ impl Growth {
         self.interval.0 > 0.0 || self.interval.1 < 0.0
     }
 
-    /// Returns whether the interval is too wide for the slope to be told as one figure.
+    /// Returns whether the interval is too wide for the slope to be given as one figure.
     pub fn is_vague(&self) -> bool {
         self.interval.1 - self.interval.0 > TELLING * self.fit.slope.value.abs()
     }

@@ -30,14 +30,14 @@ pub(crate) trait Series {
         (0..self.places()).map(|at| self.count(at)).sum()
     }
 
-    /// Returns the mean of the values at some places; `None` where there is none.
+    /// Returns the mean of the values in a range of places; `None` if it has no values.
     fn mean(&self, range: Range<usize>) -> Option<f64> {
         let add = |(count, sum): (u64, f64), at| (count + self.count(at), sum + self.sum(at));
         let (count, sum) = range.fold((0, 0.0), add);
         (count > 0).then(|| sum / count as f64)
     }
 
-    /// Cuts the series into parts of about the same number of values, at most so many, none empty. Buckets are not divided.
+    /// Cuts the series into at most `parts` parts of about the same number of values, none of them empty. Buckets are not divided.
     fn parts(&self, parts: u64) -> Vec<Range<usize>> {
         let all = self.total_count();
         let (mut ranges, mut from, mut count) = (Vec::new(), 0, 0);

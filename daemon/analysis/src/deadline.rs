@@ -1,4 +1,4 @@
-//! How often iterations missed their deadline.
+//! Missed deadlines of iterations.
 
 use serde::{Deserialize, Serialize};
 

@@ -3,7 +3,7 @@
 use peernet_clock::{Span, Verdict};
 use peernet_stream::{DelayPoint, DelaySecond, RoundTrip};
 
-/// A verdict counts for many delays where at least one in so many was given it or a worse one.
+/// Reciprocal of the share of delays that need a verdict, or a worse one, for the verdict to apply to all of them.
 const WORST_OF: u64 = 20;
 
 /// Returns how much a verdict takes from a delay; the largest is the worst.

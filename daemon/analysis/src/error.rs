@@ -1,4 +1,4 @@
-//! What can go wrong when results are written.
+//! Errors of writing results.
 
 use std::path::{Path, PathBuf};
 
@@ -13,7 +13,7 @@ pub struct WriteError {
 }
 
 impl WriteError {
-    /// What an error in writing a file becomes.
+    /// Returns a function that turns an error of writing the file at `path` into an [`Error`].
     pub fn at<E: std::fmt::Display>(path: &Path) -> impl FnOnce(E) -> Self {
         move |error| Self { path: path.to_owned(), reason: error.to_string() }
     }

@@ -14,7 +14,7 @@ pub const HISTOGRAMS: [(&str, &str, &str); 6] = [
     ("download-throughput", "download-throughput", "Download throughput"),
 ];
 
-/// What each is written as: a text as well, whose name says that it is a figure's.
+/// Endings of a figure's files. The text is one of them, because its name says that it belongs to a figure.
 const ENDINGS: [&str; 4] = [".png", ".svg", ".pdf", "-caption.txt"];
 /// Figures of which there is one.
 const SINGLE: [&str; 6] = ["cumulative", "series", "length", "stacked", "accuracy", "paired"];

@@ -16,9 +16,9 @@ pub const NO_RECORD: &str =
 /// Results that were read back.
 #[derive(Clone, Debug)]
 pub struct Loaded {
-    /// Where from.
+    /// Folder that the results were read from.
     pub folder: PathBuf,
-    /// What the run was.
+    /// Record of the run.
     pub record: RunRecord,
     /// Its iterations, in order.
     pub rows: Rows,
@@ -41,8 +41,8 @@ pub enum RowsDamage {
 }
 
 impl Loaded {
-    /// Why the rows are not those of a whole run, in one clause: not all that it measured, or all of a run that was
-    /// interrupted, broke off, was killed or is under way. `None` where they are, or where nobody knows, as of files of
+    /// Returns the reason why the rows are not those of a whole run, in one clause: some measurements are missing, or the run was
+    /// interrupted, broke off, was killed or is still in progress. `None` if they are complete, or if this is not known, as for files of
     /// other programs.
     pub fn lacking(&self) -> Option<String> {
         let has_no_record = self.record.reason.failure() == Some(NO_RECORD);

@@ -27,7 +27,7 @@ impl Ordered {
         &self.0
     }
 
-    /// How many.
+    /// Returns the number of values.
     pub fn len(&self) -> usize {
         self.0.len()
     }

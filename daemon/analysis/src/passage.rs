@@ -10,7 +10,7 @@ pub struct Passage {
     pub payload_bytes: u64,
     /// Metadata, bytes.
     pub logger_bytes: u64,
-    /// What is known of its delay.
+    /// Delay of the message, with its bounds if they are known.
     pub delay: OneWayDelay,
 }
 

@@ -84,20 +84,20 @@ impl Exclusion {
     }
 }
 
-/// What decides whether a run counts.
+/// Facts that decide whether a run counts.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Candidate {
     /// Its id; `None` of results of other programs.
     pub id: Option<RunId>,
     /// Its progress; `None` where nothing tells of it.
     pub state: Option<RunState>,
-    /// What it measured; `None` outside of experiments.
+    /// Repeat that the run measured; `None` outside of experiments.
     pub repeat: Option<Repeat>,
     /// Its place in time: of two runs the later one has the larger number.
     pub sequence: i64,
     /// Whether it is asked for by itself, so that its progress does not matter.
     pub is_named: bool,
-    /// Of several results of one run those with the lowest rank count.
+    /// Rank of the results. Of several results of one run, those with the lowest rank count.
     pub rank: u8,
 }
 
@@ -120,7 +120,8 @@ impl Repeat {
 }
 
 impl Candidate {
-    /// Returns the candidate of results that were read. Results outside of experiments have no state: nobody does them again.
+    /// Returns the candidate of results that were read. Results outside of experiments have no state, because such runs are not repeated
+    /// after a failure.
     pub fn of_results(run: &Loaded) -> Self {
         let record = &run.record;
         let place = record.experiment.as_ref();

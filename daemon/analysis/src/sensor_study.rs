@@ -7,14 +7,13 @@ use crate::order::{ENOUGH_FOR_P95, Ordered};
 use crate::rows::{Outcome, RowRef, Rows};
 use crate::table::Table;
 
-/// What a sensor says of its dropped samples stands in a column that ends with this.
+/// Suffix of the columns in which sensors report their dropped samples.
 const DROPPED: &str = "dropped-samples";
 
-/// What the samples of a run show of their sensor. Seconds, and samples per second.
+/// Periods and jitter of a sensor, from the samples of a run. Seconds, and samples per second.
 ///
-/// A sample's moment is when it was ready: the start of its iteration and its `sensing` after that. A period lies between
-/// the moments of two samples that follow each other; warm-up is left out. The jitter of a period is how far it is from
-/// the median period, in either direction.
+/// A sample's moment is when it was ready: the start of its iteration plus its `sensing`. A period lies between the moments of two samples
+/// that follow each other; warm-up is left out. The jitter of a period is its distance from the median period, in either direction.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SensorStudy {
     /// Samples that the sensor gave.
@@ -53,7 +52,7 @@ struct Taken {
 }
 
 impl SensorStudy {
-    /// What these rows show, in whatever order; `None` with fewer than two samples that follow each other.
+    /// Returns the study of these rows, in any order; `None` with fewer than two samples that follow each other.
     pub fn of(rows: &Rows) -> Option<Self> {
         let measured = || rows.iter().filter(|row| !row.warm_up());
         let mut taken: Vec<Taken> = measured().filter_map(taken).collect();
@@ -84,7 +83,7 @@ impl SensorStudy {
         })
     }
 
-    /// What it comes to, in sentences.
+    /// Returns the results in sentences.
     pub fn sentences(&self) -> Vec<String> {
         let mut said = vec![format!(
             "The sensor ran at {} samples per second: one every {} ms{}, over {}.",

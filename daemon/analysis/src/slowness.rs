@@ -1,4 +1,4 @@
-//! What made an iteration slow, by comparison with the medians of its run.
+//! Causes of slow iterations, by comparison with the medians of their run.
 
 use peernet_logger::{Name, stage};
 use serde::Serialize;
@@ -76,8 +76,8 @@ impl Medians {
         self.0.iter().find(|(known, _)| known == name).map(|(_, median)| *median)
     }
 
-    /// What `upload` and `download` take together: where neither is ever known, what the total's median holds beyond
-    /// the others'.
+    /// Returns the time that `upload` and `download` take together. If neither is ever known, it is the difference between the total's
+    /// median and those of the other stages.
     fn both_ways(&self) -> Option<f64> {
         let known = [stage::UPLOAD, stage::DOWNLOAD].into_iter().filter_map(|name| self.median(&name));
         let known: Vec<f64> = known.collect();

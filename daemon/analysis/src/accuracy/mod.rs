@@ -1,4 +1,4 @@
-//! How often a model was right.
+//! Accuracy of a model: the share of answers that were right.
 
 mod unknown;
 
@@ -21,10 +21,10 @@ pub struct Accuracy {
     pub share: f64,
     /// Its 95 % confidence interval.
     pub interval: (f64, f64),
-    /// Of how many iterations.
+    /// Number of scored iterations.
     pub count: u64,
-    /// How many more iterations count, but have no score that is 0 or 1: no label was known, it is [no class of the
-    /// model](UnknownLabels), the answer named no class, or the score is no number.
+    /// Number of further iterations that count but have no score of 0 or 1: no label was known, the label is [no class of the
+    /// model](UnknownLabels), the answer named no class, or the score is not a number.
     pub unscored: u64,
 }
 
@@ -47,14 +47,14 @@ impl Accuracy {
         ACCURACIES.into_iter().filter_map(of).collect()
     }
 
-    /// Returns the accuracy from the mean of `count` scores that are 0 or 1, of so many answered iterations; `None` without a score,
-    /// and where the mean is none of such scores.
+    /// Returns the accuracy from the mean of `count` scores that are 0 or 1, of `answered` iterations with an answer; `None` without a
+    /// score, and where no such scores have this mean.
     pub fn of_mean(mean: f64, count: u64, answered: u64) -> Option<Self> {
         (0.0..=1.0).contains(&mean).then_some(())?;
         Self::of_counts((mean * count as f64).round() as u64, count, answered.saturating_sub(count))
     }
 
-    /// So many right answers of so many; `None` of none.
+    /// Returns the accuracy of `right` answers out of `count` scored ones; `None` if `count` is 0.
     pub fn of_counts(right: u64, count: u64, unscored: u64) -> Option<Self> {
         (count > 0).then(|| {
             let share = right as f64 / count as f64;

@@ -10,17 +10,17 @@ pub const UNKNOWN_LABEL: &str = "unknown-label";
 const LABELS: &str = "Labels";
 const CLASSES: &str = "Classes";
 
-/// How many iterations have a label that is no class of the model, and what both sides' words are like.
+/// Count of the iterations whose label is not a class of the model, with an example of the words of either side.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct UnknownLabels {
-    /// How many of those that count; at least one.
+    /// Number of counted iterations with such a label; at least one.
     pub count: u64,
     /// ` (the data set says …; the model knows …)`; empty where neither is known.
     words: String,
 }
 
 impl UnknownLabels {
-    /// So many iterations of a run of which these facts are known; `None` of none.
+    /// Returns the unknown labels of a run with these facts, which contain examples; `None` if `count` is 0.
     pub fn new(count: u64, facts: &[(String, String)]) -> Option<Self> {
         let words = |fact: &str, side: &str| {
             let (_, text) = facts.iter().find(|(name, _)| name == fact)?;

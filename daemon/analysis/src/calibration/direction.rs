@@ -18,15 +18,15 @@ const CLOCK_READ: f64 = 1e-7;
 pub struct DirectionStudy {
     /// Which.
     pub direction: Direction,
-    /// What each size took, smallest first.
+    /// Summary of each size, smallest first.
     pub sizes: Vec<SizeSummary>,
     /// Delay against bytes; `None` with fewer than three sizes.
     pub fits: Option<Fits>,
-    /// What the clock relation says of the smallest payload.
+    /// Bounds that the clock relation gives for the smallest payload.
     pub claimed: Option<Claim>,
-    /// What the slope says.
+    /// Throughput that the slope implies.
     pub throughput: Option<Throughput>,
-    /// How many delays were given each verdict.
+    /// Number of delays by verdict.
     pub verdicts: BTreeMap<&'static str, u64>,
     /// Whether both ends read one clock.
     pub same_clock: bool,
@@ -39,7 +39,7 @@ pub struct SizeSummary {
     pub payload_bytes: u64,
     /// Payload and metadata, median.
     pub wire_bytes: f64,
-    /// How many.
+    /// Number of values.
     pub count: u64,
     /// Median delay.
     pub median: f64,
@@ -76,19 +76,19 @@ pub struct Pair {
     pub theil_sen: Fit,
 }
 
-/// What the clock relation says of the smallest payload, and what is left of it for an empty message.
+/// Bounds that the clock relation gives for the smallest payload, and the bounds that follow from them for an empty message.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Claim {
     /// The smallest payload, bytes.
     pub payload_bytes: u64,
     /// Bounds of its delay, seconds: medians.
     pub bounds: (f64, f64),
-    /// What is left of them for an empty message: less what the payload's bytes take by the slope, with the 95 %
-    /// margin of the payload's median on both sides, because that is a sample, too; never negative.
+    /// Bounds for an empty message: those of the smallest payload less the time that its bytes take by the slope. The 95 % margin of the
+    /// payload's median is added on both sides, because the median is a sample, too. Never negative.
     pub at_zero: (f64, f64),
 }
 
-/// What the slope says: bits per second.
+/// Throughput that the slope implies: bits per second.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Throughput {
     /// One over the slope.
@@ -101,7 +101,7 @@ pub struct Throughput {
 }
 
 impl DirectionStudy {
-    /// What the samples that count say of one direction.
+    /// Returns the statistics of one direction, of the samples that count.
     pub(super) fn new(direction: Direction, samples: &[Sample]) -> Self {
         let passages: Vec<(u64, &Passage)> = samples
             .iter()
@@ -143,7 +143,7 @@ impl DirectionStudy {
         }
     }
 
-    /// How many delays were given any of these verdicts.
+    /// Returns the number of delays that have any of these verdicts.
     pub(super) fn judged(&self, verdicts: &[peernet_clock::Verdict]) -> u64 {
         verdicts.iter().filter_map(|verdict| self.verdicts.get(verdict.name())).sum()
     }
@@ -221,7 +221,7 @@ impl Claim {
 }
 
 impl Throughput {
-    /// What a slope alone says, seconds per byte; `None` when delays do not grow with size.
+    /// Returns the throughput of a slope in seconds per byte; `None` when delays do not grow with size.
     pub(super) fn of(slope: Estimate) -> Option<Self> {
         Some(Self { value: rate(slope.value)?, interval: slope.interval.and_then(rates), bounds: None })
     }

@@ -12,7 +12,7 @@ use super::sample::Sample;
 pub struct Failures {
     /// `failed`, `lost` or `timeout`.
     pub outcome: &'static str,
-    /// How many.
+    /// Number of iterations.
     pub count: u64,
     /// The reason that was given most often; `None` when none was.
     pub commonest_reason: Option<String>,

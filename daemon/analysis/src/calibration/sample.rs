@@ -30,7 +30,7 @@ pub struct Sample {
 }
 
 impl Sample {
-    /// What an iteration of a payload of `payload_bytes` measured.
+    /// Returns the measurements of an iteration with a payload of `payload_bytes`.
     pub fn new(iteration: &Iteration, payload_bytes: u64) -> Self {
         let tree = &iteration.tree;
         let at = tree.anchors().first().map_or(0.0, |anchor| anchor.wall.unix_nanos() as f64 * 1e-9);

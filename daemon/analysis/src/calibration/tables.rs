@@ -115,7 +115,7 @@ fn cell(value: Option<String>) -> String {
     value.unwrap_or_default()
 }
 
-/// What each size took, both directions side by side.
+/// Returns the table of sizes, with both directions in each row.
 pub(super) fn sizes_text(study: &Study) -> String {
     let header = [
         "payload",

@@ -13,7 +13,7 @@ const PER_BYTE: f64 = 1e-9;
 /// Half the width of the clock bounds.
 const HALF: f64 = 50e-6;
 
-/// What differs from a good link.
+/// Parameters in which a simulated link differs from a good one.
 #[derive(Clone, Copy)]
 struct Link {
     /// Error of the estimate within its bounds or beyond: added upwards, taken off downwards.
@@ -189,7 +189,7 @@ fn on_one_clock_nothing_has_bounds_to_print() {
     assert_eq!(rows.len(), SIZES.len() + 3, "{text}");
 }
 
-/// A second of a relation that says that the cloud is so many milliseconds ahead.
+/// Returns a clock sample at second `at` that says that the cloud's clock is ahead by `ahead_ms` milliseconds.
 fn second(at: i64, window: u64, ahead_ms: i64) -> ClockSample {
     let at = WallTime::from_unix_nanos(at * 1_000_000_000);
     let estimate = Span::from_millis(ahead_ms);

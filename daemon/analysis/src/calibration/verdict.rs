@@ -1,4 +1,4 @@
-//! What to make of a study, in one sentence.
+//! Verdict of a study, in one sentence.
 
 use peernet_clock::Verdict as Delay;
 use peernet_statistics::number::{error_ms, mean_std, range_ms};
@@ -8,7 +8,7 @@ use super::clocks::Clocks;
 use super::direction::{Claim, DirectionStudy};
 use crate::fit::{Estimate, Fit};
 
-/// What kind of verdict.
+/// Kind of verdict.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Kind {
@@ -37,12 +37,12 @@ impl Kind {
     }
 }
 
-/// What to make of a study.
+/// Verdict of a study.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Verdict {
-    /// Of what kind.
+    /// Kind of the verdict.
     pub kind: Kind,
-    /// How far a delay of a small message over this link can be off, seconds; only where it can be trusted.
+    /// Largest error of a delay of a small message over this link, seconds; `None` unless the delays can be trusted.
     pub within: Option<f64>,
     /// In words.
     pub sentence: String,
@@ -181,7 +181,7 @@ impl Compared {
         self.intercept.margin().is_none_or(|margin| margin > most - least)
     }
 
-    /// How far the intercept's whole interval lies above (positive) or below (negative) what is allowed.
+    /// Returns the distance of the intercept's interval from the allowed bounds: positive if it lies above them, negative if below.
     fn outside(&self) -> f64 {
         let ((lo, hi), (least, most)) = (self.intercept.span(), self.claim.at_zero);
         (lo - most).max(0.0) + (hi - least).min(0.0)

@@ -30,8 +30,8 @@ pub(super) fn mark(comparison: &mut Comparison, runs: &[Loaded]) {
     }
 }
 
-/// How much larger the means of the others are than the best's: what three lines and more have in the place of
-/// [`Differences`](super::Differences). `None` where none is the best, or no other has a mean.
+/// Returns how much larger the means of the other lines are than the best's. A comparison of three or more lines has this table instead of
+/// [`Differences`](super::Differences). `None` if no line is the best, or no other line has a mean.
 pub fn against_best(comparison: &Comparison) -> Option<Captioned> {
     let best = comparison.best.filter(|_| comparison.lines.len() > 2)?;
     comparison.lines.iter().find(|line| line.beyond_best.is_some())?;

@@ -1,4 +1,4 @@
-//! How long the blocks of a bootstrap have to be, so that what follows upon one another stays together.
+//! Block length of a bootstrap: long enough that correlated neighbours stay together.
 
 /// The mean block length of a stationary bootstrap of the mean of these values, at least 1.
 ///

@@ -2,9 +2,9 @@
 
 use super::configuration::NOTHING;
 
-/// Most values of what is no column that are listed.
+/// Maximum number of values that are listed of a fact that has no column.
 const MOST_LISTED: usize = 4;
-/// From so many hexadecimal digits on a label is a hash.
+/// Number of hexadecimal digits from which on a label counts as a hash.
 const HASH: usize = 32;
 /// Bytes from which on a label has no place in a table: it is a list, of libraries for instance.
 const LONG: usize = 120;
@@ -68,7 +68,7 @@ pub(super) fn tell_apart(columns: &[Column], configurations: usize) -> bool {
     classes(columns, configurations) == configurations
 }
 
-/// How many different rows of labels there are.
+/// Returns the number of different rows of labels.
 fn classes(columns: &[Column], configurations: usize) -> usize {
     let row = |at: usize| columns.iter().map(|column| column.labels[at].as_str()).collect::<Vec<_>>();
     let mut rows: Vec<Vec<&str>> = (0..configurations).map(row).collect();
@@ -77,7 +77,7 @@ fn classes(columns: &[Column], configurations: usize) -> usize {
     rows.len()
 }
 
-/// What differs and is no column, in words.
+/// Returns sentences about the facts that differ but have no column.
 pub(super) fn sentences(columns: &[Column], rest: &[Column]) -> Vec<String> {
     let (mut told, mut named): (Vec<String>, Vec<&str>) = (Vec::new(), Vec::new());
     for column in rest {

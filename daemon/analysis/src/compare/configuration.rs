@@ -1,4 +1,4 @@
-//! What distinguishes runs: the first columns of a comparison.
+//! Labels that distinguish runs: the first columns of a comparison.
 
 use std::path::PathBuf;
 
@@ -8,9 +8,9 @@ use super::columns::{self, ChosenColumns, Column};
 use crate::loaded::Loaded;
 use crate::record::RunRecord;
 
-/// What stands where a run has nothing of the kind.
+/// Cell of a run that has no such fact.
 pub(super) const NOTHING: &str = "—";
-/// Facts that follow from a run's model or data set, which stand there already.
+/// Facts that follow from a run's model or data set, which has a column already.
 const IMPLIED: [&str; 6] = ["model", "device", "task", "input", "labels", "classes"];
 /// Most labels of one group that are written side by side.
 const MOST_TOGETHER: usize = 3;
@@ -18,16 +18,18 @@ const MOST_TOGETHER: usize = 3;
 /// The configurations of some runs.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Configurations {
-    /// What distinguishes them, the columns' names.
+    /// Names of the columns that distinguish the runs.
     pub axes: Vec<String>,
     /// One for each run: as many labels as there are axes.
     pub labels: Vec<Vec<String>>,
 }
 
 impl Configurations {
-    /// Runs of one experiment are told apart by its fields, all of them, as the experiment's author declared them. Of other
-    /// runs the columns are as few as tell them apart, and runs that are alike or of which nothing is known are named after
-    /// their folders or files. Repeats and edges of one configuration always have the same labels.
+    /// Returns the configurations of runs.
+    ///
+    /// Runs of one experiment are distinguished by all of its fields, as the experiment's author declared them. Other runs have as few
+    /// columns as are needed to distinguish them. Runs that are alike, or of which nothing is known, are named after their folders or
+    /// files. Repeats and edges of one configuration always have the same labels.
     pub fn of(runs: &[Loaded]) -> Self {
         Self::and_the_rest(runs).0
     }
@@ -186,7 +188,7 @@ fn place(record: &RunRecord) -> Vec<(String, String)> {
     record.experiment.as_ref().map(|place| place.configuration.clone()).unwrap_or_default()
 }
 
-/// What a run's record says of its configuration, the paper's columns first.
+/// Returns the facts in a run's record about its configuration, the paper's columns first.
 fn found(record: &RunRecord) -> Vec<(String, String)> {
     let pair = |axis: &str, label: Option<&str>| (axis.to_owned(), label.unwrap_or_default().to_owned());
     let model = record.model.as_ref();
@@ -230,7 +232,7 @@ fn groups(runs: &[Loaded]) -> Vec<Vec<usize>> {
     groups
 }
 
-/// What is said of a group, for each of its runs.
+/// Returns the label of each run, from the labels of the groups.
 fn of_each(runs: usize, groups: &[Vec<usize>], labels: &[String]) -> Vec<String> {
     let mut all = vec![NOTHING.to_owned(); runs];
     for (group, label) in groups.iter().zip(labels) {
@@ -253,7 +255,8 @@ fn together<'a>(labels: impl Iterator<Item = &'a String>) -> String {
     distinct.join(" + ")
 }
 
-/// What the groups are called: their folders, or files of rows that stand alone, without what all of them have in front.
+/// Returns the names of the groups: their folders, or the files of rows outside of a result folder, without the prefix that all of them
+/// share.
 fn folders(runs: &[Loaded], groups: &[Vec<usize>]) -> Vec<String> {
     let path = |run: &Loaded| {
         // Rows that nothing stands beside have the name of their file.
@@ -278,7 +281,7 @@ fn folders(runs: &[Loaded], groups: &[Vec<usize>]) -> Vec<String> {
     all.iter().map(|parts| parts[front..].iter().collect::<PathBuf>().display().to_string()).collect()
 }
 
-/// How many parts at the beginning all paths have in common.
+/// Returns the number of leading parts that all paths have in common.
 fn common(paths: &[Vec<String>]) -> usize {
     let shortest = paths.iter().map(Vec::len).min().unwrap_or_default();
     (0..shortest).take_while(|at| paths.iter().all(|parts| parts[*at] == paths[0][*at])).count()

@@ -1,4 +1,4 @@
-//! How far the difference of two means is known.
+//! Difference of two means, with its interval.
 
 use serde::Serialize;
 use statrs::distribution::{ContinuousCDF, StudentsT};

@@ -15,18 +15,18 @@ use crate::rows::RowRef;
 
 static ORDER: [Name; 11] = stage::ORDER;
 
-/// What two lines of a comparison may both have.
+/// Stages that two lines of a comparison may both have.
 pub(super) static STAGES: LazyLock<Vec<&'static str>> = LazyLock::new(|| {
     let others = ["stages-total", "unattributed", "total", "lateness"];
     ORDER.iter().map(Name::as_str).chain(others).collect()
 });
 
-/// What one line of a comparison has more than another, stage by stage. Seconds.
+/// Differences of one line of a comparison to another, stage by stage. Seconds.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Differences {
-    /// What is compared with.
+    /// Name of the line that is the reference.
     pub baseline: String,
-    /// What is compared.
+    /// Name of the line that is compared with it.
     pub other: String,
     /// The stages that both have.
     pub stages: Vec<StageDifference>,
@@ -45,8 +45,8 @@ pub struct StageDifference {
     pub medians: (f64, f64),
     /// The other's less the baseline's.
     pub median: Difference,
-    /// How far the difference can be off beyond its interval, because the clocks of the hosts are known no better: half
-    /// the mean width of both lines' bounds together. `None` for what one clock measured.
+    /// Error of the difference beyond its interval, because the offset of the hosts' clocks is only known within bounds: half the mean
+    /// width of both lines' bounds together. `None` for stages that one clock measured.
     pub clocks: Option<f64>,
 }
 

@@ -1,4 +1,4 @@
-//! What is wrong with the results that are compared.
+//! Defects of the results that are compared.
 
 use peernet_clock::Verdict;
 use peernet_statistics::Summary;

@@ -1,4 +1,4 @@
-//! How far the difference of two medians is known.
+//! Difference of two medians, with its interval.
 
 use rand::rngs::StdRng;
 use rand::{Rng, SeedableRng};
@@ -9,8 +9,9 @@ use crate::order::Ordered;
 
 /// Resamples: the ends of a 95 % interval are then the 50th from either side.
 const RESAMPLES: usize = 2000;
-/// Most pieces of a run: of a longer one, neighbours stay together from the start. So many tell the width of an interval to
-/// 2 %, as its ends are known of so many resamples, and a draw takes the same time however long the run was.
+/// Maximum number of pieces of a run. Neighbouring values of a longer run are joined before the bootstrap. With this number the width of an
+/// interval is known to 2 %, as precisely as [`RESAMPLES`] resamples determine its ends, and a draw takes the same time for a run of any
+/// length.
 const PIECES: usize = 2000;
 
 /// Values of runs that are taken together, each run's in the order in which they were measured.
@@ -36,14 +37,13 @@ impl<'a> Sample<'a> {
     }
 }
 
-/// Returns the difference of the median of `b` to that of `a`; `None` where one has no values.
+/// Returns the difference of the median of `b` to that of `a`; `None` if one has no values.
 ///
-/// The interval's ends are percentiles of the stationary bootstrap (Politis and Romano, JASA 89, 1994): every run is put together
-/// anew from blocks of itself, of random length, as long on average as [`blocks::length`] says. The median depends, to first order,
-/// only on which side of it the values lie (Bahadur, *A note on quantiles in large samples*, Annals of Mathematical Statistics 37,
-/// 1966). So the blocks are as long as *that* series asks for, and the median of a resample is the quantile that is as far from the
-/// middle as the resample has more values on one side. A resample is therefore a sum, which the sums of a run's first values give
-/// without a look at the values.
+/// The interval's ends are percentiles of the stationary bootstrap (Politis and Romano, JASA 89, 1994): every run is resampled from blocks
+/// of itself, of random length with the mean that [`blocks::length`] returns. The median depends, to first order, only on which side of it
+/// the values lie (Bahadur, *A note on quantiles in large samples*, Annals of Mathematical Statistics 37, 1966). So the block length is
+/// computed from *that* series, and the median of a resample is the quantile that is as far from the middle as the resample has more values
+/// on one side. A resample is therefore a sum, and prefix sums of the run give it without reading the values.
 pub(super) fn median_difference(a: &Sample<'_>, b: &Sample<'_>, seed: u64) -> Option<Difference> {
     resampled(a, b, seed, RESAMPLES)
 }
@@ -67,7 +67,7 @@ struct Group<'a> {
     runs: Vec<Run>,
 }
 
-/// How many more values of a run lie above the median of the group than is usual there.
+/// Run as prefix sums of the number of its values above the group's median, less the number that is expected there.
 struct Run {
     /// Sums of the first pieces: none, one, two, …
     sums: Vec<f64>,
@@ -96,7 +96,7 @@ impl<'a> Group<'a> {
         Some(Self { sorted, median, runs })
     }
 
-    /// Returns the median of a group that is put together anew.
+    /// Returns the median of one resample of the group.
     fn draw(&self, random: &mut StdRng) -> f64 {
         let mut sum = 0.0;
         for run in &self.runs {
@@ -140,7 +140,7 @@ mod tests {
         median_difference(&Sample::new(a), &Sample::new(b), seed)
     }
 
-    /// Returns how many of 100 intervals of runs of so many values contain the true difference of 0.5, in percent.
+    /// Returns how many of 100 intervals of runs of `count` values contain the true difference of 0.5, in percent.
     fn coverage(count: usize, keeps: f64) -> usize {
         let contains = |seed: u64| {
             let [a, b] =
@@ -161,8 +161,8 @@ mod tests {
         assert!(in_pieces >= 88, "{in_pieces} % of values in pieces");
     }
 
-    /// Of independent values: 1.96 standard errors of 1 / (2 f √n); the density f of the sum of three uniform values is 3 / 8 in
-    /// the middle.
+    /// The expected interval of independent values is 1.96 standard errors of 1 / (2 f √n); the density f of the sum of three uniform
+    /// values is 3 / 8 in the middle.
     #[test]
     fn long_run_has_interval_of_textbook() {
         let [a, b] = [(0.0, 1), (0.5, 2)].map(|(mean, seed)| [run(0.0, 50_000, mean, seed)]);

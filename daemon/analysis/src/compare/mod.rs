@@ -46,16 +46,16 @@ pub const LATENCIES: [&str; 6] = ["sensing", "upload", "inference", "download", 
 /// The seed of the bootstrap where none is given: the same runs give the same figures.
 pub const SEED: u64 = 1;
 
-/// Less than this share of iterations with a known delay is told.
+/// Share of iterations with a known delay below which a note is shown.
 const NEARLY_ALL: f64 = 0.95;
 
-/// What becomes of repeats of one configuration.
+/// Treatment of repeats of one configuration.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Repeats<'a> {
     /// Their iterations are taken together, in one line: the paper's table.
     #[default]
     Pooled,
-    /// Each has a line of its own.
+    /// Each repeat is a line.
     Apart,
     /// Pooled, but for these runs, numbers of what is given: they have a line of their own, beside the other repeats of their
     /// configuration.
@@ -71,50 +71,48 @@ pub struct Comparison {
     pub lines: Vec<Line>,
     /// The line with the smallest mean of [`by`](Self::by); `None` for a single line, or when none was measured.
     pub best: Option<usize>,
-    /// Lines that, with 95 % confidence, cannot be told from the best.
+    /// Lines that do not differ from the best with 95 % confidence.
     pub ties: Vec<usize>,
-    /// Lines of which nobody can say whether they differ from the best: they, or the best, have too few iterations, or
-    /// none.
+    /// Lines that cannot be compared with the best, because they or the best have no iterations or too few.
     pub untested: Vec<usize>,
     /// Lines that are not ranked, because their model computes nothing.
     pub unranked: Vec<usize>,
-    /// What the best is the best of: `total`, or `stages-total` where not all runs have the former.
+    /// Column that the best line is found by: `total`, or `stages-total` if not all runs have a total.
     pub by: &'static str,
-    /// What else differs among the runs, in sentences.
+    /// Other differences among the runs, in sentences.
     pub rest: Vec<String>,
-    /// What is wrong with the results, in sentences: files that are not whole, numbers that are none.
+    /// Defects of the results, in sentences: incomplete files, invalid numbers.
     pub doubts: Vec<String>,
 }
 
 /// One configuration.
 #[derive(Clone, Debug)]
 pub struct Line {
-    /// What distinguishes it: as many labels as there are axes.
+    /// Labels that distinguish the line: as many as there are axes.
     pub labels: Vec<String>,
     /// The results that are taken together, as numbers of what was given.
     pub runs: Vec<usize>,
-    /// How many runs they are of: those of edges that were measured at once are of one.
+    /// Number of runs. Edges that were measured at the same time belong to one run.
     pub repeats: usize,
     /// The most edges that were measured at once.
     pub edges: usize,
-    /// How many iterations count.
+    /// Number of iterations that count.
     pub count: u64,
-    /// How many did not end with an answer, warm-up left out.
+    /// Number of iterations that did not end with an answer, warm-up left out.
     pub unanswered: u64,
-    /// How many of both missed their deadline; `None` without one.
+    /// Number of counted and unanswered iterations that missed their deadline; `None` without a deadline.
     pub misses: Option<Misses>,
-    /// What became of the starts that an open loop ordered; the rate is not asked for.
+    /// Starts that an open loop ordered, by their outcome; the rate is not needed here.
     pub starts: Starts,
     /// The latencies in the order of [`LATENCIES`]; `None` where no iteration that counts has one.
     pub latencies: [Option<Latency>; LATENCIES.len()],
-    /// How often it was right, in the order of [`ACCURACIES`]; `None` where nobody knew the right answers.
+    /// Accuracies in the order of [`ACCURACIES`]; `None` where the right answers are not known.
     pub accuracies: [Option<Accuracy>; ACCURACIES.len()],
     /// Samples that are neither right nor wrong, because their label is no class of the model.
     pub unknown_labels: Option<UnknownLabels>,
-    /// How much larger its mean of [`by`](Comparison::by) is than the best's; `None` of the best itself, or where there is
-    /// no mean.
+    /// Difference of its mean of [`by`](Comparison::by) to the best's; `None` for the best itself, or without a mean.
     pub beyond_best: Option<Difference>,
-    /// What the best is found by, of each repeat.
+    /// Moments of the column that the best is found by, one for each repeat.
     deciding: Vec<Moments>,
 }
 
@@ -125,7 +123,7 @@ pub struct Latency {
     pub mean: f64,
     /// Their sample standard deviation; `None` below two.
     pub std: Option<f64>,
-    /// How many iterations have it: less than count when a clock was not related to the other at times.
+    /// Number of iterations that have this value: less than the count of the line when the clocks were not related at times.
     pub count: u64,
 }
 

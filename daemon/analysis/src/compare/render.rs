@@ -127,7 +127,7 @@ impl Comparison {
         latencies.map(|latency| column_decimals(latency.std)).max().unwrap_or_default()
     }
 
-    /// What the table means and what it does not show, a sentence or two each.
+    /// Returns the notes below the table: what it means and what it does not show, a sentence or two each.
     fn notes(&self) -> Vec<String> {
         let mut notes = vec![
             "Latencies: mean ± standard deviation in ms over all iterations that count. Total (stages) is the sum of all \
@@ -246,7 +246,7 @@ impl Line {
         Some(self.told(&range_ms(ends)))
     }
 
-    /// Where not every iteration was judged right or wrong, although some were, for another reason than its label.
+    /// Returns the note for lines of which some iterations were scored and others were not, for another reason than their label.
     fn unscored(&self) -> Vec<String> {
         let foreign = self.unknown_labels.as_ref().map_or(0, |unknown| unknown.count);
         let part = |(name, accuracy): (&str, &Option<Accuracy>)| {

@@ -242,7 +242,7 @@ fn chosen_repeat_has_line_of_its_own() {
     assert_eq!(comparison.lines[0].runs, [0, 1], "measured at once");
 }
 
-/// What a published `data.csv` says of itself: its name.
+/// Returns a run as a published `data.csv` describes it: by its name only.
 fn published(file: &str, run: Loaded) -> Loaded {
     let record = RunRecord { name: file.to_owned(), title: file.to_owned(), ..RunRecord::default() };
     Loaded { folder: PathBuf::from("results"), record, ..run }

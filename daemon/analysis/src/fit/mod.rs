@@ -26,9 +26,9 @@ pub const CONFIDENCE: f64 = 0.95;
 /// A point: what was set and what was measured.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Point {
-    /// What was set.
+    /// Value that was set.
     pub x: f64,
-    /// What was measured.
+    /// Value that was measured.
     pub y: f64,
 }
 
@@ -49,7 +49,7 @@ impl Estimate {
         self.interval.map(|(lo, hi)| (hi - self.value).max(self.value - lo))
     }
 
-    /// The interval, or the figure alone where there is none.
+    /// Returns the interval, or the figure twice if it has no interval.
     pub fn span(&self) -> (f64, f64) {
         self.interval.unwrap_or((self.value, self.value))
     }
@@ -58,11 +58,11 @@ impl Estimate {
 /// A line of best fit: `y = intercept + slope · x`.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Fit {
-    /// Where it meets x = 0.
+    /// Value of y at x = 0.
     pub intercept: Estimate,
-    /// How much y grows with x.
+    /// Growth of y with x.
     pub slope: Estimate,
-    /// How many points it was fitted to.
+    /// Number of points that the line was fitted to.
     pub points: usize,
 }
 

@@ -44,7 +44,7 @@ pub fn theil_sen(points: &[Point]) -> Option<Fit> {
 struct Pairs {
     /// The points by x; the y of each x in order.
     groups: Vec<(f64, Vec<f64>)>,
-    /// How many pairs.
+    /// Number of pairs.
     count: u64,
     /// The flattest and the steepest slope.
     range: (f64, f64),

@@ -1,4 +1,4 @@
-//! How far the clocks of a run can be trusted, as its rows say.
+//! Quality of a run's clocks, from its rows.
 
 use std::collections::BTreeMap;
 
@@ -8,7 +8,7 @@ use crate::Passage;
 use crate::order::Ordered;
 use crate::rows::Rows;
 
-/// How far the delays of a run can be trusted, warm-up left out.
+/// Quality of the delays of a run, warm-up left out.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default)]
 pub struct Clocks {
@@ -22,17 +22,17 @@ pub struct Clocks {
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default)]
 pub struct ClockCounts {
-    /// How many had which verdict.
+    /// Number of delays by verdict.
     pub verdicts: BTreeMap<String, u64>,
-    /// How many rest on which source.
+    /// Number of delays by source of their clock relation.
     pub sources: BTreeMap<String, u64>,
     /// Median width of the bounds, seconds; `None` where there are none.
     pub median_width: Option<f64>,
-    /// How far the receiver's wall clock was ahead of the sender's at the first message of which that is known.
+    /// Offset of the receiver's wall clock ahead of the sender's at the first message for which it is known.
     pub first_offset: Option<Bounded>,
     /// The same at the last one.
     pub last_offset: Option<Bounded>,
-    /// How fast that grew between the two on average, seconds per second.
+    /// Average growth of that offset, seconds per second.
     pub skew: Option<Bounded>,
 }
 
@@ -49,7 +49,7 @@ pub struct Bounded {
 }
 
 impl Clocks {
-    /// What the rows say.
+    /// Returns the quality of the delays in these rows.
     pub fn of(rows: &Rows) -> Self {
         let counted = || rows.iter().filter(|row| row.counts());
         Self {
@@ -88,7 +88,7 @@ impl ClockCounts {
     }
 }
 
-/// What was taken from the difference of the stamps, in seconds.
+/// Returns the offset that was subtracted from the difference of the stamps, in seconds.
 fn offset(passage: &Passage) -> Option<Bounded> {
     passage.seconds()?;
     let (delay, seconds) = (&passage.delay, |delay| (passage.delay.raw - delay).seconds());

@@ -21,8 +21,8 @@ use crate::trust;
 /// The form that this program writes.
 pub const FORMAT: u32 = 1;
 
-/// Everything about a run but its rows. What is not known is `None` or empty, so that results of other programs and of
-/// other versions can be read.
+/// Everything about a run except its rows. Unknown values are `None` or empty, so that results of other programs and of other versions can
+/// be read.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default)]
 pub struct RunRecord {
@@ -50,11 +50,11 @@ pub struct RunRecord {
     pub environment: BTreeMap<String, String>,
     /// The file of devices that the command or the experiment names.
     pub network_config: Option<NetworkConfig>,
-    /// Who sensed.
+    /// Host that sensed.
     pub edge: HostRecord,
-    /// Who served; `None` where nobody did, or nobody was reached.
+    /// Host that served; `None` if there was none, or it was not reached.
     pub cloud: Option<HostRecord>,
-    /// Where it computed.
+    /// Place of the computation.
     pub placement: Placement,
     /// The model; `None` where a sensor ran alone.
     pub model: Option<ModelRecord>,
@@ -68,25 +68,25 @@ pub struct RunRecord {
     pub experiment: Option<ExperimentPlace>,
     /// Which edge it was, where several asked at once.
     pub user: Option<User>,
-    /// How long a peer that is away was to be waited for, before the run and during it; seconds.
+    /// Time that a missing peer was to be waited for, before the run and during it; seconds.
     pub patience_s: Option<f64>,
     /// Seeds of whatever was random, by what it is for.
     pub seeds: BTreeMap<String, u64>,
     /// Which iterations are warm-up, in words.
     pub warm_up: String,
-    /// How the iterations ended.
+    /// Number of iterations by how they ended.
     pub counts: Counts,
-    /// How long an iteration might take, seconds; `None` without a deadline.
+    /// Deadline of an iteration, seconds; `None` without a deadline.
     pub deadline_s: Option<f64>,
-    /// How many iterations missed it.
+    /// Number of iterations that missed the deadline.
     pub misses: Option<Misses>,
-    /// How far the delays can be trusted.
+    /// Quality of the delays.
     pub clocks: Clocks,
-    /// How often the model was right, by column: `top-1`, `top-5`; empty where nobody knew.
+    /// Accuracy of the model, by column: `top-1`, `top-5`; empty if the right answers are not known.
     pub accuracy: BTreeMap<String, Accuracy>,
     /// In what the columns are measured that the run logged beside the standard ones.
     pub units: Units,
-    /// Whether the run can be published; `None` where nobody judged.
+    /// Judgement on whether the run can be published; `None` if it was not judged.
     pub trust: Option<trust::Report>,
 }
 
@@ -113,7 +113,7 @@ pub struct NetworkConfig {
 pub struct User {
     /// From 1.
     pub number: u32,
-    /// How many they are.
+    /// Number of users.
     pub of: u32,
 }
 
@@ -127,15 +127,15 @@ pub struct HostRecord {
     pub id: Option<HostId>,
     /// Version of its program.
     pub version: String,
-    /// What it is made of.
+    /// Hardware of the host.
     pub hardware: Option<Hardware>,
-    /// What disciplines its clock, in words: `chrony, stratum 2, to 10.0.0.1`; empty where nobody asked.
+    /// Discipline of its clock, in words: `chrony, stratum 2, to 10.0.0.1`; empty if it was not asked for.
     pub clock: String,
-    /// What was found of it before the run.
+    /// Conditions of the host that were found before the run.
     pub conditions: Vec<Condition>,
 }
 
-/// Where a run computed.
+/// Place at which a run computed.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default)]
 pub struct Placement {
@@ -160,13 +160,13 @@ impl Placement {
 pub struct ModelRecord {
     /// Its name in the bank.
     pub name: String,
-    /// What it ran on.
+    /// Device that it ran on.
     pub device: Option<String>,
     /// SHA-256 of its file, hexadecimal.
     pub sha256: Option<String>,
 }
 
-/// How the iterations ended. Warm-up counts apart, whatever its outcome.
+/// Number of iterations by how they ended. Warm-up is counted separately, whatever its outcome.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(default)]
 pub struct Counts {
@@ -180,11 +180,11 @@ pub struct Counts {
     pub timeout: u64,
     /// Warm-up.
     pub warm_up: u64,
-    /// Measured, but seen by nobody: this program was too busy to take them.
+    /// Iterations that were measured but not received by this program, because it was too busy.
     pub unseen: u64,
 }
 
-/// A wall time as it stands in `run.json`.
+/// Returns a wall time in the form that `run.json` has.
 pub fn instant(at: WallTime) -> DateTime<Utc> {
     DateTime::from_timestamp_nanos(at.unix_nanos())
 }

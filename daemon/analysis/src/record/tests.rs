@@ -1,4 +1,4 @@
-//! What is told of two clocks.
+//! Tests of the record's statements about two clocks.
 
 use peernet_clock::{OneWayDelay, Span, Verdict};
 

@@ -2,7 +2,7 @@
 
 use std::ops::Index;
 
-/// How many stand together.
+/// Number of elements in one chunk.
 const CHUNK: usize = 4096;
 
 /// A list that only grows. Unlike a vector it takes no more room than what is in it, and leaves no holes behind: a run has

@@ -11,18 +11,18 @@ pub const SKIPPED_STARTS: &str = "skipped-starts";
 /// From the start that was ordered to the real one, in an open loop: a part of `unattributed`.
 pub const LATENESS: &str = "lateness";
 
-/// What the cells of a column say.
+/// Kind of the cells of a column.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ColumnKind {
     /// The iteration's place in the run, or how it ended.
     Place,
     /// A node of the tree.
     Node,
-    /// What is known of a delay beside its value.
+    /// Property of a delay other than its value.
     Delay,
 }
 
-/// How many of the columns are the published ones.
+/// Number of columns that the published program has.
 pub const PUBLISHED: usize = 13;
 
 /// The columns that every file has: the published ones in their order, then ours. Whatever else a run measures stands
@@ -92,21 +92,21 @@ pub fn column(name: &str) -> Column {
     fixed(name).map_or_else(|| Column::Owned(name.to_owned()), |at| Column::Borrowed(FIXED_COLUMNS[at].0))
 }
 
-/// Every number of a tree under the name of its column: those that every file has first, in its order, then the others
-/// as they were logged.
+/// Returns every number of a tree under the name of its column: the columns that every file has first, in their order, then the others in
+/// the order of logging.
 ///
-/// What lies below a node joins the names with `_`, and a node that has both a value and children gets `_val`: the
-/// published rules. Excepted are the columns that every file has: their names never change, so that `sensing` is
-/// `sensing` whatever lies below it, and its parts are `capture` and `transform`.
+/// Names of nested nodes are joined with `_`, and a node that has both a value and children gets `_val`: the published rules. The columns
+/// that every file has are excepted: their names never change, so that `sensing` is `sensing` with any children, and its parts are
+/// `capture` and `transform`.
 pub(super) fn values(tree: &Tree) -> Vec<(Column, f64)> {
     Found::of(tree).values()
 }
 
-/// What is measured in a tree.
+/// Measurements of a tree.
 pub(super) struct Found<'a> {
     fixed: [Option<f64>; FIXED_COLUMNS.len()],
     further: Vec<(Column, f64, Unit)>,
-    /// How often a parent had a child of that name.
+    /// Number of times that a parent had a child of that name.
     siblings: HashMap<(NodeId, &'a str), usize>,
 }
 

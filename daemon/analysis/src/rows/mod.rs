@@ -36,11 +36,11 @@ pub struct Rows {
     places: HashMap<Column, usize>,
     /// As long as `names`, each as long as `ends`.
     numbers: Vec<Numbers>,
-    /// How each ended, and whether it is warm-up.
+    /// Outcome of each iteration, and whether it is warm-up.
     ends: Chunks<(Outcome, bool)>,
-    /// What the delays were judged to be, upload and download.
+    /// Verdicts on the delays, upload and download.
     judged: [Chunks<Option<JudgedDelay>>; 2],
-    /// Of the rows that have one, in order. Those that follow upon one another are mostly the same.
+    /// Reasons by row, in order, of the rows that have one. Consecutive ones are mostly the same.
     reasons: Vec<(usize, Arc<str>)>,
     /// The row that is put in.
     line: RowBuilder,
@@ -52,18 +52,18 @@ const WARM_UP: &str = "warm-up";
 /// The verdict on a delay, and what it rests on.
 pub type JudgedDelay = (Verdict, DelaySource);
 
-/// A row that is being put together, cell by cell: its numbers by the place of their column, and what is no number.
+/// Row that is built cell by cell: its numbers by the place of their column, and its other values.
 #[derive(Clone, Debug, Default)]
 pub struct RowBuilder {
-    /// The numbers, by [`RowBuilder::place`]; `None` where there is none.
+    /// Numbers, by [`RowBuilder::place`]; `None` for a missing number.
     pub numbers: Vec<Option<f64>>,
-    /// How it ended; `None` is an answer.
+    /// Outcome of the iteration; `None` means an answer.
     pub outcome: Option<Outcome>,
     /// Kept, but left out of statistics.
     pub warm_up: bool,
     /// Why there was no answer, where somebody said so.
     pub reason: Option<String>,
-    /// What the delays were judged to be, upload and download.
+    /// Verdicts on the delays, upload and download.
     pub judged: [Option<JudgedDelay>; 2],
 }
 
@@ -86,7 +86,7 @@ impl Default for Rows {
 }
 
 impl Rows {
-    /// How many.
+    /// Returns the number of rows.
     pub fn len(&self) -> usize {
         self.ends.len()
     }
@@ -139,7 +139,7 @@ impl Rows {
         self.line = line;
     }
 
-    /// The place of a column, which is put behind the others where there is none of that name.
+    /// Returns the place of a column, which is appended if no column has that name.
     fn place(&mut self, name: &Column) -> usize {
         if let Some(place) = self.places.get(name) {
             return *place;

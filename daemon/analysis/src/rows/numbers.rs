@@ -2,7 +2,7 @@
 
 use super::chunks::Chunks;
 
-/// What stands in [`Numbers::Parts`] where there is no number.
+/// Element of [`Numbers::Parts`] that stands for a missing number.
 const MISSING: i32 = i32::MIN;
 /// Parts of a whole that are tried: whole numbers, and durations, which are counted in nanoseconds.
 const PARTS: [f64; 2] = [1.0, 1e9];
@@ -36,7 +36,7 @@ impl Numbers {
         }
     }
 
-    /// The number of a row that there is; `None` where it is missing.
+    /// Returns the number of a row; `None` if it is missing.
     pub(super) fn get(&self, at: usize) -> Option<f64> {
         match self {
             Self::Even { first, step, .. } => first.map(|first| first + step * at as f64),
@@ -47,7 +47,7 @@ impl Numbers {
         }
     }
 
-    /// Puts one behind the others. What is not a number is missing.
+    /// Appends a number. NaN is stored as missing.
     pub(super) fn push(&mut self, number: Option<f64>) {
         let number = number.filter(|number| !number.is_nan());
         if !self.takes(number) {
@@ -97,7 +97,7 @@ impl Numbers {
     }
 }
 
-/// So many parts of a whole; `None` where the number is none of them, or there are too many.
+/// Returns the number as a multiple of 1 / `per`; `None` if it is not such a multiple, or the multiple is too large.
 fn part(number: Option<f64>, per: f64) -> Option<i32> {
     let Some(number) = number else { return Some(MISSING) };
     // Too many become the most that there are, which are not the same number.

@@ -17,7 +17,7 @@ pub type Column = Cow<'static, str>;
 pub struct Row {
     /// Its number in the run, from 1.
     pub iteration: u64,
-    /// When it was meant to begin, seconds of the edge's wall clock since the Unix epoch; 0 where nobody wrote it down.
+    /// Planned start, seconds of the edge's wall clock since the Unix epoch; 0 if it was not recorded.
     pub at: f64,
     /// Episode, from 0.
     pub episode: u32,
@@ -25,7 +25,7 @@ pub struct Row {
     pub step: u32,
     /// Kept, but left out of statistics.
     pub warm_up: bool,
-    /// How it ended.
+    /// Outcome of the iteration.
     pub outcome: Outcome,
     /// Why there was no answer, where somebody said so.
     pub reason: Option<String>,
@@ -38,7 +38,7 @@ pub struct Row {
     pub download: Option<Passage>,
 }
 
-/// How an iteration ended.
+/// Outcome of an iteration.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Outcome {
@@ -84,7 +84,7 @@ impl From<&stream::Outcome> for Outcome {
 }
 
 impl Row {
-    /// What an iteration measured.
+    /// Returns the measurements of an iteration.
     pub fn of(iteration: &stream::Iteration) -> Self {
         Self::with(iteration, columns::values(&iteration.tree))
     }

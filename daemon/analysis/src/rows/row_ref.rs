@@ -42,7 +42,7 @@ impl<'a> RowRef<'a> {
         self.value("iteration").unwrap_or_default() as u64
     }
 
-    /// When it was meant to begin, seconds of the edge's wall clock since the Unix epoch; 0 where nobody wrote it down.
+    /// Returns the planned start, seconds of the edge's wall clock since the Unix epoch; 0 if it was not recorded.
     pub fn at(&self) -> f64 {
         self.value("at").unwrap_or_default()
     }
@@ -62,7 +62,7 @@ impl<'a> RowRef<'a> {
         self.rows.ends[self.place].1
     }
 
-    /// How it ended.
+    /// Returns the outcome of the iteration.
     pub fn outcome(&self) -> Outcome {
         self.rows.ends[self.place].0
     }

@@ -27,7 +27,7 @@ impl Units {
         Row::with(iteration, found.values())
     }
 
-    /// A column's unit; `None` for a plain number, and where iterations did not agree or nobody knows.
+    /// Returns a column's unit; `None` for a plain number, and if iterations did not agree or the unit is not known.
     pub fn of(&self, column: &str) -> Option<&str> {
         self.0.get(column).map(String::as_str).filter(|unit| !unit.is_empty())
     }

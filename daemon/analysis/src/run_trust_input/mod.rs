@@ -28,12 +28,12 @@ impl TrustInput {
     }
 }
 
-/// What a run was asked for; nothing where its record was written by a program that has other limits.
+/// Returns the limits that a run was asked to keep; none if a program with other limits wrote its record.
 fn limits(record: &RunRecord) -> Limits {
     record.pipeline.get("limit").and_then(|limit| Limits::deserialize(limit).ok()).unwrap_or_default()
 }
 
-/// How often a run was to begin an iteration; nothing where its record was written by a program that has another load.
+/// Returns the load that a run was asked to generate; none if a program with another kind of load wrote its record.
 fn load(record: &RunRecord) -> Load {
     record.pipeline.get("load").and_then(|load| Load::deserialize(load).ok()).unwrap_or_default()
 }

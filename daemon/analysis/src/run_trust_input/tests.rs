@@ -1,4 +1,4 @@
-//! What a record adds to the rows.
+//! Tests of the trust input that a record adds to the rows.
 
 use peernet_stream::Grade;
 

@@ -13,22 +13,22 @@ use crate::record::{Clocks, Counts, RunRecord};
 use crate::rows::{Column, ColumnKind, FIXED_COLUMNS, Rows, Units};
 use crate::trust::Starts;
 
-/// What the columns of a run come to, warm-up and iterations without an answer left out.
+/// Summary of the columns of a run, without warm-up and iterations without an answer.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Summary {
     /// For people.
     pub title: String,
     /// One for each column that has a number in some row that counts, in the order of the file.
     pub quantities: Vec<Quantity>,
-    /// How the iterations ended.
+    /// Number of iterations by how they ended.
     pub counts: Counts,
     /// The deadline, seconds.
     pub deadline_s: Option<f64>,
-    /// How many iterations missed it; `None` without a deadline.
+    /// Number of iterations that missed the deadline; `None` without a deadline.
     pub misses: Option<Misses>,
-    /// What became of the starts that an open loop ordered.
+    /// Starts that an open loop ordered, by their outcome.
     pub starts: Starts,
-    /// How far the delays can be trusted.
+    /// Quality of the delays.
     pub clocks: Clocks,
     /// Samples that are neither right nor wrong, because their label is no class of the model.
     pub unknown_labels: Option<UnknownLabels>,
@@ -36,12 +36,12 @@ pub struct Summary {
     pub units: Units,
 }
 
-/// What one column comes to, in the column's unit.
+/// Summary of one column, in the column's unit.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Quantity {
     /// Which column.
     pub column: Column,
-    /// How many numbers.
+    /// Number of values.
     pub count: u64,
     /// Their mean.
     pub mean: f64,
@@ -61,7 +61,7 @@ pub struct Quantity {
 }
 
 impl Summary {
-    /// What these rows come to.
+    /// Returns the summary of these rows.
     pub fn of(rows: &Rows) -> Self {
         let measured = rows.names().iter().enumerate().filter(|(place, name)| {
             FIXED_COLUMNS.get(*place).is_none_or(|(_, kind)| *kind == ColumnKind::Node) && !is_bound(name)
@@ -88,7 +88,7 @@ impl Summary {
         }
     }
 
-    /// With the run's title, the units of its own columns, the words of its labels and classes, and what is known of
+    /// Adds facts from the run's record: its title, the units of its own columns, the words of its labels and classes, and the facts about
     /// iterations that have no row.
     #[must_use]
     pub fn about(mut self, record: &RunRecord) -> Self {
@@ -127,7 +127,8 @@ fn bounds(rows: &Rows, column: &str) -> Option<(f64, f64)> {
 }
 
 impl Quantity {
-    /// What these numbers come to; `None` when there are none. What is not finite, or as good as infinite, is left out.
+    /// Returns the summary of these numbers; `None` if there are none. Numbers that are not finite, or too large for statistics, are left
+    /// out.
     pub fn of(column: Column, values: impl IntoIterator<Item = f64>) -> Option<Self> {
         let mut moments = Moments::default();
         let values = values.into_iter().filter(|value| statistics::Summary::accepts(*value));

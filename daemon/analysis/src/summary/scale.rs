@@ -23,10 +23,10 @@ const TIMES: [&str; 17] = [
     "actuation",
 ];
 
-/// What is behind the name of a further column that is one's own value, not the sum of its parts.
+/// Suffix of a further column that holds a node's own value and not the sum of its children.
 const OWN_VALUE: &str = "_val";
 
-/// How numbers of a column are shown.
+/// Form in which numbers of a column are shown.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Scale {
     /// Seconds, shown as milliseconds.

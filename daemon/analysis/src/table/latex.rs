@@ -64,7 +64,7 @@ pub(super) fn table(table: &Table, caption: &str) -> String {
     )
 }
 
-/// What letters ask for beside the packages, a line each; nothing where all are ASCII.
+/// Returns the lines that the preamble needs for these letters beside the packages; empty if all are ASCII.
 fn fonts(chars: impl Iterator<Item = char>) -> String {
     let (mut latin, mut foreign) = (false, Vec::new());
     for char in chars.filter(|char| !char.is_ascii()) {
@@ -79,14 +79,14 @@ fn fonts(chars: impl Iterator<Item = char>) -> String {
     format!("% needs LuaLaTeX or XeLaTeX, and a font that has {foreign}\n")
 }
 
-/// What pdfLaTeX sets as it stands with fonts in T1: Latin-1 and Latin Extended-A but for a few letters, punctuation.
+/// Returns whether pdfLaTeX prints the letter with fonts in T1: Latin-1 and Latin Extended-A with few exceptions, and punctuation.
 const fn is_latin(char: char) -> bool {
     !matches!(char, 'Ħ' | 'ħ' | 'ĸ' | 'Ŀ' | 'ŀ' | 'ŉ' | 'Ŧ' | 'ŧ') && char <= 'ž'
         || matches!(char, '‘' | '’' | '‚' | '“' | '”' | '„' | '†' | '‡' | '•' | '…' | '‰' | '€' | '™')
 }
 
-/// Text as LaTeX sets it, whatever is in it: it reads as it is, and cannot be taken for a command, the argument of the
-/// one before it, or a ligature. What is not seen, such as control characters, becomes a blank or is left out.
+/// Escapes any text for LaTeX: it is printed as it is, and cannot act as a command, as the argument of the one before it, or as a ligature.
+/// Invisible characters, such as control characters, become a blank or are left out.
 pub fn escape(text: &str) -> String {
     let mut out = String::with_capacity(text.len());
     let mut before = ' ';

@@ -36,9 +36,9 @@ pub fn decimals_of(values: impl Iterator<Item = f64>) -> usize {
 /// Cells under a header.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Table {
-    /// What the columns are.
+    /// Titles of the columns.
     pub header: Vec<String>,
-    /// How many columns from the left are text and stand to the left; the others are figures and stand to the right.
+    /// Number of columns from the left that are text and aligned left; the others are figures and aligned right.
     pub labels: usize,
     /// Rows of as many cells as the header has.
     pub rows: Vec<Vec<String>>,

@@ -42,7 +42,7 @@ pub(crate) fn transit(micros: i64) -> Measure {
     }))
 }
 
-/// What an offloaded iteration with an ordinary model logs.
+/// Returns the tree that an offloaded iteration with an ordinary model logs.
 pub(crate) fn offloaded(upload: i64, inference: i64) -> Tree {
     let mut tree = tree();
     let bytes = |bytes: f64| Measure::Value(bytes, Unit::BYTES);
@@ -82,7 +82,7 @@ pub(crate) fn iteration(number: u64, outcome: Outcome, tree: Tree) -> Iteration 
     }
 }
 
-/// So many iterations, the first two of them warm-up, the sixth lost.
+/// Returns `count` iterations, the first two of them warm-up, the sixth lost.
 pub(crate) fn iterations(count: u64) -> Vec<Iteration> {
     let of = |number: u64| match number {
         6 => iteration(number, Outcome::Lost("the connection broke, \"reset\"".to_owned()), tree()),

@@ -1,4 +1,4 @@
-//! What tests of several modules begin with.
+//! Inputs that the tests of several modules share.
 
 mod iterations;
 

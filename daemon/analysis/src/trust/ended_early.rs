@@ -18,7 +18,7 @@ pub struct Limits {
     pub duration_s: Option<f64>,
 }
 
-/// How much of a run there is.
+/// Part of a run that was measured.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Progress {
     /// Iterations, answered or not, warm-up left out; with those that were measured and not seen.

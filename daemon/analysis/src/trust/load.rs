@@ -5,7 +5,7 @@ use serde::Deserialize;
 
 use crate::rows::{Rows, SKIPPED_STARTS};
 
-/// How often a run was to begin an iteration: its pipeline's `load`.
+/// Rate at which a run was to begin iterations: its pipeline's `load`.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Deserialize)]
 #[serde(default)]
 pub struct Load {
@@ -13,7 +13,7 @@ pub struct Load {
     pub hz: Option<f64>,
 }
 
-/// What became of the ordered starts, warm-up left out.
+/// Ordered starts by their outcome, warm-up left out.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Starts {
     /// Starts per second that were ordered; `None` in a closed loop, and where it is not known.
@@ -28,7 +28,7 @@ pub struct Starts {
 }
 
 impl Starts {
-    /// What rows say, which do not know what was ordered.
+    /// Returns the starts of rows, which do not contain the number of ordered starts.
     pub fn of_rows(rows: &Rows) -> Self {
         let begun = || rows.iter().filter(|row| !row.warm_up());
         let skipped = begun().filter_map(|row| row.value(SKIPPED_STARTS)).filter(|value| *value > 0.0);
@@ -45,7 +45,7 @@ impl Starts {
         self.kept + self.skipped
     }
 
-    /// How many of all were skipped, in words; `None` where none were.
+    /// Returns how many of all starts were skipped, in words; `None` if none were.
     pub fn told(&self) -> Option<String> {
         let percent = fixed(self.skipped_share() * 100.0, 1);
         let told =
@@ -59,7 +59,7 @@ impl Starts {
     }
 }
 
-/// Starts per second. They stand in the order in which they ended, of which a later one may be first.
+/// Returns the starts per second. The starts are in the order in which their iterations ended, so an earlier start can follow a later one.
 fn made_hz(starts: impl Iterator<Item = f64>) -> Option<f64> {
     let (count, first, last) = starts
         .fold((0_u64, f64::INFINITY, 0.0), |(count, first, last): (u64, f64, f64), at| {

@@ -31,7 +31,7 @@ use std::cmp::Reverse;
 use peernet_stream::Grade;
 use serde::{Deserialize, Serialize};
 
-/// Whether figures of a run can stand in a publication.
+/// Judgement on whether figures of a run can be published.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Publish {
@@ -57,13 +57,13 @@ impl Publish {
 /// Result of one judgement, in words.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Finding {
-    /// What was looked at, in two or three words.
+    /// Subject of the finding, in two or three words.
     pub about: String,
-    /// What it means for the figures.
+    /// Meaning of the finding for the figures.
     pub grade: Grade,
-    /// What was found, a plain sentence with figures.
+    /// Text of the finding: a plain sentence with figures.
     pub text: String,
-    /// What to do about it; empty when there is nothing to do.
+    /// Advice; empty when there is nothing to do.
     pub advice: String,
 }
 

@@ -1,4 +1,4 @@
-//! What is said of runs whose course is known.
+//! Tests of the findings about runs with known properties.
 
 use peernet_clock::{DelaySource, Interval, OneWayDelay, Span, Verdict};
 use peernet_statistics::SplitMix64;

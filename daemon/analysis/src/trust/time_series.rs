@@ -13,7 +13,7 @@ const BEGINNING: u64 = 20;
 const MOST_BLOCKS: u64 = 200;
 /// Change of the median between the halves, as a share of the first, that is mentioned.
 const DRIFT: f64 = 0.05;
-/// What makes the median of the distances from the median the standard deviation of a normal distribution.
+/// Factor from the median distance from the median to the standard deviation of a normal distribution.
 const NORMAL: f64 = 1.4826;
 /// Distances above the median, in such deviations, from which on a value is an outlier (Iglewicz and Hoaglin 1993).
 const OUTLIER: f64 = 3.5;
@@ -23,7 +23,7 @@ const FINEST: f64 = 0.01;
 /// A duration over the time of a run; seconds; successful iterations only, warm-up left out.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct TimeSeries {
-    /// How many values there are.
+    /// Number of values.
     pub count: u64,
     /// Median of all.
     pub median: f64,
@@ -42,7 +42,7 @@ pub struct TimeSeries {
 /// The first values of a run.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Beginning {
-    /// How many.
+    /// Number of values.
     pub count: u64,
     /// Their median, seconds.
     pub median: f64,
@@ -50,7 +50,7 @@ pub struct Beginning {
     pub rest: f64,
     /// Share of the later blocks of as many values whose median is at least as high, 0 to 1.
     pub as_high: f64,
-    /// How many later blocks there are.
+    /// Number of later blocks.
     pub blocks: usize,
 }
 
@@ -59,11 +59,11 @@ pub struct Beginning {
 pub struct Outliers {
     /// From where on a value counts as one, seconds.
     pub limit: f64,
-    /// How many do.
+    /// Number of outliers.
     pub count: u64,
     /// The greatest value, seconds.
     pub max: f64,
-    /// What they add to the mean: their distances from the median, over the count of all values; seconds.
+    /// Contribution of the outliers to the mean: the sum of their distances from the median, divided by the count of all values; seconds.
     pub influence: f64,
 }
 
@@ -85,7 +85,7 @@ impl Medians for [Summary] {
 }
 
 impl TimeSeries {
-    /// Of values in order of time. `None` without any.
+    /// Returns the statistics of values in order of time; `None` without any.
     pub fn of_values(values: &[f64]) -> Option<Self> {
         let finite = || values.iter().copied().filter(|value| value.is_finite());
         // Sorted one after the other, so that a long run needs the room of one.
@@ -109,7 +109,7 @@ impl TimeSeries {
         Some(Self { count, median, mean, outliers, ..over_time })
     }
 
-    /// Of the summaries of buckets in order of time, quantiles within 1 %. `None` without any value.
+    /// Returns the statistics of the summaries of buckets in order of time, quantiles within 1 %; `None` without any value.
     pub fn of_summaries(buckets: &[Summary]) -> Option<Self> {
         let all = merged(buckets);
         let (median, max) = (all.quantile(0.5)?, all.moments.max);

@@ -81,7 +81,7 @@ fn sign(difference: f64) -> f64 {
     }
 }
 
-/// How many share a value, for each value that several share.
+/// Returns the number of values in each group of equal values.
 fn tied(series: &[f64]) -> Vec<f64> {
     let mut sorted = series.to_vec();
     sorted.sort_unstable_by(f64::total_cmp);
@@ -129,7 +129,7 @@ mod tests {
         }
     }
 
-    /// How often a series without a trend is called one at 5 %, in 400 tries.
+    /// Returns how often the test at 5 % finds a trend in a series without one, in 400 tries.
     fn false_alarms(correlation: f64, seed: u64) -> usize {
         let mut noise = SplitMix64::new(seed);
         (0..400)

@@ -15,16 +15,16 @@ pub use curves::Curve;
 use crate::loaded::Loaded;
 use crate::order::Ordered;
 
-/// Jain's index of fairness, (Σx)² / (n Σx²): from 1/n, where one gets everything, to 1, where all get the same (Jain,
-/// Chiu and Hawe 1984, *A Quantitative Measure of Fairness and Discrimination for Resource Allocation in Shared Computer
-/// Systems*, DEC-TR-301). `None` where nobody gets anything.
+/// Returns Jain's index of fairness, (Σx)² / (n Σx²): from 1/n, where one gets everything, to 1, where all get the same; `None` if all
+/// shares are 0 (Jain, Chiu and Hawe 1984, *A Quantitative Measure of Fairness and Discrimination for Resource Allocation in Shared
+/// Computer Systems*, DEC-TR-301).
 pub fn jain(shares: &[f64]) -> Option<f64> {
     let (sum, squares) = shares.iter().fold((0.0, 0.0), |(sum, squares), x| (sum + x, squares + x * x));
     // Equal shares may be rounded to a little more than 1.
     (squares > 0.0).then(|| (sum * sum / (shares.len() as f64 * squares)).min(1.0))
 }
 
-/// How configurations with one or many users fared.
+/// Results of configurations with one or many users.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Users {
     /// Names of the columns that tell the lines apart.
@@ -36,7 +36,7 @@ pub struct Users {
 /// One configuration. Seconds, answers per second.
 #[derive(Clone, Debug, PartialEq)]
 pub struct UsersLine {
-    /// What distinguishes it: as many labels as there are axes.
+    /// Labels that distinguish the configuration: as many as there are axes.
     pub labels: Vec<String>,
     /// Edges at once.
     pub edges: usize,
@@ -45,13 +45,13 @@ pub struct UsersLine {
     pub rate: Option<f64>,
     /// [`jain`] of the edges' rates, on average over the repeats.
     pub fairness: Option<f64>,
-    /// Of each edge in each repeat.
+    /// Share of each edge in each repeat.
     pub shares: Vec<Share>,
     /// The totals of all edges.
     pub totals: Totals,
 }
 
-/// What one edge got while all were measuring.
+/// Share of one edge while all edges were measuring.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Share {
     /// Answers per second.
@@ -60,10 +60,10 @@ pub struct Share {
     pub median: Option<f64>,
 }
 
-/// What totals come to, seconds.
+/// Summary of totals, seconds.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Totals {
-    /// How many.
+    /// Number of totals.
     pub count: usize,
     /// Their mean.
     pub mean: Option<f64>,
@@ -76,8 +76,8 @@ pub struct Totals {
 }
 
 impl Users {
-    /// What runs show, each edge's by itself; edges that were measured at once are found by their records. `None` where every
-    /// edge was alone.
+    /// Returns the users of runs, one run for each edge. Edges that were measured at the same time are found by their records. `None` if
+    /// every edge was alone.
     pub fn of(runs: &[Loaded]) -> Option<Self> {
         let runs = together::runs(runs);
         runs.iter().any(|edges| edges.len() > 1).then_some(())?;
@@ -115,7 +115,7 @@ impl Users {
 }
 
 impl UsersLine {
-    /// A configuration with so many edges, of what each of them got in each repeat.
+    /// Returns a configuration with `edges` edges, from the share of each of them in each repeat.
     pub fn new(labels: Vec<String>, edges: usize, repeats: &[Vec<Share>], totals: Totals) -> Self {
         let rates = |shares: &Vec<Share>| shares.iter().map(|share| share.rate).collect::<Vec<f64>>();
         let rates: Vec<Vec<f64>> = repeats.iter().map(rates).collect();

@@ -1,4 +1,4 @@
-//! What edges that measured at once show.
+//! Tests of edges that were measured at the same time.
 
 use peernet_stream::ExperimentPlace;
 

@@ -22,8 +22,8 @@ pub(super) fn runs(edges: &[Loaded]) -> Vec<Vec<&Loaded>> {
     runs
 }
 
-/// Each edge's share and all totals, of the time in which all were measuring; `None` where there is none. An edge alone was
-/// measuring all the time: all its totals count.
+/// Returns each edge's share and all totals, from the time in which all edges were measuring; `None` if there is no such time. For an edge
+/// alone this is its whole run: all its totals count.
 pub(super) fn shared(edges: &[&Loaded]) -> Option<(Vec<Share>, Vec<f64>)> {
     let rows: Vec<Vec<RowRef<'_>>> =
         edges.iter().map(|edge| edge.rows.iter().filter(|row| row.counts()).collect()).collect();

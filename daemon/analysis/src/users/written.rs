@@ -5,7 +5,7 @@ use peernet_statistics::number::{fixed, milliseconds, significant};
 use super::{Users, UsersLine};
 use crate::table::{Table, csv_text};
 
-/// What stands where nothing is known.
+/// Cell of an unknown value.
 pub(super) const NOTHING: &str = "—";
 const NOTE: &str = "Counted while all edges of a run were measuring. Fairness is Jain's index of the edges' rates: 1 when all \
                     are served alike, 1/n when one of n gets everything.";

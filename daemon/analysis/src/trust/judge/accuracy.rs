@@ -34,7 +34,8 @@ pub(super) fn sentences(input: &TrustInput) -> Vec<Finding> {
     unknown(input).into_iter().chain(partial.into_iter().map(sentence)).collect()
 }
 
-/// What cannot be scored for its label. Where nothing was scored no accuracy is given, and nothing is wrong with the rest.
+/// Returns the finding about iterations that cannot be scored because of their label. If no iteration was scored, no accuracy is given, and
+/// the other figures are not affected.
 fn unknown(input: &TrustInput) -> Option<Finding> {
     let unknown = input.unknown_labels.as_ref()?;
     let grade = if input.accuracy.is_empty() { Grade::Unknown } else { Grade::Doubtful };

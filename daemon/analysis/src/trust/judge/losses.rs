@@ -12,7 +12,7 @@ const FEW: u64 = 60;
 /// of the others a half truth.
 const NOTED: f64 = 0.001;
 const MANY: f64 = 0.1;
-/// Share of missing events from which on nobody can tell what the missing ones were like.
+/// Share of missing events from which on the received ones do not represent the missing ones.
 const HOLES: f64 = 0.05;
 /// Share of what was ordered below which a run is another run than the one that was meant.
 const HALF: f64 = 0.5;

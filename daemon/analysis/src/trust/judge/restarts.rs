@@ -6,12 +6,12 @@ use peernet_stream::Grade;
 use super::{advise, iterations, ms, percent, say};
 use crate::trust::{Finding, Restarts, TrustInput};
 
-/// What restarts may hold of all totals together: as outliers may of the mean.
+/// Share of the sum of all totals that restarts may take; equal to the limit for outliers in the mean.
 const INFLUENCE: f64 = 0.05;
-/// So many iterations are named.
+/// Maximum number of iterations that are named.
 const NAMED: usize = 5;
 
-/// A sentence for each process that was started anew; none where none was.
+/// Returns one finding for each process that was restarted.
 pub(super) fn sentences(input: &TrustInput) -> Vec<Finding> {
     let all = input.total.as_ref().map_or(0.0, |total| total.mean * input.counts.ok as f64);
     let of = |restarts: &Restarts| {

@@ -11,11 +11,11 @@ use crate::trust::{Finding, TimeSeries, TrustInput};
 const STRONG_DRIFT: f64 = 0.2;
 /// A change that no figure shows.
 const SAME: f64 = 0.000_5;
-/// A trend that chance makes more often than this is none.
+/// Probability above which a trend is attributed to chance.
 const CHANCE: f64 = 0.05;
-/// What the first iterations may take longer than the rest.
+/// Share by which the first iterations may take longer than the rest.
 const COLD: f64 = 0.1;
-/// What outliers may add to the mean.
+/// Share of the mean that outliers may add.
 const INFLUENCE: f64 = 0.05;
 /// Share of the total that no stage accounts for, and below which it does not matter, seconds.
 const UNEXPLAINED: f64 = 0.05;
@@ -168,7 +168,7 @@ fn explained(unattributed: f64, input: &TrustInput, total: &TimeSeries) -> Findi
     advise(say(about, grade, text), advice)
 }
 
-/// What waiting for earlier iterations adds: it counts, and nothing is wrong with it.
+/// Returns the finding about the wait for earlier iterations. This wait belongs to the total and is not a defect.
 fn late(seconds: f64, total: &TimeSeries) -> Finding {
     let share = if total.mean > 0.0 { seconds / total.mean } else { 0.0 };
     let text = format!(
