@@ -216,7 +216,7 @@ impl Attributes<'_> {
     }
 }
 
-/// Appends a number with at most so many decimals and without trailing zeros; 0 for what is not finite.
+/// Appends a number with at most `decimals` decimals and without trailing zeros; 0 if it is not finite.
 pub(crate) fn number(out: &mut String, value: f64, decimals: usize) {
     let value = if value.is_finite() { value } else { 0.0 };
     let from = out.len();

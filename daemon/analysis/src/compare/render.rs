@@ -15,7 +15,7 @@ const HEADINGS: [&str; LATENCIES.len()] =
     ["sensing", "upload", "inference", "download", "total (stages)", "total (measured)"];
 /// Decimals of a number of ms to the microsecond, which no clock of another host is known beyond.
 const MICROSECONDS: usize = 3;
-/// Of an interval.
+/// Explanation of an interval.
 pub(super) const WHAT_IT_SAYS: &str = "The interval says how far the difference would vary if the same minutes were measured again \
      (of means: Welch, from batch means; of medians: stationary bootstrap).";
 /// The same of means alone.

@@ -1,6 +1,5 @@
-//! What figures cost: those of a run of 10,005 iterations, as in the paper, of one of 100,000, and of an experiment.
-//! Prints seconds, the most memory that was held so far, and how large the files are. The files stay in a folder that is
-//! named on the command line.
+//! Benchmark of drawing figures: those of a run of 10,005 iterations, as in the paper, of a run of 100,000, and of an experiment. Prints
+//! seconds, the peak memory so far, and the sizes of the files. The files stay in a folder that is named on the command line.
 #![expect(clippy::print_stdout, reason = "a benchmark prints its table")]
 
 mod rows;

@@ -31,17 +31,17 @@ const ROOM: f64 = 0.05;
 /// Points with both marginal histograms.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Lengths {
-    /// What is shown.
+    /// Title of the figure.
     pub title: String,
     /// The horizontal axis.
     pub x: Unit,
     /// The vertical axis.
     pub y: Unit,
-    /// The stage whose colour the points have: that of the vertical axis; ink for what is no stage.
+    /// Stage that determines the colour of the points: that of the vertical axis. Quantities that are no stage are drawn in ink.
     pub stage: String,
-    /// One for each iteration, SI units; what is not finite is left out.
+    /// One point for each iteration, SI units; points that are not finite are left out.
     pub points: Vec<(f64, f64)>,
-    /// How many there are, what is left out and so on.
+    /// Notes below the figure, such as the number of points and what is left out.
     pub notes: Vec<String>,
 }
 

@@ -1,4 +1,4 @@
-//! How something grows with size: logarithmic axes, a point per size with what is known of it, a line per series.
+//! Growth of a quantity with size: logarithmic axes, a point with its spread per size, a line per series.
 
 use peernet_statistics::number::bytes;
 
@@ -24,10 +24,10 @@ const STEPS: u32 = 60;
 const ROOM: (f64, f64) = (0.06, 1.15);
 /// The same on both sides of the sizes.
 const SIDES: f64 = 1.4;
-/// A level line so many times above or below all values would squeeze them: it is left out, and a note says so.
+/// Factor between a level line and all values from which on the line would squeeze them: it is left out, and a note says so.
 const FAR: f64 = 20.0;
 
-/// What is known at one size, in SI units.
+/// Statistics at one size, in SI units.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Value {
     /// Bytes.
@@ -62,7 +62,7 @@ impl Value {
     }
 }
 
-/// What the parts of a figure are, in a few words each; what is not drawn is not explained.
+/// Explanations of the parts of a figure, in a few words each; parts that are not drawn are not explained.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Parts {
     /// The points.
@@ -76,13 +76,13 @@ pub struct Parts {
 /// A figure of series over size.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Scaling {
-    /// What is shown.
+    /// Title of the figure.
     pub title: String,
-    /// What stands along the vertical axis.
+    /// Unit of the vertical axis.
     pub unit: Unit,
-    /// What its parts are; bars are always from the 5th to the 95th percentile.
+    /// Explanations of its parts; bars are always from the 5th to the 95th percentile.
     pub parts: Parts,
-    /// What else is to be said of the values.
+    /// Further notes on the values.
     pub notes: Vec<String>,
     /// At most two.
     pub series: Vec<Series>,
@@ -117,7 +117,7 @@ impl Scaling {
         self.level(series).is_some_and(|(_, is_near)| !is_near)
     }
 
-    /// What is seen in the picture, and what is not.
+    /// Returns the explanations of the parts that are drawn, and notes on those that are not.
     fn explained(&self) -> Vec<String> {
         let mut parts = vec![format!("point: {}", self.parts.point)];
         if self.values().any(|value| value.spread.is_some()) {

@@ -1,4 +1,4 @@
-//! How latency grows with the number of edges that share one cloud, and how evenly they are served.
+//! Growth of latency with the number of edges that share one cloud, and fairness among these edges.
 
 use peernet_statistics::number::fixed;
 
@@ -6,7 +6,7 @@ use crate::look::{Style, series};
 use crate::plot::{Axis, Figure, Height, Item, Key, Marks, Path, Plot, Swatch, Unit};
 use crate::scale::{Scale, Tick};
 
-/// Most curves that can be told apart.
+/// Maximum number of curves that a reader can distinguish.
 pub const MOST_CURVES: usize = 4;
 /// Half the distance between two curves at one number of edges, points.
 const APART: f64 = 2.0;
@@ -28,13 +28,13 @@ const ROOM: f64 = 0.06;
 /// Latency and fairness against the number of edges.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Sharing {
-    /// What is shown.
+    /// Title of the figure.
     pub title: String,
     /// The vertical axis: a latency.
     pub unit: Unit,
     /// At most four.
     pub curves: Vec<SharingCurve>,
-    /// What is left out and so on.
+    /// Notes below the figure, such as what is left out.
     pub notes: Vec<String>,
 }
 
@@ -47,10 +47,10 @@ pub struct SharingCurve {
     pub points: Vec<SharingPoint>,
 }
 
-/// What some edges at once were given. Seconds.
+/// Latency and fairness of a number of edges at the same time. Seconds.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SharingPoint {
-    /// How many.
+    /// Number of edges.
     pub edges: usize,
     /// Median of all of them.
     pub median: f64,

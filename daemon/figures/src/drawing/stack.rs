@@ -27,7 +27,7 @@ impl Direction {
         }
     }
 
-    /// Returns a whisker along the scale with caps of so many points to each side.
+    /// Returns a whisker along the scale, with caps of `cap` points to each side.
     pub fn whisker(self, ends: [At; 2], caps: [bool; 2], cap: f64, style: &Style) -> Vec<Item> {
         if self == Self::Upright {
             return Item::whisker(ends, caps, cap, style);

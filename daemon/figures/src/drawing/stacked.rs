@@ -1,4 +1,4 @@
-//! What the stages of several configurations add up to: a bar each, with how much their sum varies.
+//! Sums of the stages of several configurations: a bar for each, with the spread of its sum.
 
 use peernet_statistics::number::fixed;
 
@@ -33,22 +33,22 @@ const CAP: f64 = 1.8;
 /// Bars of stages.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Stacked {
-    /// What is shown.
+    /// Title of the figure.
     pub title: String,
-    /// What stands along the axis of values.
+    /// Unit of the axis of values.
     pub unit: Unit,
     /// The stages from the first to the last; every bar has a value for each, 0 where it has no such stage.
     pub stages: Vec<String>,
     /// One for each configuration.
     pub bars: Vec<Bar>,
-    /// How the parts are to be read.
+    /// Notes on how to read the parts.
     pub notes: Vec<String>,
 }
 
 /// A configuration's bar, SI units.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Bar {
-    /// What distinguishes it.
+    /// Label of the configuration.
     pub label: String,
     /// The mean of each stage. Where clocks were not corrected it may be negative.
     pub means: Vec<f64>,

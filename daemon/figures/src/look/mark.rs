@@ -1,6 +1,6 @@
 //! Points that differ without colour.
 
-/// Shape of the points of a series; its line has a dash of its own.
+/// Shape of the points of a series; each shape comes with a different dash of the line.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Mark {
     /// Discs on a solid line.

@@ -10,7 +10,7 @@ pub const UNATTRIBUTED: &str = "unattributed";
 pub const LATENESS: &str = "lateness";
 /// Class of both directions of the network together, where the clocks cannot tell them apart.
 const NETWORK: &str = "network";
-/// Class of what is no stage but all of them.
+/// Class of totals, which are all stages together.
 const TOTAL: &str = "total";
 
 /// Look of a stage.
@@ -75,7 +75,7 @@ pub const STAGES: [Stage; 13] = [
     pale(UNATTRIBUTED, UNATTRIBUTED, UNKNOWN, UNKNOWN_EDGE, Hatch::Falling),
 ];
 
-/// Looks of what is no stage: parts of stages, both directions together, totals. Its names are those of events.
+/// Looks of quantities that are not stages: parts of stages, both directions together, totals. Their names are those of events.
 const PARTS: [Stage; 6] = [
     Stage { name: "capture", class: "capture", ..STAGES[0] },
     Stage { name: "transform", class: "transform", ..STAGES[0] },

@@ -201,7 +201,7 @@ pub struct Series {
     pub ground: Rgb,
     /// Its points.
     pub mark: Mark,
-    /// Of its line, and of its points and areas.
+    /// Classes of its line, and of its points and areas.
     classes: [&'static str; 2],
 }
 

@@ -1,4 +1,4 @@
-//! How often each configuration's answers are right, and how long they take.
+//! Accuracy of each configuration against its latency.
 
 use peernet_statistics::number::{self, fixed};
 
@@ -14,10 +14,10 @@ use peernet_analysis::rows::RowRef;
 
 /// Whether the best class is the label.
 pub(super) const TOP_1: &str = ACCURACIES[0];
-/// Most points that can be told apart.
+/// Maximum number of points that a reader can distinguish.
 const MOST: usize = 24;
 
-/// One point for each configuration of which answers were told right from wrong; repeats are taken together.
+/// Returns one point for each configuration with scored answers; repeats are merged.
 pub(super) fn drawings(runs: &[Loaded]) -> Result<Vec<Drawing>, MissingData> {
     let Configured { axes, groups } = Configured::of(runs);
     let judged = |row: &RowRef<'_>| score(*row, TOP_1).is_some();

@@ -6,7 +6,7 @@ use peernet_analysis::rows::RowRef;
 
 /// Runs of one configuration, its repeats, are taken together.
 pub(super) struct Configured<'a> {
-    /// What distinguishes the configurations.
+    /// Names of the labels that distinguish the configurations.
     pub(super) axes: Vec<String>,
     /// Each configuration's label and runs.
     pub(super) groups: Vec<(String, Vec<&'a Loaded>)>,

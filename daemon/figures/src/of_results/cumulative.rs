@@ -11,7 +11,7 @@ use peernet_analysis::order::Ordered;
 use peernet_analysis::record::RunRecord;
 use peernet_analysis::rows::Rows;
 
-/// So many stages are shown beside the total: those that take longest.
+/// Number of stages that are shown beside the total: those that take longest.
 const STAGES: usize = 4;
 /// Width of lines, points; the total's is stronger.
 const LINE: f64 = 0.9;

@@ -1,4 +1,4 @@
-//! What the results lack for a figure.
+//! Data that a figure needs and the results lack.
 
 use std::fmt;
 
@@ -7,7 +7,7 @@ use crate::drawing::{MOST_GROUPS, MOST_SIDES};
 use peernet_analysis::accuracy::UnknownLabels;
 use peernet_statistics::number::counted;
 
-/// What the results lack for a figure.
+/// Data that a figure needs and the results lack.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum MissingData {
     /// There is nothing to draw from.
@@ -70,7 +70,7 @@ pub enum MissingData {
          peernet calibrate and the experiment payload-study"
     )]
     MessageSizes,
-    /// No answer was told right from wrong.
+    /// No answer was scored as right or wrong.
     #[error("it needs answers to labelled samples, and no iteration that counts has a {TOP_1}{}", Unscored(.unknown))]
     Labels {
         /// Iterations with a label that the model does not know.

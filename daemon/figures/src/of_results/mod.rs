@@ -1,11 +1,11 @@
-//! Results as figures: which of them a run or an experiment has, and under which names they are written.
+//! Figures of results: the kinds that a run or an experiment has, and the names of their files.
 //!
 //! ```text
 //! Loaded ─┬─ histograms, cumulative, length, series   of each run
 //!         └─ stacked, totals, accuracy, paired, payload, users   of all together
 //! ```
 //!
-//! What figures look like is the business of [`crate::drawing`].
+//! [`crate::drawing`] defines what figures look like.
 
 mod accuracy;
 mod columns;
@@ -43,7 +43,7 @@ pub enum Kind {
     Series,
     /// Response length against latency.
     Length,
-    /// What the stages of each configuration add up to.
+    /// Sums of the stages of each configuration.
     Stacked,
     /// Share of iterations up to each total, of each configuration.
     Totals,
@@ -88,17 +88,17 @@ impl Kind {
         }
     }
 
-    /// Whether each run has one of its own.
+    /// Returns whether the figure is drawn for each run separately.
     pub const fn is_of_one_run(self) -> bool {
         matches!(self, Self::Histograms | Self::Cumulative | Self::Series | Self::Length)
     }
 
-    /// Whether results of every kind have it, so that whoever draws all that there is misses it.
+    /// Returns whether results of every kind have the data for it, so that a note is due if all figures are drawn and it is missing.
     pub const fn is_expected(self) -> bool {
         matches!(self, Self::Series | Self::Stacked)
     }
 
-    /// Whether a figure of these runs is worth drawing without being asked for: what compares configurations needs two.
+    /// Returns whether a figure of these runs is drawn by default: one that compares configurations needs two of them.
     pub fn is_worth_drawing(self, runs: &[Loaded]) -> bool {
         match self {
             Self::Stacked | Self::Totals | Self::Accuracy => {
@@ -166,11 +166,11 @@ pub fn of_experiment(runs: &[Loaded], folder: &Path) -> Result<Vec<PathBuf>, Wri
     Ok(files)
 }
 
-/// Draws the figures of one kind into a folder, which is made when there is something to draw: of all runs together, or,
-/// for a kind that [is of one run](Kind::is_of_one_run), of the first. Returns what was written, and what is not in it.
+/// Draws the figures of one kind into a folder, which is created when there is something to draw: of all runs together, or, for a kind that
+/// [is of one run](Kind::is_of_one_run), of the first. Returns the files that were written, and notes on data that are not in them.
 ///
 /// # Errors
-/// When the runs lack what the kind shows, or a file cannot be written.
+/// If the runs lack the data that the kind shows, or a file cannot be written.
 pub fn draw(kind: Kind, runs: &[Loaded], columns: &Columns, folder: &Path) -> Result<Written, PlotError> {
     let first = runs.first().ok_or(PlotError::Lacking(kind, MissingData::Runs))?;
     let drawings = match kind {

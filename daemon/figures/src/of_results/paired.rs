@@ -71,7 +71,7 @@ fn model(record: &RunRecord) -> String {
     record.model.as_ref().map_or_else(|| record.name.clone(), |model| model.name.clone())
 }
 
-/// Where it ran, and on what.
+/// Returns the placement and the device of a run.
 fn side(record: &RunRecord) -> (String, String) {
     let device = record.model.as_ref().and_then(|model| model.device.clone()).unwrap_or_default();
     let kind = record.placement.kind.as_str();

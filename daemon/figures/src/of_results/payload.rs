@@ -18,7 +18,7 @@ use peernet_analysis::rows::RowRef;
 
 /// More sizes than this are taken together, so that each has enough messages.
 const MOST_SIZES: usize = 24;
-/// What the figures are drawn from.
+/// Columns that the figures are drawn from.
 const SHOWN: [&str; 6] =
     ["upload", "upload-bytes", "upload-logger-bytes", "download", "download-bytes", "download-logger-bytes"];
 /// No median is known better than a clock is read: a tenth of a microsecond.
@@ -36,7 +36,7 @@ struct Way {
     name: &'static str,
     sizes: Vec<Size>,
     fit: Option<Fit>,
-    /// How many of its messages have a size and no delay.
+    /// Number of its messages that have a size and no delay.
     unknown: u64,
 }
 
@@ -103,7 +103,8 @@ pub(super) fn drawings(runs: &[Loaded]) -> Result<Vec<Drawing>, MissingData> {
     Ok(drawings.collect())
 }
 
-/// What carries the messages: runs that share it are one study. One host has another address in each network.
+/// Returns the hosts and network that carry the messages: runs that share them are one study. One host has a different address in each
+/// network.
 fn link(record: &RunRecord) -> String {
     let cloud = record.cloud.as_ref().map_or("", |cloud| &cloud.name);
     let [network, address] = [&record.placement.network, &record.placement.address]
@@ -122,7 +123,7 @@ fn whose(record: &RunRecord) -> String {
     }
 }
 
-/// That one line goes through the messages of several runs, and in what these differ; `None` for a single run.
+/// Returns a note that one line is fitted to the messages of several runs, and in what these differ; `None` for a single run.
 fn pooled(configurations: &Configurations, runs: &[usize]) -> Option<String> {
     (runs.len() > 1).then_some(())?;
     let label = |run: usize, axis: usize| &configurations.labels[run][axis];
@@ -152,7 +153,7 @@ impl Way {
         Some(format!("not drawn: {}, {sizes}: the largest must be twice the smallest", self.name))
     }
 
-    /// What of its messages is in no figure.
+    /// Returns notes on its messages that are in no figure.
     fn untold(&self) -> Vec<String> {
         let below = |size: &&Size| size.delays.median().is_some_and(|median| median <= 0.0);
         let below = self.sizes.iter().filter(below).count();
@@ -222,7 +223,7 @@ impl Way {
 }
 
 impl Study {
-    /// How many messages a point stands for.
+    /// Returns a note on the number of messages behind each point.
     fn amount(&self) -> Option<String> {
         let counts = || self.ways.iter().flat_map(|way| &way.sizes).map(|size| size.delays.len());
         let [fewest, most] = [counts().min()?, counts().max()?].map(|count| fixed(count as f64, 0));

@@ -1,4 +1,4 @@
-//! How a run went.
+//! Figure of a run over time.
 
 use peernet_logger::{Name, stage};
 
@@ -9,7 +9,7 @@ use crate::drawing::{Course, Line, Unit};
 use peernet_analysis::record::RunRecord;
 use peernet_analysis::rows::{Outcome, RowRef, Rows};
 
-/// So many stages are shown beside the total: those that take longest.
+/// Number of stages that are shown beside the total: those that take longest.
 const STAGES: usize = 4;
 /// The horizontal axis where times are not known.
 const ITERATION: &str = "Iteration";

@@ -1,4 +1,4 @@
-//! What the stages of each configuration add up to.
+//! Sums of the stages of each configuration.
 
 use peernet_logger::stage;
 use peernet_statistics::Moments;
@@ -71,7 +71,7 @@ pub(super) fn drawings(runs: &[Loaded]) -> Result<Vec<Drawing>, MissingData> {
     Ok(vec![Drawing::new("stacked", Shown::Stacked(stacked)).without(missing)])
 }
 
-/// The account with how many of its iterations stand behind each bar: `n = 88 (44 each)`, `n = 120 (10 to 110 each)`.
+/// Returns the account with the number of iterations behind each bar: `n = 88 (44 each)`, `n = 120 (10 to 110 each)`.
 fn with_each(account: &str, counts: &[usize]) -> String {
     let (Some(fewest), Some(most), true) = (counts.iter().min(), counts.iter().max(), counts.len() > 1)
     else {
@@ -95,7 +95,7 @@ fn is_unknown(row: RowRef<'_>, stage: &str) -> bool {
     measured && row.value(stage).is_none()
 }
 
-/// How many delays are not known, for a note.
+/// Returns a note on the number of unknown delays.
 fn unknown<'a, I: Iterator<Item = RowRef<'a>>>(all: &impl Fn() -> I) -> Option<String> {
     let of = |stage: &str| {
         let count = all().filter(|row| is_unknown(*row, stage)).count();
@@ -105,7 +105,7 @@ fn unknown<'a, I: Iterator<Item = RowRef<'a>>>(all: &impl Fn() -> I) -> Option<S
     (!told.is_empty()).then(|| format!("left out of the means: unknown delays, {}", told.join(", ")))
 }
 
-/// How long a part of the bar is.
+/// Returns the length of a part of the bar.
 fn length(row: RowRef<'_>, part: &str) -> Option<f64> {
     let late = if part == UNATTRIBUTED { row.value(LATENESS).unwrap_or_default() } else { 0.0 };
     Some(row.value(part)? - late)

@@ -326,7 +326,7 @@ fn payloads_of_several_sizes_are_fitted() {
     assert_eq!(throughput.notes, told);
 }
 
-/// An edge of a run with so many edges.
+/// Returns one edge of a run with `edges` edges.
 fn shared(model: &str, edges: usize, edge: usize, total: f64) -> Loaded {
     let mut run = run_with_total(total);
     run.record.edge.name = format!("robot-{edge}");

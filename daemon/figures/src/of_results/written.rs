@@ -12,7 +12,7 @@ use peernet_analysis::WriteError;
 pub(super) struct Drawing {
     pub(super) stem: String,
     pub(super) shown: Shown,
-    /// What whole parts of the results are not in it.
+    /// Notes on whole parts of the results that are not in it.
     pub(super) missing: Vec<String>,
 }
 

@@ -45,7 +45,7 @@ impl Unit {
 /// Places of the marks of an axis.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Marks {
-    /// At round numbers, at most about so many.
+    /// Marks at round numbers, at most about this many.
     Round(usize),
     /// At these places.
     At(Vec<Tick>),
@@ -98,7 +98,7 @@ impl Axis {
         self.marked(Marks::At(ticks))
     }
 
-    /// Returns its marks if there is room for so many.
+    /// Returns the marks if there is room for `room` of them.
     pub fn ticks(&self, room: usize) -> Vec<Tick> {
         match &self.marks {
             Marks::Round(most) => self.scale.ticks((*most).min(room.max(1))),

@@ -18,7 +18,7 @@ pub struct Strip {
 pub enum Height {
     /// The rest of the figure.
     Rest,
-    /// So many points.
+    /// Height in points.
     Points(f64),
 }
 

@@ -23,7 +23,7 @@ impl At {
         Self { x, y, dx: 0.0, dy: 0.0 }
     }
 
-    /// A place at so many points from this one, whatever the size of the plot.
+    /// Returns the place at a distance of `dx` and `dy` points from this one, for a plot of any size.
     #[must_use]
     pub fn aside(self, dx: f64, dy: f64) -> Self {
         Self { dx: self.dx + dx, dy: self.dy + dy, ..self }
@@ -59,7 +59,7 @@ pub struct Label {
     pub at: At,
     /// From there to its baseline, in its type size: to the right and downwards.
     pub shift: (f64, f64),
-    /// The point of it that stands there.
+    /// Point of the text that lies at the place.
     pub anchor: Anchor,
     /// The text.
     pub words: String,
@@ -114,7 +114,7 @@ impl Label {
 /// Something that is drawn in a plot.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Item {
-    /// A rectangle between two corners. In a file it is at least so many points wide and high, so that what is there is seen.
+    /// Rectangle between two corners. In a file it has a minimum width and height in points, so that it is visible.
     Rect {
         /// Any corner.
         from: At,
@@ -177,7 +177,8 @@ impl Item {
         Self::Mark { at, mark, radius, style }
     }
 
-    /// An upright whisker between two places with caps of so many points to each side. A missing cap is where it leaves the plot.
+    /// Returns an upright whisker between two places, with caps of `cap` points to each side. A cap is missing where the whisker leaves the
+    /// plot.
     pub fn whisker([from, to]: [At; 2], caps: [bool; 2], cap: f64, style: &Style) -> Vec<Self> {
         let mut items = vec![Self::line(from, to, style.clone())];
         for (end, _) in [from, to].into_iter().zip(caps).filter(|(_, has)| *has) {

@@ -29,7 +29,7 @@ impl Path {
         self.steps.is_empty()
     }
 
-    /// The same moved to the right by so many points.
+    /// Returns the path moved to the right by `dx` points.
     #[must_use]
     pub fn aside(self, dx: f64) -> Self {
         Self { dx, ..self }

@@ -109,7 +109,7 @@ impl Scale {
         self.spread == Spread::Logarithmic
     }
 
-    /// Returns where a value lies, from 0 to 1; values beyond the ends lie at the ends, and what is no number at the lower one.
+    /// Returns the position of a value, from 0 to 1. Values beyond the ends are placed at the ends, and NaN at the lower end.
     pub fn at(&self, value: f64) -> f64 {
         if value.is_nan() {
             return 0.0;

@@ -18,8 +18,8 @@ use crate::text::{FAMILY, FONT};
 pub const PIXELS_PER_INCH: f64 = 480.0;
 /// Units of an SVG to the inch (CSS, *Values and Units*, 6.2).
 const UNITS_PER_INCH: f32 = 96.0;
-/// Bytes of a PNG's signature and header (W3C, *Portable Network Graphics*, 5.2 and 11.2.1): what tells the size of its pixels
-/// stands behind them.
+/// Bytes of a PNG's signature and header (W3C, *Portable Network Graphics*, 5.2 and 11.2.1). The chunk with the size of its pixels follows
+/// them.
 const HEADER: usize = 8 + 25;
 /// The chunk `pHYs` (ibid., 11.3.4.3): [`PIXELS_PER_INCH`] as 18,898 to the metre, and the checksum. Programs that set papers put
 /// a picture without it at the resolution of a screen.
@@ -33,7 +33,7 @@ pub enum ExportError {
     /// The SVG cannot be read.
     #[error("cannot read the SVG of the figure: {0}")]
     Svg(#[from] usvg::Error),
-    /// There is no memory for so many pixels.
+    /// There is not enough memory for the pixels.
     #[error("cannot draw {0} by {1} pixels")]
     Size(u32, u32),
     /// The pixels cannot be written.
@@ -68,7 +68,7 @@ impl Exported {
     /// Reads an SVG that [`file::svg`] made.
     ///
     /// # Errors
-    /// When it is none.
+    /// If it is no such SVG.
     pub fn of(svg: &str) -> Result<Self, ExportError> {
         let options = usvg::Options {
             dpi: UNITS_PER_INCH,

@@ -1,8 +1,8 @@
-//! The sheet of a page: SVG that grows with its panel, looks given by classes.
+//! Sheet of a page: SVG that grows with its panel, looks given by classes.
 //!
-//! Plots stand in a grid of the style sheet (`.histogram`, `.joint`, …) with the classes `above`, `over`, `yaxis`, `plot`, `beside`,
-//! `xaxis` and `below`. The server does not know the width of a page: text that might not fit says from which width on it does, and
-//! the style sheet shows it from there on (`.fits.w8`, …), because a figure that is cut off is a wrong figure.
+//! Plots are laid out in a grid of the style sheet (`.histogram`, `.joint`, …) with the classes `above`, `over`, `yaxis`, `plot`, `beside`,
+//! `xaxis` and `below`. The server does not know the width of a page. So text that might not fit has the class of its minimum width
+//! (`.fits.w8`, …), and the style sheet shows it only from that width on: a clipped figure would be a wrong figure.
 
 mod draw;
 

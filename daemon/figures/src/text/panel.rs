@@ -20,7 +20,7 @@ pub fn rem(words: &str) -> f64 {
     width(words, SIZE) * HEAVIER + ABOUT
 }
 
-/// Returns the first of [`WIDTH_STEPS`] that is at least so many rem; `None` where none is.
+/// Returns the first of [`WIDTH_STEPS`] that is at least `needs` rem; `None` if all are smaller.
 pub fn width_step(needs: f64) -> Option<u16> {
     WIDTH_STEPS.into_iter().find(|step| f64::from(*step) >= needs)
 }

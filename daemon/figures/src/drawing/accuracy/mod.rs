@@ -1,4 +1,4 @@
-//! How often answers are right against how long they take.
+//! Accuracy against latency.
 
 mod numbers;
 
@@ -25,11 +25,11 @@ const SAME: f64 = 0.03;
 /// One configuration.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Score {
-    /// What it is, for the key.
+    /// Name of the configuration, for the key.
     pub label: String,
-    /// How many answers were right.
+    /// Number of right answers.
     pub right: u64,
-    /// Of how many.
+    /// Number of scored answers.
     pub count: u64,
     /// Median latency, seconds.
     pub median: f64,
@@ -53,13 +53,13 @@ impl Score {
 /// A numbered point for each configuration, and a key to the numbers below.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Accuracy {
-    /// What is shown.
+    /// Title of the figure.
     pub title: String,
     /// The horizontal axis: a latency.
     pub unit: Unit,
     /// The points; those without an answer or of no latency are left out.
     pub scores: Vec<Score>,
-    /// What is left out and so on.
+    /// Notes below the figure, such as what is left out.
     pub notes: Vec<String>,
 }
 

@@ -65,7 +65,7 @@ impl Placed {
         Self { at: area.point(spot.at), interval: (y(spot.interval.0), y(spot.interval.1)), p95 }
     }
 
-    /// What the point and its whiskers take.
+    /// Returns the areas of the point and its two whiskers.
     fn boxes(&self) -> [Rect; 3] {
         let ((x, y), (bottom, top)) = (self.at, self.interval);
         [
@@ -93,7 +93,7 @@ impl Placed {
         if right > 0.0 { -1.0 } else { 1.0 }
     }
 
-    /// Where its number may stand, the best first: around the point, nearer before farther, that side before the other.
+    /// Returns the places for the point's number, the best first: around the point, nearer before farther, the given side before the other.
     fn places(&self, wide: f64, side: f64) -> impl Iterator<Item = Rect> {
         let ((x, y), half) = (self.at, wide / 2.0);
         let around = [(0, -1), (1, -1), (-1, -1), (1, 0), (-1, 0), (1, 1), (-1, 1), (0, 1)];
@@ -108,7 +108,7 @@ impl Placed {
     }
 }
 
-/// How far two areas are apart, in the direction in which they are farther.
+/// Returns the distance of two areas, in the direction in which they are farther apart.
 fn between(a: &Rect, b: &Rect) -> f64 {
     let gap = |low: usize| (a[low] - b[low + 2]).max(b[low] - a[low + 2]).max(0.0);
     gap(0).max(gap(1))

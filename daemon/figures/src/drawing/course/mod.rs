@@ -1,4 +1,4 @@
-//! How a run went: latency over time, with episodes, warm-up and whatever had no answer.
+//! Figure of a run over time: latency, with episodes, warm-up and iterations without an answer.
 
 mod columns;
 
@@ -18,11 +18,11 @@ const RAIL: f64 = 6.0;
 /// Half the width of a cross on the rail, and of a mark on a line, points.
 const CROSS: f64 = 1.7;
 const RADIUS: f64 = 1.7;
-/// How many marks a line has at most.
+/// Maximum number of marks on a line.
 const MARKS: usize = 7;
-/// Between the marks of so many lines there is room.
+/// Number of lines whose marks are shifted against each other, so that they do not overlap.
 const STAGES: usize = 4;
-/// A line is broken where so many columns have no value.
+/// Minimum number of consecutive columns without a value at which a line is broken.
 const GAP: f64 = 12.0;
 /// From how many episodes on their borders would be all that is seen.
 const MOST_BORDERS: usize = 30;
@@ -32,7 +32,7 @@ const SEEN: f64 = 0.6;
 /// Latencies over time. SI units; times are those of the horizontal axis.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Course {
-    /// What is shown.
+    /// Title of the figure.
     pub title: String,
     /// The horizontal axis: `Time since the start, s`, `Iteration`.
     pub x: String,
@@ -50,7 +50,7 @@ pub struct Course {
     pub episodes: Vec<f64>,
     /// When there was no answer.
     pub unanswered: Vec<f64>,
-    /// What is left out and so on.
+    /// Notes below the figure, such as what is left out.
     pub notes: Vec<String>,
 }
 

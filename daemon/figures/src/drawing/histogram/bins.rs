@@ -1,4 +1,4 @@
-//! How values are counted into bins.
+//! Bins of a histogram.
 
 use peernet_analysis::order::Ordered;
 
@@ -9,21 +9,21 @@ const MOST: usize = 60;
 const RARE: usize = 100;
 const FEW: usize = 3;
 const FEW_OF: usize = 8;
-/// What lies within so much more than the width of the rest is not cut.
+/// Values are only cut off if showing them would make the axis wider than the rest by more than this factor.
 const WORTH: f64 = 1.5;
-/// Tukey's far fence: so many interquartile ranges beyond the quartile.
+/// Tukey's far fence: distance from the quartile in interquartile ranges.
 const FAR: f64 = 3.0;
 
 /// Counted values.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Bins {
-    /// Where the first bin begins.
+    /// Lower end of the first bin.
     pub from: f64,
-    /// How wide each is.
+    /// Width of a bin.
     pub width: f64,
-    /// How many values are in each; a value on a border is in the upper one, the largest in the last.
+    /// Number of values in each bin; a value on a border is in the upper bin, the largest value in the last bin.
     pub counts: Vec<u64>,
-    /// How many are below the first and above the last.
+    /// Number of values below the first and above the last bin.
     pub beyond: (u64, u64),
 }
 
@@ -59,7 +59,7 @@ impl Bins {
         Some(this)
     }
 
-    /// Where the last bin ends.
+    /// Returns the upper end of the last bin.
     pub fn to(&self) -> f64 {
         self.from + self.width * self.counts.len() as f64
     }
@@ -69,21 +69,21 @@ impl Bins {
         self.from + self.width * number as f64
     }
 
-    /// Where a bin begins and ends.
+    /// Returns the two ends of a bin.
     pub fn bin(&self, number: usize) -> (f64, f64) {
         (self.edge(number), self.edge(number + 1))
     }
 
-    /// How many values are in the fullest bin.
+    /// Returns the number of values in the fullest bin.
     pub fn highest(&self) -> u64 {
         self.counts.iter().copied().max().unwrap_or_default()
     }
 }
 
-/// What a picture of the values shows: all of them, but for what would squeeze the rest. That is what lies beyond the far
-/// fence of Tukey (*Exploratory Data Analysis*, 1977), three interquartile ranges beyond the quartile, and beyond the range
-/// of all but 1 % (with fewer than 400 values, all but three; with fewer than 24, all but one in eight) by more than
-/// half its width. `None` without values.
+/// Returns the range of values that a figure shows: all of them, except tails that would squeeze the rest. A value is in such a tail if it
+/// lies beyond the far fence of Tukey (*Exploratory Data Analysis*, 1977), three interquartile ranges beyond the quartile, and beyond the
+/// range of all but 1 % (with fewer than 400 values, all but three; with fewer than 24, all but one in eight) by more than half its width.
+/// `None` without values.
 pub(in crate::drawing) fn range(all: &Ordered) -> Option<(f64, f64)> {
     let values = all.values();
     let (lo, hi) = (*values.first()?, *values.last()?);

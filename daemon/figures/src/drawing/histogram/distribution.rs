@@ -66,7 +66,7 @@ impl Distribution {
         (end(self.edges.first()), end(self.edges.last()))
     }
 
-    /// One value alone stands in the middle, not all over the plot.
+    /// Returns the axis of values. If all values are equal, their bar is in the middle and does not fill the plot.
     fn across(&self) -> Axis {
         let ((from, to), per_si) = (self.ends(), self.unit.per_si);
         let middle = f64::midpoint(from, to) * per_si;

@@ -1,4 +1,4 @@
-//! How one quantity is distributed.
+//! Distribution of one quantity.
 
 mod bins;
 mod distribution;
@@ -20,15 +20,15 @@ const EMS: f64 = 31.0;
 /// A histogram with its median and its 95th and 99th percentiles.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Histogram {
-    /// What it is of.
+    /// Title of the figure.
     pub title: String,
-    /// What stands along the horizontal axis.
+    /// Unit of the horizontal axis.
     pub unit: Unit,
     /// The stage whose colour the bars have.
     pub stage: String,
     /// The values, SI units.
     pub values: Ordered,
-    /// How many values there are, what is left out and so on.
+    /// Notes below the figure, such as the number of values and what is left out.
     pub notes: Vec<String>,
 }
 

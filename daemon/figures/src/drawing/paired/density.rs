@@ -7,7 +7,7 @@ const PER_WIDTH: f64 = 4.0;
 /// Least and most places.
 const FEWEST: usize = 24;
 const MOST: usize = 768;
-/// Values are counted into so many cells first, so that it does not matter how many there are.
+/// Number of cells that values are counted into first, so that the cost does not depend on the number of values.
 const CELLS: usize = MOST;
 
 /// Places between `lo` and `hi` and how dense the values are there, the densest place being 1: a Gaussian kernel of

@@ -32,7 +32,7 @@ const MOST_POINTS: usize = 60;
 const NEAR: f64 = 1.05;
 /// From this ratio of the largest to the smallest median on, the axis is logarithmic.
 const WIDE: f64 = 30.0;
-/// Most sides that can be told apart.
+/// Maximum number of sides that a reader can distinguish.
 pub const MOST_SIDES: usize = 4;
 /// Most groups that a column has room for.
 pub const MOST_GROUPS: usize = 12;
@@ -40,15 +40,15 @@ pub const MOST_GROUPS: usize = 12;
 /// Distributions side by side, in groups.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Paired {
-    /// What is shown.
+    /// Title of the figure.
     pub title: String,
-    /// What stands along the vertical axis.
+    /// Unit of the vertical axis.
     pub unit: Unit,
-    /// What is side by side in each group: at most four.
+    /// Names of the sides in each group: at most four.
     pub sides: Vec<String>,
     /// One for each model: at most twelve.
     pub groups: Vec<Group>,
-    /// What is left out and so on.
+    /// Notes below the figure, such as what is left out.
     pub notes: Vec<String>,
 }
 
@@ -108,7 +108,7 @@ impl Paired {
         all.into_iter().all(|values| width(&n_of(values), SMALL) <= room)
     }
 
-    /// What the axis holds: every distribution but for tails that would squeeze the rest.
+    /// Returns the range of the axis: every distribution, except tails that would squeeze the rest.
     fn shown(&self) -> Option<(f64, f64)> {
         let ends = |values: &Ordered| {
             let (lo, hi) = range(values)?;
@@ -138,13 +138,13 @@ impl Paired {
         values.values().iter().rev().copied().find(|value| *value <= most * NEAR)
     }
 
-    /// How many values are above what is shown of them.
+    /// Returns the number of values above the range that is shown of them.
     fn beyond(&self, values: &Ordered) -> usize {
         let count = |highest| values.values().iter().filter(|value| **value > highest).count();
         self.highest(values).map_or(0, count)
     }
 
-    /// How many values are below what is shown of them.
+    /// Returns the number of values below the range that is shown of them.
     fn below(&self, values: &Ordered) -> usize {
         let lowest = if values.len() > MOST_POINTS { range(values) } else { self.shown() };
         let count = |(lowest, _)| values.values().iter().filter(|value| **value < lowest).count();

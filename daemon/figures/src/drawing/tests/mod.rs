@@ -1,4 +1,4 @@
-//! Figures as drawn: what stands in the SVG, and where.
+//! Tests of drawn figures: the contents of the SVG and their places.
 
 mod bars;
 mod curves;

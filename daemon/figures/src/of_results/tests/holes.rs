@@ -1,4 +1,4 @@
-//! What figures say of runs in which something is missing.
+//! Tests of figures of runs with missing data.
 
 use peernet_clock::{DelaySource, OneWayDelay, Span, Verdict};
 

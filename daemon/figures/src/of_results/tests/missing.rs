@@ -1,4 +1,4 @@
-//! What is in no figure is told in the one that it could be in.
+//! Tests of the notes on data that are in no figure.
 
 use super::*;
 use peernet_analysis::record::HostRecord;

@@ -1,7 +1,7 @@
-//! The sheet of a file: a picture as wide as a column, in points, with literal attributes.
+//! Sheet of a file: a picture as wide as a column, in points, with literal attributes.
 //!
-//! It has one line of caption, the legend, the plots from above to below and a table as key to numbers. All else that is to be said
-//! stands in the text beside it ([`Figure::words`]).
+//! It has one line of caption, the legend, the plots from top to bottom and a table as key to numbers. All other text is in the file beside
+//! it ([`Figure::words`]).
 
 mod axes;
 mod draw;

@@ -75,7 +75,7 @@ fn open_at(svg: &mut Writer, x: f64, y: f64) {
     svg.element(Tag::Svg).set("class", "at").set("x", Share(x)).set("y", Share(y)).open();
 }
 
-/// A line whose ends are at distances from their places stands in a picture of its own at the first place.
+/// Draws a line. If its ends are at distances from their places, it gets a nested picture at the first place.
 fn line(svg: &mut Writer, [from, to]: [At; 2], style: &Style) {
     let is_aside = [from, to].iter().any(|at| at.dx != 0.0 || at.dy != 0.0);
     if !is_aside {
