@@ -6,7 +6,7 @@ use crate::fit::{Fit, Point, theil_sen};
 pub const LATENCY: &str = "inference";
 /// Column of the length of an answer where no tokens are counted.
 const ANSWER: &str = "download-bytes";
-/// With this end the names of those that a run counts itself.
+/// Suffix of the names of quantities that count tokens.
 const TOKENS: &str = "tokens";
 /// Names with one of these words count what was asked.
 const ASKED: [&str; 2] = ["prompt", "input"];
@@ -20,19 +20,19 @@ pub fn answer_length<'a>(names: impl Iterator<Item = &'a str>) -> &'a str {
     names.filter(|name| is_tokens(name)).min_by_key(|name| (is_asked(name), *name)).unwrap_or(ANSWER)
 }
 
-/// Whether a length is counted in tokens, else in bytes.
+/// Returns whether a length is counted in tokens; otherwise it is in bytes.
 pub fn is_tokens(name: &str) -> bool {
     name.ends_with(TOKENS)
 }
 
-/// Whether answers differ enough in length to be drawn against it.
+/// Returns whether the answers' lengths differ enough for a figure of latency against length.
 pub fn varies(shortest: f64, longest: f64) -> bool {
     longest > shortest && longest >= VARIED * shortest
 }
 
 /// Fewest iterations that a line is drawn through.
 const FEWEST: usize = 60;
-/// An interval that is wider than this share of a slope does not tell the slope.
+/// Width of an interval, as a share of the slope, above which the slope is not given as one figure.
 const TELLING: f64 = 0.5;
 
 /// Growth of latency with the length of answers: a line through single iterations.
@@ -45,8 +45,8 @@ pub struct Growth {
 }
 
 impl Growth {
-    /// Returns the line whose slope is the median of those of all pairs of iterations, given as length and latency: whatever the tail
-    /// of the latencies and the distribution of the lengths, late answers hardly move it. `None` where there are too few.
+    /// Returns the line whose slope is the median of the slopes of all pairs of iterations, given as length and latency. This slope is
+    /// robust against long tails of the latencies and any distribution of the lengths. `None` if there are too few iterations.
     pub fn of(iterations: &[(f64, f64)]) -> Option<Self> {
         (iterations.len() >= FEWEST).then_some(())?;
         let points: Vec<Point> = iterations.iter().map(|(x, y)| Point { x: *x, y: *y }).collect();
@@ -64,7 +64,7 @@ impl Growth {
         self.interval.1 - self.interval.0 > TELLING * self.fit.slope.value.abs()
     }
 
-    /// Returns intercept and slope where the slope is certain.
+    /// Returns intercept and slope if the slope is certain.
     pub fn line(&self) -> Option<(f64, f64)> {
         self.is_certain().then_some((self.fit.intercept.value, self.fit.slope.value))
     }

@@ -8,7 +8,7 @@ use std::ops::Range;
 
 use peernet_statistics::Summary;
 
-/// Most batches of a run: more add nothing (Schmeiser 1982).
+/// Maximum number of batches of a run: more add nothing (Schmeiser 1982).
 pub(crate) const MAX_BATCHES: u64 = 30;
 
 /// Fewest values of a batch.
@@ -43,7 +43,7 @@ pub(crate) trait Series {
         let (mut ranges, mut from, mut count) = (Vec::new(), 0, 0);
         for at in 0..self.places() {
             count += self.count(at);
-            // The end of the part that is being filled lies at this share of all.
+            // The current part ends at this share of all values.
             let end = u128::from(all) * (ranges.len() as u128 + 1);
             if u128::from(count) * u128::from(parts) >= end && (ranges.len() as u64) < parts {
                 ranges.push(from..at + 1);

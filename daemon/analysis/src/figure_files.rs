@@ -4,7 +4,7 @@ use std::fs::{File, read_dir};
 use std::io::{BufRead, BufReader, Read};
 use std::path::Path;
 
-/// The published histograms: name of the file, column, what it is.
+/// Published histograms: name of the file, column, description.
 pub const HISTOGRAMS: [(&str, &str, &str); 6] = [
     ("sensing-time", "sensing", "Sensing time"),
     ("upload-time", "upload", "Upload time"),
@@ -50,7 +50,7 @@ fn is_figure(name: &str, columns: &[String]) -> bool {
         || is_column()
 }
 
-/// The columns of rows, each of which may have a histogram; none where there are no rows.
+/// Returns the columns of rows, each of which may have a histogram; empty without rows.
 fn columns(data: &Path) -> Vec<String> {
     let header = || -> Option<String> {
         let file = data.is_file().then(|| File::open(data).ok())??;

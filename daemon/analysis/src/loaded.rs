@@ -20,7 +20,7 @@ pub struct Loaded {
     pub folder: PathBuf,
     /// Record of the run.
     pub record: RunRecord,
-    /// Its iterations, in order.
+    /// Iterations of the run, in order.
     pub rows: Rows,
 }
 
@@ -52,8 +52,8 @@ impl Loaded {
         })
     }
 
-    /// Why the rows are not all that were measured: `data.csv` has others than `run.json` counts, as when it was cut off
-    /// or changed. `None` where they are, or where nothing counts them.
+    /// Returns the reason why the rows are not all that were measured: their number in `data.csv` differs from the count in `run.json`, as
+    /// when the file was truncated or changed. `None` if they agree, or if there is no count.
     pub fn damage(&self) -> Option<RowsDamage> {
         let said = self.record.counts;
         let is = Counts::of(&self.rows, said.unseen);
@@ -68,7 +68,7 @@ impl Loaded {
         })
     }
 
-    /// Samples that are neither right nor wrong, because their label is no class of the model.
+    /// Returns samples that are neither right nor wrong, because their label is not a class of the model.
     fn unknown_labels(&self) -> Option<UnknownLabels> {
         UnknownLabels::of(&self.rows, &self.record.facts)
     }

@@ -1,5 +1,5 @@
-//! Which runs count: those that were measured to their end, each repeat of a configuration once, and those that are asked for by
-//! themselves.
+//! Choice of the runs that count: those that were measured to their end, each repeat of a configuration once, and those that are named
+//! explicitly.
 
 use std::collections::HashMap;
 use std::fmt;
@@ -14,18 +14,18 @@ use crate::loaded::Loaded;
 pub enum RunState {
     /// It has not begun.
     Pending,
-    /// It has no end: it is under way, or its program was killed.
+    /// It has no end: it is in progress, or its program was killed.
     Open,
     /// It was measured to its end.
     Finished,
     /// Somebody ended it.
     Interrupted,
-    /// It could not be measured to its end, for this reason where one is known.
+    /// It could not be measured to its end, for this reason if one is known.
     Failed(Option<String>),
 }
 
 impl RunState {
-    /// Returns the state of a run that began, by the reason for its end; `None` of one without an end.
+    /// Returns the state of a run that began, by the reason for its end; `None` for one without an end.
     pub fn of_end(reason: Option<&EndReason>) -> Self {
         match reason {
             None | Some(EndReason::Unknown) => Self::Open,
@@ -87,21 +87,21 @@ impl Exclusion {
 /// Facts that decide whether a run counts.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Candidate {
-    /// Its id; `None` of results of other programs.
+    /// Id of the run; `None` for results of other programs.
     pub id: Option<RunId>,
-    /// Its progress; `None` where nothing tells of it.
+    /// Progress of the run; `None` if it is not recorded.
     pub state: Option<RunState>,
     /// Repeat that the run measured; `None` outside of experiments.
     pub repeat: Option<Repeat>,
-    /// Its place in time: of two runs the later one has the larger number.
+    /// Position in time: of two runs the later one has the larger number.
     pub sequence: i64,
-    /// Whether it is asked for by itself, so that its progress does not matter.
+    /// `true` if it is named explicitly, so that its progress does not matter.
     pub is_named: bool,
     /// Rank of the results. Of several results of one run, those with the lowest rank count.
     pub rank: u8,
 }
 
-/// A repeat of a configuration, as one edge measured it: several users of one run are several edges.
+/// Repeat of a configuration, as one edge measured it: several users of one run are several edges.
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
 pub struct Repeat {
     experiment: String,
@@ -136,7 +136,7 @@ impl Candidate {
     }
 }
 
-/// Returns for each run why it does not count; `None` of those that do.
+/// Returns for each run the reason why it does not count; `None` for those that do.
 pub fn exclusions(runs: &[Candidate]) -> Vec<Option<Exclusion>> {
     let unfinished = |run: &Candidate| {
         let state = run.state.as_ref().filter(|state| !run.is_named && !state.is_finished())?;
@@ -154,7 +154,7 @@ pub fn exclusions(runs: &[Candidate]) -> Vec<Option<Exclusion>> {
     found
 }
 
-/// The place of the run with the smallest order of each key, among those that count so far.
+/// Returns the index of the run with the smallest order of each key, among those that count so far.
 fn best<'a, K: Eq + std::hash::Hash, O: Ord>(
     runs: &'a [Candidate],
     found: &[Option<Exclusion>],

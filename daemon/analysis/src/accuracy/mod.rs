@@ -11,7 +11,7 @@ use serde::{Deserialize, Serialize};
 use crate::order::Z95;
 use crate::rows::{RowRef, Rows};
 
-/// The columns of accuracies: a row has 1 where the labelled class was the first answer, or among the first five, else 0.
+/// Names of the accuracy columns: a row has 1 if the labelled class was the first answer, or among the first five, else 0.
 pub const ACCURACIES: [&str; 2] = ["top-1", "top-5"];
 
 /// The share of iterations in which a model was right, from 0 to 1.
@@ -19,7 +19,7 @@ pub const ACCURACIES: [&str; 2] = ["top-1", "top-5"];
 pub struct Accuracy {
     /// The share.
     pub share: f64,
-    /// Its 95 % confidence interval.
+    /// 95 % confidence interval of the share.
     pub interval: (f64, f64),
     /// Number of scored iterations.
     pub count: u64,
@@ -29,7 +29,7 @@ pub struct Accuracy {
 }
 
 impl Accuracy {
-    /// A column of [`ACCURACIES`] over the rows that count; `None` where none of them has a score.
+    /// Returns the accuracy from a column of [`ACCURACIES`] over the rows that count; `None` if none of them has a score.
     pub fn of<'a>(rows: impl IntoIterator<Item = RowRef<'a>>, column: &str) -> Option<Self> {
         let (mut right, mut count, mut unscored) = (0, 0, 0);
         for row in rows.into_iter().filter(|row| row.counts()) {
@@ -41,7 +41,7 @@ impl Accuracy {
         Self::of_counts(right, count, unscored)
     }
 
-    /// Each column of [`ACCURACIES`] of which there are scores.
+    /// Returns the accuracy of each column of [`ACCURACIES`] that has scores.
     pub fn of_each(rows: &Rows) -> BTreeMap<String, Self> {
         let of = |column: &str| Some((column.to_owned(), Self::of(rows, column)?));
         ACCURACIES.into_iter().filter_map(of).collect()
@@ -63,7 +63,7 @@ impl Accuracy {
     }
 }
 
-/// Whether the answer was right; `None` without a score.
+/// Returns whether the answer was right; `None` without a score.
 pub fn score(row: RowRef<'_>, column: &str) -> Option<bool> {
     match row.value(column)? {
         1.0 => Some(true),
@@ -72,14 +72,14 @@ pub fn score(row: RowRef<'_>, column: &str) -> Option<bool> {
     }
 }
 
-/// The score interval of a proportion (E. B. Wilson, *Probable inference, the law of succession, and statistical inference*,
-/// JASA 22, 1927): it stays between 0 and 1 and holds near the ends, where the usual one does not.
+/// Returns the score interval of a proportion (E. B. Wilson, *Probable inference, the law of succession, and statistical inference*, JASA
+/// 22, 1927). It stays between 0 and 1 and is valid near the ends, unlike the usual interval.
 fn wilson(share: f64, count: u64) -> (f64, f64) {
     let n = count as f64;
     let z2 = Z95 * Z95;
     let middle = (share + z2 / (2.0 * n)) / (1.0 + z2 / n);
     let half = Z95 / (1.0 + z2 / n) * (share * (1.0 - share) / n + z2 / (4.0 * n * n)).sqrt();
-    // At the ends the arithmetic may leave 1e-17 over.
+    // Rounding errors at the ends are about 1e-17.
     let lo = if share == 0.0 { 0.0 } else { (middle - half).max(0.0) };
     let hi = if share == 1.0 { 1.0 } else { (middle + half).min(1.0) };
     (lo, hi)

@@ -35,7 +35,7 @@ impl Clocks {
             let up = sample.up.as_ref().filter(|up| up.seconds().is_some())?;
             Some((up.delay.raw - up.delay.value?).seconds())
         };
-        // Counted per relation: a peer that came back begins at none again.
+        // The counter belongs to a relation: it starts at zero again after the peer came back.
         let restarts = seconds.iter().map(|second| u64::from(second.exchanges.restarts));
         let before = std::iter::once(0).chain(restarts.clone());
         let announced: u64 = restarts.zip(before).map(|(now, before)| now.saturating_sub(before)).sum();

@@ -33,11 +33,11 @@ pub struct Setting {
     pub peer: String,
     /// The host that sent the payloads.
     pub edge: String,
-    /// The host that answered, as it calls itself; `None` when it never did.
+    /// Name of the host that answered, as it reports it; `None` when it never did.
     pub cloud: Option<String>,
     /// Kind of network.
     pub network: String,
-    /// When, RFC 3339.
+    /// Start of the study, RFC 3339.
     pub started: String,
     /// Version of the program.
     pub version: String,
@@ -45,13 +45,13 @@ pub struct Setting {
     pub sizes_bytes: Vec<u64>,
     /// Number of times that each size was to be sent.
     pub repeats: u64,
-    /// Whether it was ended early.
+    /// `true` if it was ended early.
     pub interrupted: bool,
     /// Reason for an early end, in words; `None` when the study was complete or the user ended it.
     pub ended: Option<String>,
     /// Number of times that the peer went away and came back while its clock remained the same. The clocks were related again each time.
     pub reconnections: u64,
-    /// Whether the clock of either host was made wrong on purpose.
+    /// `true` if the clock of either host was made wrong on purpose.
     pub rehearsed: bool,
 }
 
@@ -62,11 +62,11 @@ pub struct Counts {
     pub measured: u64,
     /// Warm-up.
     pub warm_up: u64,
-    /// Without an answer.
+    /// Iterations without an answer.
     pub failed: u64,
 }
 
-/// A calibration, whole. Seconds, bytes, bits per second.
+/// Complete result of a calibration. Seconds, bytes, bits per second.
 #[derive(Clone, Debug, Serialize)]
 pub struct Study {
     /// Setting of the study.

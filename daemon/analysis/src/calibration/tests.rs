@@ -107,7 +107,7 @@ fn a_good_link_is_found_good_and_its_line_is_found() {
         );
     }
     assert!((study.clocks.offset.expect("delays are corrected by it") - 1.0).abs() < 1e-6);
-    // What the published way would have said: the offset of the clocks, either way.
+    // The raw differences, as in the published study, contain the offset of the clocks with either sign.
     let raw = study.directions().map(|direction| direction.fits.expect("eight sizes").raw.intercept.value);
     assert!((raw[0] - 1.0).abs() < 1e-3 && (raw[1] + 1.0).abs() < 1e-3, "{raw:?}");
 }
@@ -117,7 +117,7 @@ fn a_wrong_clock_relation_is_told_from_a_bent_line() {
     let wrong = study(sweep(Link { wrong: 130e-6, ..GOOD }));
     assert_eq!(wrong.verdict.kind, Kind::Contradicted, "{}", wrong.verdict.sentence);
     assert!(wrong.verdict.sentence.contains("the clocks are at fault"), "{}", wrong.verdict.sentence);
-    // An empty message would take less than nothing.
+    // The fitted delay of an empty message is negative, which is impossible.
     assert!(wrong.down.main_fit().expect("a line").intercept.value < 0.0);
 
     let bent = study(sweep(Link { bend: 4e-15, ..GOOD }));
@@ -185,7 +185,7 @@ fn on_one_clock_nothing_has_bounds_to_print() {
     let study = study(sweep(Link { verdict: Delay::Ok, source: DelaySource::SameClock, ..GOOD }));
     let text = study.text();
     let rows: Vec<&str> = text.lines().filter(|line| line.contains("exact")).collect();
-    // A row per size, what the clock bounds allow either way, and the verdict.
+    // The table has a row per size, the clock bounds of either direction, and the verdict.
     assert_eq!(rows.len(), SIZES.len() + 3, "{text}");
 }
 

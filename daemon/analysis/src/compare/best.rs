@@ -9,8 +9,8 @@ use super::{Comparison, Line, MeanEstimate, NOTHING, values};
 use crate::loaded::Loaded;
 use crate::table::{Captioned, Table};
 
-/// Ranks the lines, and notes what the others have more than the best. Lines whose model computes nothing are ranked only where no
-/// other is there.
+/// Ranks the lines, and stores the differences of the others to the best. Lines whose model computes nothing are ranked only if there are
+/// no other lines.
 pub(super) fn mark(comparison: &mut Comparison, runs: &[Loaded]) {
     let computes = |line: &Line| line.runs.iter().all(|run| computes(&runs[*run].record.facts));
     let some_compute = comparison.lines.iter().any(computes);

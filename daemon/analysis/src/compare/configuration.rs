@@ -12,7 +12,7 @@ use crate::record::RunRecord;
 pub(super) const NOTHING: &str = "—";
 /// Facts that follow from a run's model or data set, which has a column already.
 const IMPLIED: [&str; 6] = ["model", "device", "task", "input", "labels", "classes"];
-/// Most labels of one group that are written side by side.
+/// Maximum number of labels of one group that are written side by side.
 const MOST_TOGETHER: usize = 3;
 
 /// The configurations of some runs.
@@ -20,7 +20,7 @@ const MOST_TOGETHER: usize = 3;
 pub struct Configurations {
     /// Names of the columns that distinguish the runs.
     pub axes: Vec<String>,
-    /// One for each run: as many labels as there are axes.
+    /// Labels of each run: as many as there are axes.
     pub labels: Vec<Vec<String>>,
 }
 
@@ -34,7 +34,7 @@ impl Configurations {
         Self::and_the_rest(runs).0
     }
 
-    /// With what else differs among them, in sentences.
+    /// Returns the configurations, and sentences about their other differences.
     pub(super) fn and_the_rest(runs: &[Loaded]) -> (Self, Vec<String>) {
         let places: Vec<Vec<(String, String)>> = runs.iter().map(|run| place(&run.record)).collect();
         let names =
@@ -105,8 +105,8 @@ impl Configurations {
         }
     }
 
-    /// All names in the order of their first appearance, each run's label below. The field `Model` of an experiment and the
-    /// `model` of a run outside of it are one.
+    /// Returns all names in the order of their first appearance, with the label of each run. The field `Model` of an experiment and the
+    /// `model` of a run outside of it are one column.
     fn tabulate(pairs: &[Vec<(String, String)>]) -> Self {
         let mut axes: Vec<String> = Vec::new();
         for (axis, _) in pairs.iter().flatten() {
@@ -130,10 +130,10 @@ impl Configurations {
         self.labels.iter_mut().zip(labels).for_each(|(all, label)| all.push(label));
     }
 
-    /// Tells repeats apart.
+    /// Adds a column that distinguishes repeats.
     pub(super) fn add_repeats(&mut self, runs: &[Loaded]) {
         let repeat = |run: &Loaded| match &run.record.experiment {
-            // For people, from 1.
+            // Repeats are shown from 1.
             Some(place) => (place.repeat + 1).to_string(),
             None => NOTHING.to_owned(),
         };
@@ -143,8 +143,8 @@ impl Configurations {
         }
     }
 
-    /// Gives chosen runs a line of their own, beside the other repeats of their configurations. Edges that were measured at
-    /// once stay together.
+    /// Gives each of the chosen runs a separate line, next to the other repeats of its configuration. Edges that were measured at the same
+    /// time stay together.
     pub(super) fn set_apart(&mut self, runs: &[Loaded], chosen: &[usize]) {
         let repeat = |run: usize| runs[run].record.experiment.as_ref().map(|place| place.repeat);
         let label = |run: usize| {
@@ -155,7 +155,7 @@ impl Configurations {
             match (repeats.contains(&repeat(run)), repeats.as_slice()) {
                 (_, []) => NOTHING.to_owned(),
                 (false, _) => "the other repeats".to_owned(),
-                // For people, from 1.
+                // Repeats are shown from 1.
                 (true, [Some(repeat)]) => format!("repeat {}", repeat + 1),
                 (true, repeats) => counted(repeats.len() as u64, "repeat"),
             }
@@ -166,7 +166,7 @@ impl Configurations {
         }
     }
 
-    /// Whether two runs have the same labels without being declared repeats of one another.
+    /// Returns whether two runs have the same labels without being declared repeats of each other.
     fn has_strangers_alike(&self, runs: &[Loaded]) -> bool {
         let pairs = (0..runs.len()).flat_map(|a| (0..a).map(move |b| (a, b)));
         let mut alike = pairs.filter(|(a, b)| self.labels[*a] == self.labels[*b]);
@@ -174,8 +174,8 @@ impl Configurations {
     }
 }
 
-/// Whether two runs are repeats of one configuration of one execution of an experiment, or two edges that were measured
-/// at once, as users of one cloud.
+/// Returns whether two runs are repeats of one configuration of one execution of an experiment, or two edges that were measured at the same
+/// time, as users of one cloud.
 fn are_repeats(a: &RunRecord, b: &RunRecord) -> bool {
     let edges = a.edge.name != b.edge.name;
     let (Some(a), Some(b)) = (&a.experiment, &b.experiment) else { return false };
@@ -183,7 +183,7 @@ fn are_repeats(a: &RunRecord, b: &RunRecord) -> bool {
         && (a.repeat != b.repeat || edges)
 }
 
-/// The fields of a run's experiment.
+/// Returns the fields of a run's experiment.
 fn place(record: &RunRecord) -> Vec<(String, String)> {
     record.experiment.as_ref().map(|place| place.configuration.clone()).unwrap_or_default()
 }
@@ -205,7 +205,7 @@ fn found(record: &RunRecord) -> Vec<(String, String)> {
     pairs
 }
 
-/// Which execution of which experiment each run belongs to.
+/// Returns the experiment and its execution that each run belongs to.
 fn executions(runs: &[Loaded]) -> Vec<String> {
     let experiments = || runs.iter().map(|run| run.record.experiment.as_ref());
     let names: Vec<String> =
@@ -217,7 +217,7 @@ fn executions(runs: &[Loaded]) -> Vec<String> {
     experiments().map(|place| place.map_or_else(|| NOTHING.to_owned(), |place| short(&place.id))).collect()
 }
 
-/// The runs as groups of repeats and edges of one configuration.
+/// Returns the runs as groups of repeats and edges of one configuration.
 fn groups(runs: &[Loaded]) -> Vec<Vec<usize>> {
     let mut groups: Vec<Vec<usize>> = Vec::new();
     for (at, run) in runs.iter().enumerate() {
@@ -241,7 +241,7 @@ fn of_each(runs: usize, groups: &[Vec<usize>], labels: &[String]) -> Vec<String>
     all
 }
 
-/// The labels of the runs of a group in one.
+/// Returns the labels of the runs of a group as one label.
 fn together<'a>(labels: impl Iterator<Item = &'a String>) -> String {
     let mut distinct: Vec<&str> = Vec::new();
     for label in labels {
@@ -259,7 +259,7 @@ fn together<'a>(labels: impl Iterator<Item = &'a String>) -> String {
 /// share.
 fn folders(runs: &[Loaded], groups: &[Vec<usize>]) -> Vec<String> {
     let path = |run: &Loaded| {
-        // Rows that nothing stands beside have the name of their file.
+        // A file of rows without a record is named after itself.
         let alone = run.record.format == 0 && !run.folder.ends_with(&run.record.name);
         if alone { run.folder.join(&run.record.name) } else { run.folder.clone() }
     };
@@ -276,7 +276,7 @@ fn folders(runs: &[Loaded], groups: &[Vec<usize>]) -> Vec<String> {
     };
     let all: Vec<Vec<String>> = groups.iter().map(of_group).collect();
     let shortest = all.iter().map(Vec::len).min().unwrap_or_default();
-    // The last part always stands there.
+    // The last part of a path is always shown.
     let front = common(&all).min(shortest.saturating_sub(1));
     all.iter().map(|parts| parts[front..].iter().collect::<PathBuf>().display().to_string()).collect()
 }

@@ -16,7 +16,7 @@ pub const MIN_BATCHES: usize = 5;
 pub struct Difference {
     /// The second less the first.
     pub value: f64,
-    /// The interval's ends; `None` where there are too few values.
+    /// Ends of the interval; `None` if there are too few values.
     pub interval: Option<(f64, f64)>,
 }
 
@@ -41,17 +41,17 @@ impl Difference {
         [Some(self.value), self.interval.map(|ends| ends.0), self.interval.map(|ends| ends.1)]
     }
 
-    /// Returns whether the interval leaves out zero, so that the difference is more than chance; `None` where there is no interval.
+    /// Returns whether the interval excludes zero, so that the difference is more than chance; `None` if there is no interval.
     pub fn is_distinct(&self) -> Option<bool> {
         self.interval.map(|(lo, hi)| lo > 0.0 || hi < 0.0)
     }
 }
 
-/// The mean of a quantity over all runs of a configuration, and what tells how far it is known.
+/// Mean of a quantity over all runs of a configuration, with the batch means that determine its precision.
 #[derive(Clone, Debug, PartialEq)]
 pub struct MeanEstimate {
     mean: f64,
-    /// Means of batches; empty where a run has too few values.
+    /// Means of batches; empty if a run has too few values.
     batches: Vec<f64>,
 }
 
@@ -130,7 +130,8 @@ mod tests {
         MeanEstimate::of_values(runs).expect("values")
     }
 
-    /// By hand: variances of the means 0.5 and 0.583, 8.989 degrees of freedom, so 2.5 ± 2.26255 × 1.04083.
+    /// The expected values were calculated by hand: variances of the means 0.5 and 0.583, 8.989 degrees of freedom, so 2.5 ± 2.26255 ×
+    /// 1.04083.
     #[test]
     fn interval_is_that_of_welch() {
         let of = |values: &[f64]| MeanEstimate {

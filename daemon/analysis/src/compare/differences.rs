@@ -1,4 +1,4 @@
-//! Two runs, stage by stage.
+//! Differences of two lines, stage by stage.
 
 use std::num::NonZero;
 use std::panic::resume_unwind;
@@ -32,7 +32,7 @@ pub struct Differences {
     pub stages: Vec<StageDifference>,
 }
 
-/// A stage of two runs.
+/// Difference of two lines in one stage.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct StageDifference {
     /// Which.
@@ -76,7 +76,7 @@ impl Differences {
 
     fn between(baseline: (String, &[&Loaded]), other: (String, &[&Loaded]), seed: u64) -> Self {
         let (a, b) = (baseline.1, other.1);
-        // Side by side, but not all at once: each holds the values of a stage.
+        // The stages are computed in parallel, but not all at once, because each computation holds the values of a stage in memory.
         let share = STAGES.len().div_ceil(available_parallelism().map_or(1, NonZero::get));
         let of = |stages: &[&str]| {
             let found = stages.iter().filter_map(|stage| StageDifference::of(stage, a, b, seed));
@@ -112,7 +112,7 @@ impl StageDifference {
     }
 }
 
-/// Half the mean width of a delay's bounds.
+/// Returns half the mean width of a delay's bounds.
 fn half_width(runs: &[&Loaded], stage: &str) -> Option<f64> {
     ["upload", "download"].contains(&stage).then_some(())?;
     let width =

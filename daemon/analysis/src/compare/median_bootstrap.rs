@@ -60,7 +60,7 @@ fn resampled(a: &Sample<'_>, b: &Sample<'_>, seed: u64, resamples: usize) -> Opt
     Some(Difference { value, interval: interval.flatten() })
 }
 
-/// A sample in a form that is quickly drawn from.
+/// Sample in a form from which resamples are drawn quickly.
 struct Group<'a> {
     sorted: &'a Ordered,
     median: f64,
@@ -69,7 +69,7 @@ struct Group<'a> {
 
 /// Run as prefix sums of the number of its values above the group's median, less the number that is expected there.
 struct Run {
-    /// Sums of the first pieces: none, one, two, …
+    /// Sums of the first 0, 1, 2, … pieces.
     sums: Vec<f64>,
     /// Mean length of a block, in pieces.
     block: f64,
@@ -175,13 +175,13 @@ mod tests {
 
     #[test]
     fn median_of_frequent_values_stays_among_them() {
-        // Every fifth is one more, every fifth one less; the rest is the median itself.
+        // Every fifth value is one more, every fifth one less; the rest is the median itself.
         let often = |add: f64| {
             (0..400).map(|n: i32| add + f64::from((n % 5).min(2) - 1).max(-1.0)).collect::<Vec<_>>()
         };
         let found = difference(&[often(0.0)], &[often(3.0)], 1).expect("values");
         assert_eq!((found.value, found.interval), (3.0, Some((3.0, 3.0))));
-        // With one value many times, and with an even count, whatever is drawn.
+        // A sample of equal values and one of an even count have the same median in every resample.
         let same = difference(&[vec![2.0; 40]], &[vec![3.5; 31]], 1).expect("values");
         assert_eq!((same.value, same.interval, same.is_distinct()), (1.5, Some((1.5, 1.5)), Some(true)));
     }

@@ -39,11 +39,10 @@ use crate::rows::{Rows, SKIPPED_STARTS};
 use crate::trust::Starts;
 use configuration::NOTHING;
 
-/// The columns of the paper's table that hold latencies; the last two are the sum of all stages, which the paper calls
-/// Total, and the measured total.
+/// Latency columns of the paper's table; the last two are the sum of all stages, which the paper calls Total, and the measured total.
 pub const LATENCIES: [&str; 6] = ["sensing", "upload", "inference", "download", "stages-total", "total"];
 
-/// The seed of the bootstrap where none is given: the same runs give the same figures.
+/// Default seed of the bootstrap, so that the same runs give the same figures.
 pub const SEED: u64 = 1;
 
 /// Share of iterations with a known delay below which a note is shown.
@@ -57,7 +56,7 @@ pub enum Repeats<'a> {
     Pooled,
     /// Each repeat is a line.
     Apart,
-    /// Pooled, but for these runs, numbers of what is given: they have a line of their own, beside the other repeats of their
+    /// Repeats are pooled, except for the runs with these indices: each of them has a separate line, next to the other repeats of its
     /// configuration.
     Beside(&'a [usize]),
 }
@@ -65,11 +64,11 @@ pub enum Repeats<'a> {
 /// Runs side by side.
 #[derive(Clone, Debug)]
 pub struct Comparison {
-    /// Names of the columns that tell the lines apart.
+    /// Names of the columns that distinguish the lines.
     pub axes: Vec<String>,
-    /// One for each configuration, in the order in which they came.
+    /// One line for each configuration, in the order of the input.
     pub lines: Vec<Line>,
-    /// The line with the smallest mean of [`by`](Self::by); `None` for a single line, or when none was measured.
+    /// Line with the smallest mean of [`by`](Self::by); `None` for a single line, or when none was measured.
     pub best: Option<usize>,
     /// Lines that do not differ from the best with 95 % confidence.
     pub ties: Vec<usize>,
@@ -85,7 +84,7 @@ pub struct Comparison {
     pub doubts: Vec<String>,
 }
 
-/// One configuration.
+/// Statistics of one configuration.
 #[derive(Clone, Debug)]
 pub struct Line {
     /// Labels that distinguish the line: as many as there are axes.
@@ -104,11 +103,11 @@ pub struct Line {
     pub misses: Option<Misses>,
     /// Starts that an open loop ordered, by their outcome; the rate is not needed here.
     pub starts: Starts,
-    /// The latencies in the order of [`LATENCIES`]; `None` where no iteration that counts has one.
+    /// Latencies in the order of [`LATENCIES`]; `None` if no iteration that counts has one.
     pub latencies: [Option<Latency>; LATENCIES.len()],
     /// Accuracies in the order of [`ACCURACIES`]; `None` where the right answers are not known.
     pub accuracies: [Option<Accuracy>; ACCURACIES.len()],
-    /// Samples that are neither right nor wrong, because their label is no class of the model.
+    /// Samples that are neither right nor wrong, because their label is not a class of the model.
     pub unknown_labels: Option<UnknownLabels>,
     /// Difference of its mean of [`by`](Comparison::by) to the best's; `None` for the best itself, or without a mean.
     pub beyond_best: Option<Difference>,
@@ -116,12 +115,12 @@ pub struct Line {
     deciding: Vec<Moments>,
 }
 
-/// A latency of a configuration, seconds.
+/// Latency of a configuration, seconds.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Latency {
     /// Mean over all iterations.
     pub mean: f64,
-    /// Their sample standard deviation; `None` below two.
+    /// Sample standard deviation; `None` below two values.
     pub std: Option<f64>,
     /// Number of iterations that have this value: less than the count of the line when the clocks were not related at times.
     pub count: u64,
@@ -214,23 +213,23 @@ impl Line {
         });
     }
 
-    /// An accuracy by its name in [`ACCURACIES`].
+    /// Returns an accuracy by its name in [`ACCURACIES`].
     pub fn accuracy(&self, name: &str) -> Option<Accuracy> {
         ACCURACIES.iter().position(|other| *other == name).and_then(|at| self.accuracies[at])
     }
 
-    /// A latency by its name in [`LATENCIES`].
+    /// Returns a latency by its name in [`LATENCIES`].
     pub fn latency(&self, name: &str) -> Option<Latency> {
         LATENCIES.iter().position(|other| *other == name).and_then(|at| self.latencies[at])
     }
 }
 
-/// A column's finite numbers in the rows that count, in order.
+/// Returns a column's finite numbers in the rows that count, in order.
 fn values(rows: &Rows, column: &str) -> Vec<f64> {
     rows.counted(column).filter(|value| Summary::accepts(*value)).collect()
 }
 
-/// Whether a comparison asks for a column: what `peernet_results::ResultFolder::open_columns` is to read.
+/// Returns whether a comparison needs a column, so that `peernet_results::ResultFolder::open_columns` reads it.
 pub fn is_compared(column: &str) -> bool {
     let bounds = ["upload-lo", "upload-hi", "download-lo", "download-hi"];
     let all = differences::STAGES.iter().chain(&LATENCIES).chain(&ACCURACIES).chain(&bounds);

@@ -23,7 +23,7 @@ pub use theil_sen::theil_sen;
 /// The confidence of every interval.
 pub const CONFIDENCE: f64 = 0.95;
 
-/// A point: what was set and what was measured.
+/// Point to fit: a value that was set and one that was measured.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Point {
     /// Value that was set.
@@ -32,19 +32,19 @@ pub struct Point {
     pub y: f64,
 }
 
-/// A figure with its 95 % confidence interval.
+/// Estimate with its 95 % confidence interval.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Estimate {
     /// The figure.
     pub value: f64,
-    /// Its standard error; `None` where the method has none.
+    /// Standard error; `None` if the method has none.
     pub standard_error: Option<f64>,
-    /// The interval's ends; `None` when there are too few points for one.
+    /// Ends of the interval; `None` when there are too few points for one.
     pub interval: Option<(f64, f64)>,
 }
 
 impl Estimate {
-    /// Half the interval's width, or more where the figure is not in its middle.
+    /// Returns half the interval's width, or more if the figure is not in its middle.
     pub fn margin(&self) -> Option<f64> {
         self.interval.map(|(lo, hi)| (hi - self.value).max(self.value - lo))
     }
@@ -55,7 +55,7 @@ impl Estimate {
     }
 }
 
-/// A line of best fit: `y = intercept + slope · x`.
+/// Line of best fit: `y = intercept + slope · x`.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Fit {
     /// Value of y at x = 0.
@@ -67,24 +67,24 @@ pub struct Fit {
 }
 
 impl Fit {
-    /// The line's value at `x`.
+    /// Returns the line's value at `x`.
     pub fn at(&self, x: f64) -> f64 {
         self.intercept.value + self.slope.value * x
     }
 }
 
-/// An interval of a rate that is wider than this share of it does not tell the rate.
+/// Width of a rate's interval, as a share of the rate, above which no rate is given.
 const TELLING: f64 = 0.5;
 
-/// Bits per second of a slope in seconds per byte, and the margin of its 95 % interval; `None` where the interval reaches
-/// zero or is wider than half the rate.
+/// Returns the bits per second of a slope in seconds per byte, and the margin of its 95 % interval; `None` if the interval reaches zero or
+/// is wider than half the rate.
 pub fn rate(slope: Estimate) -> Option<(f64, f64)> {
     let (flat, steep) = slope.interval.filter(|(flat, _)| *flat > 0.0)?;
     let [rate, low, high] = [slope.value, steep, flat].map(|slope| 8.0 / slope);
     (high - low <= TELLING * rate).then(|| (rate, (high - rate).max(rate - low)))
 }
 
-/// Whether there is a line to fit: three points, two places, all of them numbers.
+/// Returns whether a line can be fitted: at least three points with two different x, all of them numbers.
 fn fits(points: impl IntoIterator<Item = Point>) -> bool {
     let points: Vec<Point> = points.into_iter().collect();
     points.len() >= 3

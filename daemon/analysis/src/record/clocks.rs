@@ -26,17 +26,17 @@ pub struct ClockCounts {
     pub verdicts: BTreeMap<String, u64>,
     /// Number of delays by source of their clock relation.
     pub sources: BTreeMap<String, u64>,
-    /// Median width of the bounds, seconds; `None` where there are none.
+    /// Median width of the bounds, seconds; `None` without bounds.
     pub median_width: Option<f64>,
     /// Offset of the receiver's wall clock ahead of the sender's at the first message for which it is known.
     pub first_offset: Option<Bounded>,
-    /// The same at the last one.
+    /// Offset at the last such message.
     pub last_offset: Option<Bounded>,
     /// Average growth of that offset, seconds per second.
     pub skew: Option<Bounded>,
 }
 
-/// A value and the bounds that contain the true one.
+/// Value with the bounds that contain the true one.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default)]
 pub struct Bounded {
@@ -99,7 +99,7 @@ fn offset(passage: &Passage) -> Option<Bounded> {
 fn skew((from, first): (f64, Bounded), (to, last): (f64, Bounded)) -> Option<Bounded> {
     let seconds = to - from;
     let over = |change: f64| change / seconds;
-    // Where nobody wrote down when an iteration began it is 0.
+    // The start is 0 if it was not recorded.
     (from > 0.0 && seconds > 0.0).then(|| Bounded {
         value: over(last.value - first.value),
         lo: over(last.lo - first.hi),

@@ -26,17 +26,17 @@ pub const FORMAT: u32 = 1;
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default)]
 pub struct RunRecord {
-    /// [`FORMAT`]; 0 where there was no `run.json`.
+    /// Format of the record, [`FORMAT`]; 0 if there was no `run.json`.
     pub format: u32,
     /// The pipeline's name.
     pub name: String,
-    /// For people: the title of figures and tables.
+    /// Title of figures and tables.
     pub title: String,
     /// The run's id, as in a store.
     pub run: Option<RunId>,
-    /// When it began, on the edge's wall clock.
+    /// Start of the run, on the edge's wall clock.
     pub started: Option<DateTime<Utc>>,
-    /// When it ended.
+    /// End of the run.
     pub ended: Option<DateTime<Utc>>,
     /// Why it ended.
     pub reason: EndReason,
@@ -56,7 +56,7 @@ pub struct RunRecord {
     pub cloud: Option<HostRecord>,
     /// Place of the computation.
     pub placement: Placement,
-    /// The model; `None` where a sensor ran alone.
+    /// Model; `None` if a sensor ran alone.
     pub model: Option<ModelRecord>,
     /// Sensor, transforms, load and so on, as pairs for people.
     pub facts: Vec<(String, String)>,
@@ -64,13 +64,13 @@ pub struct RunRecord {
     pub pipeline: Value,
     /// The agent's other tables.
     pub agent: Value,
-    /// Its place in an experiment, if it belongs to one.
+    /// Position in an experiment, if it belongs to one.
     pub experiment: Option<ExperimentPlace>,
-    /// Which edge it was, where several asked at once.
+    /// Number of this edge, if several edges used the cloud at the same time.
     pub user: Option<User>,
     /// Time that a missing peer was to be waited for, before the run and during it; seconds.
     pub patience_s: Option<f64>,
-    /// Seeds of whatever was random, by what it is for.
+    /// Seeds of random quantities, by their purpose.
     pub seeds: BTreeMap<String, u64>,
     /// Which iterations are warm-up, in words.
     pub warm_up: String,
@@ -84,44 +84,44 @@ pub struct RunRecord {
     pub clocks: Clocks,
     /// Accuracy of the model, by column: `top-1`, `top-5`; empty if the right answers are not known.
     pub accuracy: BTreeMap<String, Accuracy>,
-    /// In what the columns are measured that the run logged beside the standard ones.
+    /// Units of the columns that the run logged in addition to the standard ones.
     pub units: Units,
     /// Judgement on whether the run can be published; `None` if it was not judged.
     pub trust: Option<trust::Report>,
 }
 
 impl RunRecord {
-    /// Whether nothing was computed: a sensor alone.
+    /// Returns whether nothing was computed: a sensor ran alone.
     pub fn is_sensor_alone(&self) -> bool {
         self.placement.is(PlacementKind::None)
     }
 }
 
-/// A file of devices, as it was when the command was typed.
+/// File of devices, as it was when the command was typed.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(default)]
 pub struct NetworkConfig {
-    /// Its path, as it was typed.
+    /// Path of the file, as it was typed.
     pub file: String,
-    /// All of it.
+    /// Content of the file.
     pub text: String,
 }
 
-/// One of several edges that ask one cloud at once.
+/// Number of an edge among several that use one cloud at the same time.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(default)]
 pub struct User {
-    /// From 1.
+    /// Number, from 1.
     pub number: u32,
     /// Number of users.
     pub of: u32,
 }
 
-/// A host that took part.
+/// Host that took part in a run.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default)]
 pub struct HostRecord {
-    /// For people.
+    /// Name for people.
     pub name: String,
     /// Decides.
     pub id: Option<HostId>,
@@ -139,7 +139,7 @@ pub struct HostRecord {
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default)]
 pub struct Placement {
-    /// `local`, `remote` or `none`; empty, or another word, in results of other programs.
+    /// Kind of placement: `local`, `remote` or `none`; empty, or another word, in results of other programs.
     pub kind: String,
     /// Kind of network, such as `zmq-tcp`, for a remote one.
     pub network: Option<String>,
@@ -158,7 +158,7 @@ impl Placement {
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(default)]
 pub struct ModelRecord {
-    /// Its name in the bank.
+    /// Name in the model bank.
     pub name: String,
     /// Device that it ran on.
     pub device: Option<String>,

@@ -12,7 +12,7 @@ fn starts_that_were_skipped_are_told_and_weighed() {
     let judged = |load: serde_json::Value, skipped: u64| {
         let record = RunRecord { pipeline: serde_json::json!({ "load": load }), ..RunRecord::default() };
         let mut rows = rows(quiet(1005));
-        // In the warm-up, before an answer and before none.
+        // One start in the warm-up, one before an answer and one before a missing answer.
         rows.change(|row| match row.iteration {
             3 => row.values.push(("skipped-starts".into(), 70.0)),
             10 => row.values.push(("skipped-starts".into(), skipped as f64 - 1.0)),
