@@ -44,7 +44,7 @@ pub struct DelaySum {
 impl DelaySum {
     /// Adds the delays of a second.
     pub fn add(&mut self, second: &DelaySecond) {
-        // A second with a verdict counts even without a delay.
+        // A judged second has at least the weight 1.
         let weight = u64::from(second.count.max(1));
         self.count += u64::from(second.count);
         // A negative delay is impossible, so it is left out.

@@ -1,4 +1,4 @@
-//! The Tabulated Metrics: what a run's columns come to.
+//! Summary of a run's columns: the Tabulated Metrics.
 
 mod scale;
 
@@ -16,9 +16,9 @@ use crate::trust::Starts;
 /// Summary of the columns of a run, without warm-up and iterations without an answer.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Summary {
-    /// For people.
+    /// Title for people.
     pub title: String,
-    /// One for each column that has a number in some row that counts, in the order of the file.
+    /// Summaries of the columns that have a number in some row that counts, in the order of the file.
     pub quantities: Vec<Quantity>,
     /// Number of iterations by how they ended.
     pub counts: Counts,
@@ -30,9 +30,9 @@ pub struct Summary {
     pub starts: Starts,
     /// Quality of the delays.
     pub clocks: Clocks,
-    /// Samples that are neither right nor wrong, because their label is no class of the model.
+    /// Samples that are neither right nor wrong, because their label is not a class of the model.
     pub unknown_labels: Option<UnknownLabels>,
-    /// In what the columns are measured that the run logged beside the standard ones.
+    /// Units of the columns that the run logged in addition to the standard ones.
     pub units: Units,
 }
 
@@ -45,18 +45,18 @@ pub struct Quantity {
     pub count: u64,
     /// Their mean.
     pub mean: f64,
-    /// Sample standard deviation; `None` below two.
+    /// Sample standard deviation; `None` below two numbers.
     pub std: Option<f64>,
     /// The median, as all quantiles by linear interpolation between neighbours (definition 7 of Hyndman and Fan 1996,
     /// numpy's default).
     pub median: f64,
-    /// `None` below 60 numbers.
+    /// 95th percentile; `None` below 60 numbers.
     pub p95: Option<f64>,
-    /// `None` below 300 numbers.
+    /// 99th percentile; `None` below 300 numbers.
     pub p99: Option<f64>,
     /// The largest.
     pub max: f64,
-    /// Contain the median of the true values; the upper one may be infinite. `None` where the column has no bounds.
+    /// Bounds that contain the median of the true values; the upper one may be infinite. `None` if the column has no bounds.
     pub bounds: Option<(f64, f64)>,
 }
 
@@ -101,19 +101,19 @@ impl Summary {
         self
     }
 
-    /// One column's; `None` where no row that counts has a number in it.
+    /// Returns the summary of one column; `None` if no row that counts has a number in it.
     pub fn quantity(&self, column: &str) -> Option<&Quantity> {
         self.quantities.iter().find(|quantity| quantity.column == column)
     }
 }
 
-/// Whether a column holds ends of another one's intervals.
+/// Returns whether a column contains ends of the intervals of another column.
 fn is_bound(column: &str) -> bool {
     column.ends_with("-throughput-lo") || column.ends_with("-throughput-hi")
 }
 
-/// The median of the lower ends and that of the upper ends: when each value lies between its ends, so does the median of
-/// the values between these two. `None` unless every value has ends.
+/// Returns the median of the lower ends and that of the upper ends: when each value lies between its ends, the median of the values lies
+/// between these two. `None` unless every value has ends.
 fn bounds(rows: &Rows, column: &str) -> Option<(f64, f64)> {
     let bounded = ["upload", "download", "upload-throughput", "download-throughput"];
     bounded.contains(&column).then_some(())?;

@@ -2,7 +2,7 @@
 
 use super::Table;
 
-/// Letters of which text fonts have none.
+/// Letters that the text fonts lack, with their commands.
 const GREEK: [(char, &str); 34] = [
     ('α', "alpha"),
     ('β', "beta"),
@@ -40,7 +40,7 @@ const GREEK: [(char, &str); 34] = [
     ('Ω', "Omega"),
 ];
 
-/// As wide as its columns, or as the page where that is less: names of any length fit.
+/// Scales a table down to the width of the page if it is wider, so that names of any length fit.
 const FIT: &str = "\\resizebox{\\ifdim\\width>\\linewidth \\linewidth\\else\\width\\fi}{!}{%";
 
 pub(super) fn table(table: &Table, caption: &str) -> String {
@@ -93,9 +93,9 @@ pub fn escape(text: &str) -> String {
     for char in text.chars() {
         match char {
             '&' | '%' | '$' | '#' | '_' | '{' | '}' => out.extend(['\\', char]),
-            // After the end of a row these would be its arguments.
+            // After the end of a row LaTeX would read these as its arguments.
             '[' | ']' | '*' => out.extend(['{', char, '}']),
-            // Two of them would be one dash, or one quotation mark.
+            // Two of them would become one dash, or one quotation mark.
             '-' | '\'' | ',' | '`' if before == char => out.extend(['{', '}', char]),
             '`' if matches!(before, '?' | '!') => out.push_str("{}`"),
             '\\' => out.push_str("\\textbackslash{}"),

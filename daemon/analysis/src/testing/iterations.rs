@@ -7,7 +7,7 @@ use peernet_stream::{Iteration, Outcome};
 /// 2026-11-20 12:54:53 UTC.
 pub(crate) const BEGUN: i64 = 1_795_179_293_000_000_000;
 
-/// A tree of the root alone.
+/// Returns a tree that has only a root.
 pub(crate) fn tree() -> Tree {
     let anchor = Anchor { host: HostId::from_bytes([7; 16]), wall: WallTime::from_unix_nanos(BEGUN) };
     Tree::new(stage::ITERATION, anchor)
@@ -23,7 +23,7 @@ pub(crate) fn timer(micros: i64) -> Measure {
     Measure::Timer(Some(Span::from_micros(micros)))
 }
 
-/// A message whose delay is known to 10 µs.
+/// Returns a message whose delay is known to 10 µs.
 pub(crate) fn transit(micros: i64) -> Measure {
     let (value, half) = (Span::from_micros(micros), Span::from_micros(10));
     let delay = OneWayDelay {

@@ -1,4 +1,4 @@
-//! Whether the starts that an open loop ordered took place.
+//! Judgement of the starts that an open loop ordered.
 
 use peernet_statistics::number::{counted, fixed};
 use serde::Deserialize;
@@ -9,21 +9,20 @@ use crate::rows::{Rows, SKIPPED_STARTS};
 #[derive(Clone, Copy, Debug, Default, PartialEq, Deserialize)]
 #[serde(default)]
 pub struct Load {
-    /// Starts per second, on average where they come at random; `None` in a closed loop, which waits for each answer.
+    /// Starts per second, on average if they are random; `None` in a closed loop, which waits for each answer.
     pub hz: Option<f64>,
 }
 
 /// Ordered starts by their outcome, warm-up left out.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Starts {
-    /// Starts per second that were ordered; `None` in a closed loop, and where it is not known.
+    /// Ordered starts per second; `None` in a closed loop, and if they are not known.
     pub hz: Option<f64>,
     /// Iterations that began.
     pub kept: u64,
     /// Starts that were skipped because the pipeline was too far behind.
     pub skipped: u64,
-    /// Starts that were made per second, from the first to the last, answered or not; `None` where their times are not
-    /// known.
+    /// Actual starts per second, from the first to the last, answered or not; `None` if their times are not known.
     pub made_hz: Option<f64>,
 }
 
@@ -40,7 +39,7 @@ impl Starts {
         }
     }
 
-    /// All that came due.
+    /// Returns the number of all ordered starts.
     pub const fn all(&self) -> u64 {
         self.kept + self.skipped
     }
@@ -53,7 +52,7 @@ impl Starts {
         (self.skipped > 0).then_some(told)
     }
 
-    /// The share that was skipped, 0 to 1.
+    /// Returns the share that was skipped, 0 to 1.
     pub fn skipped_share(&self) -> f64 {
         if self.all() == 0 { 0.0 } else { self.skipped as f64 / self.all() as f64 }
     }

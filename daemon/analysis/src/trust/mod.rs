@@ -35,16 +35,16 @@ use serde::{Deserialize, Serialize};
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Publish {
-    /// As they are.
+    /// The figures can be published as they are.
     Yes,
-    /// With what the sentences say beside them.
+    /// The figures can be published together with the remarks of the findings.
     WithRemarks,
-    /// Not before something was changed and the run repeated.
+    /// The figures cannot be published before something is changed and the run is repeated.
     No,
 }
 
 impl Publish {
-    /// `yes`, `with-remarks`, `no`: as in storage and in the API.
+    /// Returns `yes`, `with-remarks` or `no`: the name in storage and in the API.
     pub const fn name(self) -> &'static str {
         match self {
             Self::Yes => "yes",
@@ -90,7 +90,7 @@ impl Report {
         Self { verdict, sentences }
     }
 
-    /// The answer in a sentence, with how much speaks against it.
+    /// Returns the answer in a sentence, with the number of findings against publication.
     pub fn answer(&self) -> String {
         let count = |grade| self.sentences.iter().filter(|sentence| sentence.grade == grade).count();
         let things = |count| format!("{count} thing{}", if count == 1 { "" } else { "s" });
@@ -108,7 +108,7 @@ impl Report {
         }
     }
 
-    /// As the terminal shows it: the answer, then a line for each sentence, a sign before it and the advice below.
+    /// Returns the text for a terminal: the answer, then a line for each finding, with a sign before it and the advice below.
     pub fn text(&self) -> String {
         let mut lines = vec![format!("Can this run be published? {}", self.answer()), String::new()];
         for sentence in &self.sentences {
@@ -121,7 +121,7 @@ impl Report {
     }
 }
 
-/// The sign of a grade; the word that goes with it is the grade's name.
+/// Returns the sign of a grade; the corresponding word is the grade's name.
 const fn sign(grade: Grade) -> char {
     match grade {
         Grade::Good => '✓',

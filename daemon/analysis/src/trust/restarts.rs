@@ -13,7 +13,7 @@ pub struct Restarts {
     pub count: u64,
     /// Total time that the restarts took from them.
     pub seconds: f64,
-    /// Their numbers; empty where they are not known.
+    /// Numbers of the iterations; empty if they are not known.
     pub iterations: Vec<u64>,
 }
 
@@ -25,7 +25,7 @@ impl Restarts {
         ("actuator", stage::ACTUATION_RESTART, "actuation_actuation-restart"),
     ];
 
-    /// Whether the time is a part of `unattributed`: a model's is, the others' belongs to the stage that waited.
+    /// Returns whether the time is a part of `unattributed`: a model's is, the others' is part of the stage that waited.
     pub(super) fn is_beside_stages(&self) -> bool {
         self.whose == "model"
     }

@@ -1,4 +1,4 @@
-//! A duration over the time of a run.
+//! Statistics of a duration over the time of a run.
 
 use std::ops::Range;
 
@@ -9,7 +9,7 @@ use crate::order::Ordered;
 
 /// Iterations that count as a run's beginning, at least.
 const BEGINNING: u64 = 20;
-/// Most blocks that a run is cut into, of which the first is its beginning.
+/// Maximum number of blocks that a run is cut into; the first block is its beginning.
 const MOST_BLOCKS: u64 = 200;
 /// Change of the median between the halves, as a share of the first, that is mentioned.
 const DRIFT: f64 = 0.05;
@@ -20,7 +20,7 @@ const OUTLIER: f64 = 3.5;
 /// The deviation is at least this share of the median: the resolution of the stored quantiles.
 const FINEST: f64 = 0.01;
 
-/// A duration over the time of a run; seconds; successful iterations only, warm-up left out.
+/// Statistics of a duration over the time of a run; seconds; successful iterations only, warm-up left out.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct TimeSeries {
     /// Number of values.
@@ -57,7 +57,7 @@ pub struct Beginning {
 /// Values far above the others.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Outliers {
-    /// From where on a value counts as one, seconds.
+    /// Limit above which a value counts as an outlier, seconds.
     pub limit: f64,
     /// Number of outliers.
     pub count: u64,
@@ -67,7 +67,7 @@ pub struct Outliers {
     pub influence: f64,
 }
 
-/// A series with medians of its parts.
+/// Series with medians of its parts.
 trait Medians: Series {
     fn median(&self, range: Range<usize>) -> Option<f64>;
 }
@@ -131,13 +131,13 @@ impl TimeSeries {
         Some(Self { count, median, mean, outliers, ..Self::over_time(buckets) })
     }
 
-    /// The change of the median from the first half to the second, as a share of the first.
+    /// Returns the change of the median from the first half to the second, as a share of the first.
     pub fn change(&self) -> Option<f64> {
         let (first, second) = self.halves?;
         Some(if first > 0.0 { second / first - 1.0 } else { 0.0 })
     }
 
-    /// Whether that change is large enough to be mentioned, if it is more than chance: 5 %.
+    /// Returns whether that change is large enough to be mentioned, if it is more than chance: 5 %.
     pub fn has_moved(&self) -> bool {
         self.change().is_some_and(|share| share.abs() >= DRIFT)
     }
@@ -192,7 +192,7 @@ mod tests {
 
     #[test]
     fn values_and_their_summaries_tell_the_same() {
-        // A saw tooth with a tenth that is slow, and a slow beginning.
+        // The values are a saw tooth with a tenth of slow values, and a slow beginning.
         let value = |n: u32| {
             let slow = if n % 10 == 9 { 0.04 } else { 0.0 };
             let cold = if n < 30 { 0.02 } else { 0.0 };

@@ -1,4 +1,4 @@
-//! Everything by which a run is judged, from whatever source.
+//! Input of a run's judgement, from any source.
 
 use std::collections::BTreeMap;
 
@@ -15,10 +15,10 @@ use crate::rows::{LATENESS, Outcome, RowRef, Rows};
 /// Prefix of the fact of a run that says that a host's clock was made wrong on purpose.
 const REHEARSAL: &str = "Rehearsal";
 
-/// A row's message in one direction.
+/// Function that returns a row's message in one direction.
 type Way = fn(&RowRef<'_>) -> Option<Passage>;
 
-/// Everything by which a run is judged. A field whose value is unknown is empty.
+/// Input of a run's judgement. A field whose value is unknown is empty.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct TrustInput {
     /// Conditions of the hosts that were found before the run.
@@ -31,13 +31,13 @@ pub struct TrustInput {
     pub missing: Vec<Missing>,
     /// Reason that the run broke off: it neither finished nor was stopped.
     pub broken: Option<String>,
-    /// Whether it has no end yet.
+    /// `true` if it has no end yet.
     pub open: bool,
     /// Progress of the run, if it ended before its limit.
     pub ended_early: Option<EndedEarly>,
-    /// Whether the clock of a host was made wrong on purpose.
+    /// `true` if the clock of a host was made wrong on purpose.
     pub rehearsed: bool,
-    /// The whole of each iteration; a sensor's alone where nothing else is there. `None` without any.
+    /// Total of each iteration; that of the sensor if there is nothing else. `None` without any.
     pub total: Option<TimeSeries>,
     /// The stages, by name.
     pub stages: Vec<(String, TimeSeries)>,
@@ -51,20 +51,20 @@ pub struct TrustInput {
     pub clocks: Vec<Clocks>,
     /// Accuracy of the model, by column; empty if the right answers are not known.
     pub accuracy: BTreeMap<String, Accuracy>,
-    /// Samples that are neither, because their label is no class of the model.
+    /// Samples that are neither right nor wrong, because their label is not a class of the model.
     pub unknown_labels: Option<UnknownLabels>,
 }
 
 /// Number of iterations of a run by how they ended.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Counts {
-    /// With an answer, warm-up left out, as all below but `warm_up`.
+    /// Iterations with an answer. Warm-up is left out of all counts but `warm_up`.
     pub ok: u64,
     /// Sample or model failed.
     pub failed: u64,
     /// Will never be answered.
     pub lost: u64,
-    /// Not answered in time.
+    /// Iterations not answered in time.
     pub timeout: u64,
     /// Left out of statistics.
     pub warm_up: u64,
@@ -97,7 +97,7 @@ impl TrustInput {
     pub fn of_rows(rows: &Rows, conditions: &[Condition]) -> Self {
         let measured = || rows.iter().filter(|row| row.counts());
         let course = |column: &str| TimeSeries::of_values(&rows.counted(column).collect::<Vec<f64>>());
-        // Both of the same iterations: where a delay is not known neither is what is unattributed.
+        // Both sums cover the same iterations: if a delay is not known, the unattributed time is not known either.
         let explained = || measured().filter(|row| row.value(&stage::UNATTRIBUTED).is_some());
         let mean = |column: &str| {
             let values = || explained().filter_map(|row| row.value(column));
@@ -135,13 +135,13 @@ impl TrustInput {
         }
     }
 
-    /// With the reason for its end.
+    /// Adds the reason for the run's end.
     #[must_use]
     pub fn ended(self, reason: Option<&EndReason>) -> Self {
         Self { broken: reason.and_then(EndReason::failure).map(str::to_owned), ..self }
     }
 
-    /// With what the run's description says of rehearsals, labels and classes.
+    /// Adds the facts of the run's description about rehearsals, labels and classes.
     #[must_use]
     pub fn with_facts(self, facts: &[(String, String)]) -> Self {
         let rehearsed = facts.iter().any(|(fact, _)| {
@@ -158,7 +158,7 @@ impl Counts {
         self.ok + self.unanswered()
     }
 
-    /// Those that are not, because they had no answer.
+    /// Returns the number of iterations that have no answer.
     pub const fn unanswered(&self) -> u64 {
         self.failed + self.lost + self.timeout
     }

@@ -2,12 +2,12 @@
 
 use super::{Users, UsersLine};
 
-/// One configuration with different numbers of edges.
+/// Configuration with different numbers of edges.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Curve<'a> {
     /// Name that distinguishes the curve from the others, such as `s, cuda:0`; empty if there is only one.
     pub name: String,
-    /// Its points, the fewest edges first.
+    /// Points of the curve, the fewest edges first.
     pub points: Vec<&'a UsersLine>,
 }
 

@@ -27,21 +27,20 @@ pub fn jain(shares: &[f64]) -> Option<f64> {
 /// Results of configurations with one or many users.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Users {
-    /// Names of the columns that tell the lines apart.
+    /// Names of the columns that distinguish the lines.
     pub axes: Vec<String>,
-    /// One for each configuration, in the order in which they came.
+    /// One line for each configuration, in the order of the input.
     pub lines: Vec<UsersLine>,
 }
 
-/// One configuration. Seconds, answers per second.
+/// Results of one configuration. Seconds, answers per second.
 #[derive(Clone, Debug, PartialEq)]
 pub struct UsersLine {
     /// Labels that distinguish the configuration: as many as there are axes.
     pub labels: Vec<String>,
     /// Edges at once.
     pub edges: usize,
-    /// Answers per second of all edges together, on average over the repeats; `None` where they never measured at the
-    /// same time.
+    /// Answers per second of all edges together, on average over the repeats; `None` if they never measured at the same time.
     pub rate: Option<f64>,
     /// [`jain`] of the edges' rates, on average over the repeats.
     pub fairness: Option<f64>,
@@ -56,7 +55,7 @@ pub struct UsersLine {
 pub struct Share {
     /// Answers per second.
     pub rate: f64,
-    /// Median of its totals, seconds; `None` where none was measured.
+    /// Median of its totals, seconds; `None` if none was measured.
     pub median: Option<f64>,
 }
 
@@ -69,9 +68,9 @@ pub struct Totals {
     pub mean: Option<f64>,
     /// The median.
     pub median: Option<f64>,
-    /// `None` below 60.
+    /// 95th percentile; `None` below 60 totals.
     pub p95: Option<f64>,
-    /// `None` below 300.
+    /// 99th percentile; `None` below 300 totals.
     pub p99: Option<f64>,
 }
 
@@ -146,7 +145,7 @@ impl UsersLine {
         Self::new(labels, edges, &shares, totals)
     }
 
-    /// The rates of the edge that got the fewest and of the one that got the most, over all repeats.
+    /// Returns the lowest and the highest rate of an edge over all repeats.
     pub fn extremes(&self) -> Option<(f64, f64)> {
         let rates = self.shares.iter().map(|share| (share.rate, share.rate));
         rates.reduce(|(lo, hi), (a, b)| (lo.min(a), hi.max(b)))
@@ -154,7 +153,7 @@ impl UsersLine {
 }
 
 impl Share {
-    /// Returns what an edge got over the whole length of its run, warm-up and all; `None` of a run without length.
+    /// Returns the share of an edge over the whole length of its run, including warm-up; `None` for a run without length.
     pub fn of_run(answers: u64, seconds: f64, median: Option<f64>) -> Option<Self> {
         (seconds > 0.0).then(|| Self { rate: answers as f64 / seconds, median })
     }

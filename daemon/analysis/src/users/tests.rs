@@ -15,7 +15,7 @@ fn the_index_goes_from_one_nth_to_one() {
     assert_eq!((jain(&[]), jain(&[0.0])), (None, None));
 }
 
-/// An edge that asks `count` times from `from` on, every `each` seconds.
+/// Returns an edge that makes `count` requests from `from` on, one every `each` seconds.
 fn edge(labels: &[(&str, &str)], (name, from): (&str, f64), each: f64, count: u32, total: f64) -> Loaded {
     let row = |at: u32| Row {
         iteration: u64::from(at) + 1,
@@ -79,7 +79,7 @@ fn repeats_are_averaged() {
     assert_eq!((line.rate, line.fairness, line.extremes()), (Some(3.0), Some(0.75), Some((0.0, 4.0))));
 }
 
-/// The curves of configurations: name and numbers of edges.
+/// Returns the curves of configurations: name and numbers of edges.
 fn curves(axes: &[&str], lines: &[(&[&str], usize)]) -> Vec<(String, Vec<usize>)> {
     let owned = |all: &[&str]| all.iter().map(|one| (*one).to_owned()).collect::<Vec<_>>();
     let line =

@@ -5,13 +5,13 @@ use crate::loaded::Loaded;
 use crate::order::Ordered;
 use crate::rows::RowRef;
 
-/// The edges of each run, in the order in which they came: those of one repeat of one configuration of an experiment.
+/// Returns the edges of each run, in the order of the input: those of one repeat of one configuration of an experiment.
 pub(super) fn runs(edges: &[Loaded]) -> Vec<Vec<&Loaded>> {
     let mut runs: Vec<Vec<&Loaded>> = Vec::new();
     for edge in edges {
         let belongs = |run: &&mut Vec<&Loaded>| {
             let same = edge.record.experiment.is_some() && edge.record.experiment == run[0].record.experiment;
-            // A copy of an edge's results is no further edge.
+            // A copy of an edge's results is not a further edge.
             same && run.iter().all(|other| other.record.edge.name != edge.record.edge.name)
         };
         match runs.iter_mut().find(belongs) {
@@ -33,7 +33,7 @@ pub(super) fn shared(edges: &[&Loaded]) -> Option<(Vec<Share>, Vec<f64>)> {
     let to = rows.iter().map(last).collect::<Option<Vec<f64>>>()?.into_iter().reduce(f64::min)?;
     (to > from).then_some(())?;
     let is_alone = edges.len() == 1;
-    // One interval fewer than there are starts: the window begins with one and ends with one.
+    // The number of intervals is one less than the number of starts: the window begins with a start and ends with one.
     let within = |row: &RowRef<'_>| (from..to).contains(&row.at());
     let of = |rows: &Vec<RowRef<'_>>| {
         let totals = rows.iter().filter(|row| is_alone || within(row)).filter_map(|row| row.value("total"));

@@ -11,22 +11,22 @@ const NOTE: &str = "Counted while all edges of a run were measuring. Fairness is
                     are served alike, 1/n when one of n gets everything.";
 
 impl Users {
-    /// For the terminal.
+    /// Returns the text for a terminal.
     pub fn text(&self) -> String {
         format!("{}\n\n{NOTE}", self.table().text())
     }
 
-    /// For documents.
+    /// Returns Markdown.
     pub fn markdown(&self) -> String {
         format!("{}\n{NOTE}\n", self.table().markdown())
     }
 
-    /// For papers, with booktabs.
+    /// Returns LaTeX, with booktabs.
     pub fn latex(&self) -> String {
         self.table().latex(NOTE)
     }
 
-    /// For programs: seconds and answers per second, every digit.
+    /// Returns CSV for programs: seconds and answers per second, all digits.
     pub fn csv(&self) -> String {
         let mut header: Vec<&str> = self.axes.iter().map(String::as_str).collect();
         header.extend(["edges", "rate", "rate-least", "rate-most", "fairness", "count"]);

@@ -1,4 +1,4 @@
-//! Whether every answer was judged right or wrong, where some were.
+//! Judgement of the scores: some answers were scored as right or wrong and others were not.
 
 use peernet_statistics::number::fixed;
 use peernet_stream::Grade;
@@ -7,7 +7,7 @@ use super::{advise, iterations, percent, say};
 use crate::accuracy::Accuracy;
 use crate::trust::{Finding, TrustInput};
 
-/// A sentence where an accuracy is not that of all iterations; accuracies that lack as many share one.
+/// Returns a finding for each accuracy that is not of all iterations; accuracies that lack the same number share one.
 pub(super) fn sentences(input: &TrustInput) -> Vec<Finding> {
     let foreign = input.unknown_labels.as_ref().map_or(0, |unknown| unknown.count);
     // Name, how many lack a score for another reason than their label, of how many.

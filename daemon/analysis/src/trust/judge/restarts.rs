@@ -1,4 +1,4 @@
-//! Whether successful iterations waited for a process that had died before them.
+//! Judgement of restarts: successful iterations that waited for a process that had died before them.
 
 use peernet_statistics::number::fixed;
 use peernet_stream::Grade;
@@ -32,7 +32,7 @@ pub(super) fn sentences(input: &TrustInput) -> Vec<Finding> {
     input.restarts.iter().map(of).collect()
 }
 
-/// ` (numbers 9, 14)`; nothing where they are not known.
+/// Returns ` (numbers 9, 14)`; empty if the numbers are not known.
 fn named(numbers: &[u64]) -> String {
     if numbers.is_empty() {
         return String::new();
