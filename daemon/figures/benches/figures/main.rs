@@ -60,7 +60,7 @@ fn timed(what: &str, folder: &Path, work: &dyn Fn(&Path) -> Vec<PathBuf>) {
     println!("{what:28}  {seconds:>8.3}  {:>9.1}  {largest:>9.1}", peak_kib() as f64 / 1024.0);
 }
 
-/// The most memory that this process held so far, KiB.
+/// Returns the peak memory of this process so far, KiB.
 fn peak_kib() -> u64 {
     let status = std::fs::read_to_string("/proc/self/status").expect("Linux");
     let line = status.lines().find_map(|line| line.strip_prefix("VmHWM:")).expect("a peak");

@@ -11,15 +11,15 @@ pub enum Mark {
     Square,
     /// Diamonds on a line of long dashes.
     Diamond,
-    /// Crosses: where something is missing.
+    /// Cross, for missing data.
     Cross,
 }
 
 impl Mark {
-    /// Those of series, in the order in which they are taken.
+    /// Marks of series, in the order of their use.
     pub const ALL: [Self; 4] = [Self::Disc, Self::Triangle, Self::Square, Self::Diamond];
 
-    /// Dash and gap of its line, points; `None` for a solid one.
+    /// Returns dash and gap of its line, points; `None` for a solid one.
     pub const fn dash(self) -> Option<(f64, f64)> {
         match self {
             Self::Disc | Self::Cross => None,

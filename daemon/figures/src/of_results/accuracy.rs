@@ -12,7 +12,7 @@ use peernet_analysis::loaded::{Loaded, unknown_labels};
 use peernet_analysis::order::Ordered;
 use peernet_analysis::rows::RowRef;
 
-/// Whether the best class is the label.
+/// Column with the share of answers whose best class is the label.
 pub(super) const TOP_1: &str = ACCURACIES[0];
 /// Maximum number of points that a reader can distinguish.
 const MOST: usize = 24;

@@ -10,7 +10,7 @@ use peernet_analysis::summary::Scale;
 /// Beyond this nothing was measured: a year is 3·10⁷ s, and the fastest links carry 10¹⁵ bit/s.
 const LARGEST: f64 = 1e18;
 
-/// Whether a number has a place in a figure.
+/// Returns whether a number can be drawn in a figure.
 pub(super) fn is_drawable(value: f64) -> bool {
     value.abs() <= LARGEST
 }
@@ -25,7 +25,7 @@ pub(super) fn too_large<'a>(rows: impl Iterator<Item = RowRef<'a>>, columns: &[&
     })
 }
 
-/// A column's numbers that can be drawn, in the rows that count.
+/// Returns a column's numbers that can be drawn, in the rows that count.
 pub(super) fn values(rows: &Rows, column: &str) -> Ordered {
     rows.counted(column).filter(|value| is_drawable(*value)).collect()
 }
@@ -49,7 +49,7 @@ pub(super) fn unit(units: &Units, column: &str, what: &str) -> Unit {
     }
 }
 
-/// A column's name for people: `Upload throughput`.
+/// Returns a column's name for people: `Upload throughput`.
 pub(super) fn heading(column: &str) -> String {
     let words = column.replace(['-', '_'], " ");
     let mut chars = words.chars();
@@ -63,7 +63,7 @@ pub(super) fn account<'a>(rows: &(impl Iterator<Item = RowRef<'a>> + Clone), sho
     not_shown(rows, shown).map_or(n.clone(), |left| format!("{n} · {left}"))
 }
 
-/// The second half of that, where the counts stand elsewhere; `None` where nothing is left out.
+/// Returns the second half of the account, for figures whose counts are shown elsewhere; `None` if nothing is left out.
 pub(super) fn not_shown<'a>(
     rows: &(impl Iterator<Item = RowRef<'a>> + Clone),
     shown: usize,
@@ -95,7 +95,7 @@ fn listed(left: impl IntoIterator<Item = (usize, &'static str)>) -> Option<Strin
     (!left.is_empty()).then(|| format!("left out: {}", left.join(", ")))
 }
 
-/// A title and, behind it, whose it is.
+/// Returns a title followed by the name of its run.
 pub(super) fn titled(what: &str, whose: &str) -> String {
     if whose.is_empty() { what.to_owned() } else { format!("{what} · {whose}") }
 }

@@ -14,7 +14,7 @@ use peernet_analysis::record::RunRecord;
 use peernet_analysis::rows::Rows;
 use peernet_analysis::summary::Scale;
 
-/// Those of a run that it can have.
+/// Returns the published histograms that a run has the data for.
 pub(super) fn published(record: &RunRecord, rows: &Rows) -> Vec<Drawing> {
     let is_at = |kind| record.placement.is(kind);
     let remote = !is_at(PlacementKind::Local) && !is_at(PlacementKind::None);
@@ -30,7 +30,7 @@ pub(super) fn published(record: &RunRecord, rows: &Rows) -> Vec<Drawing> {
     drawings.collect()
 }
 
-/// The published ones, or that of one column.
+/// Returns the published histograms, or that of one column.
 pub(super) fn drawings(run: &Loaded, column: Option<&str>) -> Result<Vec<Drawing>, MissingData> {
     let Some(column) = column else { return Ok(published(&run.record, &run.rows)) };
     let histogram = histogram(&run.record, &run.rows, column, &heading(column));

@@ -19,7 +19,7 @@ pub enum MissingData {
     /// No answered iteration has a usable total.
     #[error("no iteration was answered with a total that can be drawn")]
     Total,
-    /// A column has no usable number.
+    /// The column has no usable number.
     #[error("no iteration that counts has a number that can be drawn in the column {0}")]
     Column(String),
     /// No iteration has a usable number in both columns.
@@ -46,7 +46,7 @@ pub enum MissingData {
         /// The column of lengths.
         x: String,
     },
-    /// All runs with the column are of one place.
+    /// All runs with the column have the same place.
     #[error(
         "it needs the {column} of runs in two places, such as a local and a remote one of the same model"
     )]

@@ -49,7 +49,7 @@ pub enum Kind {
     Totals,
     /// Accuracy of each configuration against its latency.
     Accuracy,
-    /// A model's latency here and there.
+    /// Latency of a model on the robot and in the cloud.
     Paired,
     /// Latency and throughput against payload.
     Payload,
@@ -72,7 +72,7 @@ impl Kind {
         Self::Users,
     ];
 
-    /// As on the command line.
+    /// Returns the name on the command line.
     pub const fn name(self) -> &'static str {
         match self {
             Self::Histograms => "histograms",
@@ -113,7 +113,7 @@ impl Kind {
     }
 }
 
-/// The columns that were asked for; else each kind takes its own.
+/// Columns that the user chose; without them each kind uses its default.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Columns {
     /// The horizontal axis: the column of a histogram or of a cumulative distribution, the length of a response.
@@ -122,27 +122,27 @@ pub struct Columns {
     pub y: Option<String>,
 }
 
-/// A figure that was not drawn.
+/// Error of a figure that was not drawn.
 #[derive(Debug, thiserror::Error)]
 pub enum PlotError {
     /// There is nothing in the results that it could show.
     #[error("cannot draw {kind}: {missing}", kind = .0.name(), missing = .1)]
     Lacking(Kind, #[source] MissingData),
-    /// A file cannot be written.
+    /// A file could not be written.
     #[error(transparent)]
     Write(#[from] WriteError),
 }
 
-/// Draws the six published histograms of a run, `sensing-time` to `download-throughput`, its `cumulative` distributions and its
-/// `series` into a folder, each as `.png`, `.svg`, `.pdf` and, with all that is to be said of it, `-caption.txt`; returns what was
-/// written. A run that sent nothing over a network has histograms of sensing and inference alone; one of which there are no values at
-/// all says so. A run without any total has neither `cumulative` nor `series`.
+/// Draws the six published histograms of a run, `sensing-time` to `download-throughput`, its `cumulative` distributions and its `series`
+/// into a folder, each as `.png`, `.svg`, `.pdf` and, with all notes, `-caption.txt`; returns the files that were written. A run that sent
+/// nothing over a network has only the histograms of sensing and inference; one without any values says so. A run without any total has
+/// neither `cumulative` nor `series`.
 ///
 /// # Errors
-/// When a file cannot be written.
+/// If a file cannot be written.
 pub fn of_run(record: &RunRecord, rows: &Rows, folder: &Path) -> Result<Vec<PathBuf>, WriteError> {
     let mut drawings = histograms::published(record, rows);
-    // Without a total there is no course of it.
+    // Without a total there is no distribution of it.
     drawings.extend(cumulative::drawings(record, rows, None).unwrap_or_default());
     drawings.extend(series::drawings(record, rows).unwrap_or_default());
     Ok(written::write(&drawings, folder)?.files)

@@ -350,7 +350,7 @@ fn edges_at_once_are_a_curve_for_each_model() {
         |curve: usize| figure.curves[curve].points.iter().map(|point| point.edges).collect::<Vec<_>>();
     assert_eq!((edges(0), edges(1)), (vec![1, 2], vec![1, 3]));
     let two = &figure.curves[0].points[1];
-    // Both asked equally often; the second waited a millisecond longer.
+    // Both edges have the same rate; the second one waited a millisecond longer.
     assert_eq!((two.fairness, two.each.len()), (Some(1.0), 2));
     assert!((two.each[1] - two.each[0] - 1e-3).abs() < 1e-9 && two.p95.is_some(), "{two:?}");
     assert!(two.each[0] < two.median && two.median < two.each[1], "{two:?}");

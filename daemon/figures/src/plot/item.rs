@@ -4,7 +4,7 @@ use super::path::Path;
 use crate::look::{Mark, Style, TextStyle};
 use crate::text;
 
-/// A place in a plot: shares of its width from the left and of its height from above, and points from there.
+/// Place in a plot: shares of its width from the left and of its height from the top, and an offset in points.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct At {
     /// Share from the left.
@@ -18,7 +18,7 @@ pub struct At {
 }
 
 impl At {
-    /// A place without a distance.
+    /// Returns a place without an offset.
     pub const fn new(x: f64, y: f64) -> Self {
         Self { x, y, dx: 0.0, dy: 0.0 }
     }
@@ -30,19 +30,19 @@ impl At {
     }
 }
 
-/// Point of a text that stands at its place.
+/// Point of a text that lies at its place.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Anchor {
-    /// Its beginning.
+    /// Beginning of the text.
     Start,
-    /// Its middle.
+    /// Middle of the text.
     Middle,
-    /// Its end.
+    /// End of the text.
     End,
 }
 
 impl Anchor {
-    /// As in SVG.
+    /// Returns the name in SVG.
     pub const fn name(self) -> &'static str {
         match self {
             Self::Start => "start",
@@ -52,12 +52,12 @@ impl Anchor {
     }
 }
 
-/// A line of text.
+/// Line of text.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Label {
-    /// Its place.
+    /// Place of the text.
     pub at: At,
-    /// From there to its baseline, in its type size: to the right and downwards.
+    /// Offset from there to its baseline, in its type size: to the right and downwards.
     pub shift: (f64, f64),
     /// Point of the text that lies at the place.
     pub anchor: Anchor,
@@ -65,40 +65,40 @@ pub struct Label {
     pub words: String,
     /// Look.
     pub style: TextStyle,
-    /// Width of the picture from which on a page shows it, rem; always where it is 0, never where it is `None`.
+    /// Minimum width of the picture at which a page shows it, rem; 0 for always, `None` for never.
     pub from: Option<u16>,
 }
 
-/// Downwards from a place to the baseline of text in the middle of whose capitals it lies.
+/// Distance from a place down to the baseline of text whose capitals have their middle at the place.
 const MIDDLE: f64 = 0.36;
 
 impl Label {
-    /// A text that begins at a place and whose middle has its height.
+    /// Returns a text that begins at a place and is vertically centred on it.
     pub fn new(at: At, words: impl Into<String>, style: TextStyle) -> Self {
         let words = words.into();
         Self { at, shift: (0.0, MIDDLE), anchor: Anchor::Start, words, style, from: Some(0) }
     }
 
-    /// The same with another point of it at its place.
+    /// Returns the same text with another point of it at its place.
     #[must_use]
     pub fn anchored(self, anchor: Anchor) -> Self {
         Self { anchor, ..self }
     }
 
-    /// The same so far from its place, in its type size, to the right and downwards to the baseline.
+    /// Returns the same text moved from its place, in its type size, to the right and downwards to the baseline.
     #[must_use]
     pub fn shifted(self, right: f64, down: f64) -> Self {
         Self { shift: (right, down), ..self }
     }
 
-    /// The same shown on pages only in pictures in which it takes at most this share of the width.
+    /// Returns the same text, shown only in pictures in which it takes at most this share of the width. This applies to pages.
     #[must_use]
     pub fn fits_within(self, share: f64) -> Self {
         let from = text::width_step(text::rem(&self.words) / share.max(1e-9));
         Self { from, ..self }
     }
 
-    /// Its left end, top, right end and bottom in points from its place, for a type size.
+    /// Returns its left end, top, right end and bottom in points from its place, for a type size.
     pub fn extent(&self, size: f64) -> [f64; 4] {
         let wide = text::width(&self.words, size);
         let left = match self.anchor {
@@ -120,14 +120,14 @@ pub enum Item {
         from: At,
         /// The corner across.
         to: At,
-        /// Least width and height in a file.
+        /// Minimum width and height in a file.
         least: (f64, f64),
         /// Look.
         style: Style,
     },
-    /// A straight line.
+    /// Straight line.
     Line {
-        /// One end.
+        /// One of the ends.
         from: At,
         /// The other.
         to: At,
@@ -136,43 +136,43 @@ pub enum Item {
     },
     /// Lines and areas of many points.
     Path {
-        /// Its course.
+        /// Path to draw.
         path: Path,
         /// Look.
         style: Style,
     },
-    /// A point.
+    /// Point with a mark.
     Mark {
-        /// Its middle.
+        /// Middle of the mark.
         at: At,
-        /// Its shape.
+        /// Shape of the mark.
         mark: Mark,
         /// Points.
         radius: f64,
         /// Look.
         style: Style,
     },
-    /// A text.
+    /// Line of text.
     Text(Label),
 }
 
 impl Item {
-    /// A rectangle of any size.
+    /// Returns a rectangle of any size.
     pub fn rect(from: At, to: At, style: Style) -> Self {
         Self::Rect { from, to, least: (0.0, 0.0), style }
     }
 
-    /// A straight line.
+    /// Returns a straight line.
     pub fn line(from: At, to: At, style: Style) -> Self {
         Self::Line { from, to, style }
     }
 
-    /// A path.
+    /// Returns a path.
     pub fn path(path: Path, style: Style) -> Self {
         Self::Path { path, style }
     }
 
-    /// A point.
+    /// Returns a point.
     pub fn mark(at: At, mark: Mark, radius: f64, style: Style) -> Self {
         Self::Mark { at, mark, radius, style }
     }

@@ -1,4 +1,4 @@
-//! Many values over time as few columns of pixels.
+//! Reduction of many values over time to few columns of pixels.
 
 use peernet_analysis::order::Ordered;
 

@@ -5,7 +5,7 @@ use peernet_analysis::order::Ordered;
 /// Fewest and most bins.
 const FEWEST: usize = 8;
 const MOST: usize = 60;
-/// Most values that are cut at an end: one in a hundred, or of fewer values three, but never more than one in eight.
+/// Limits of the values that are cut at an end: one in a hundred, or of fewer values three, but never more than one in eight.
 const RARE: usize = 100;
 const FEW: usize = 3;
 const FEW_OF: usize = 8;
@@ -28,9 +28,8 @@ pub struct Bins {
 }
 
 impl Bins {
-    /// Bins of the width of Freedman and Diaconis (1981), twice the interquartile range over the cube root of the
-    /// count, between 8 and 60 of them. The outliers of a tail that would squeeze the rest stay outside. `None` without a
-    /// finite value.
+    /// Returns bins of the width of Freedman and Diaconis (1981), twice the interquartile range over the cube root of the count, between 8
+    /// and 60 of them. The outliers of a tail that would squeeze the rest stay outside. `None` without a finite value.
     pub fn of(values: &Ordered) -> Option<Self> {
         let finite: Ordered = values.values().iter().copied().filter(|value| value.is_finite()).collect();
         let (lo, hi) = range(&finite)?;
@@ -40,7 +39,7 @@ impl Bins {
             1
         } else {
             let bins = (hi - lo) / (2.0 * middle_half / n.cbrt());
-            // All but a few values equal: there is no width to go by.
+            // If all but a few values are equal, the interquartile range gives no width.
             if bins.is_finite() { (bins.ceil() as usize).clamp(FEWEST, MOST) } else { MOST }
         };
         let width = if lo == hi { lo.abs().max(f64::MIN_POSITIVE) / 50.0 } else { (hi - lo) / count as f64 };
@@ -91,7 +90,7 @@ pub(in crate::drawing) fn range(all: &Ordered) -> Option<(f64, f64)> {
     // Ranks, not interpolated quantiles: those would be pulled by the very value that is to be cut.
     let (low, high) = (values[most], values[values.len() - 1 - most]);
     let width = high - low;
-    // All but a few values equal: there is no width to go by.
+    // If all but a few values are equal, there is no width to compare with.
     if most == 0 || width <= 0.0 || !width.is_finite() {
         return Some((lo, hi));
     }

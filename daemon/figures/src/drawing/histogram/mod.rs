@@ -17,7 +17,7 @@ use peernet_analysis::order::Ordered;
 /// Width of a plot in a file, in the type size of its labels.
 const EMS: f64 = 31.0;
 
-/// A histogram with its median and its 95th and 99th percentiles.
+/// Histogram with its median and its 95th and 99th percentiles.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Histogram {
     /// Title of the figure.

@@ -9,15 +9,15 @@ use crate::text::width;
 const TITLE: f64 = 13.5;
 /// Room below a plot without labels, points.
 const BELOW: f64 = 3.0;
-/// Between two plots, points.
+/// Distance between two plots, points.
 const BETWEEN: f64 = 5.0;
-/// Least distance of the marks of a vertical axis, so that their labels are apart, points.
+/// Minimum distance of the marks of a vertical axis, so that their labels do not overlap, points.
 const APART: f64 = 12.0;
-/// Most points that names at a vertical axis take.
+/// Maximum width of names at a vertical axis, points.
 pub const MOST_NAME: f64 = WIDTH * 0.47;
 /// Names that are closer to each other than this have small type, points.
 const CLOSE: f64 = 12.0;
-/// A plot is never lower, points.
+/// Minimum height of a plot, points.
 const LOWEST: f64 = 30.0;
 
 /// Area of a plot, points from the left and from above.
@@ -47,12 +47,12 @@ impl Area {
         self.top + self.height
     }
 
-    /// The strip above that is so high.
+    /// Returns the strip of the given height above.
     pub(super) fn above(&self, size: f64) -> Self {
         Self { top: self.top - STRIP_GAP - size, height: size, ..*self }
     }
 
-    /// The strip at the right that is so wide.
+    /// Returns the strip of the given width at the right.
     pub(super) fn beside(&self, size: f64) -> Self {
         Self { left: self.right() + STRIP_GAP, width: size, ..*self }
     }
