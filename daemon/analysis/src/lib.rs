@@ -1,4 +1,4 @@
-//! Everything that is computed from recorded iterations: fits, comparisons, verdicts, tables, studies.
+//! Analysis of recorded iterations: fits, comparisons, verdicts, tables, studies.
 //!
 //! ```text
 //! samples ── calibration (a study: fits, bounds, verdict) ── table   CSV, text, Markdown, LaTeX
@@ -7,7 +7,7 @@
 //!                     └─ accuracy, deadline, trust, slowness, summary
 //! ```
 //!
-//! Pure but for writing tables. Files of results are read and written by `peernet-results`, figures drawn by `peernet-figures`.
+//! Writing tables is the only I/O. Files of results are read and written by `peernet-results`, figures drawn by `peernet-figures`.
 
 pub mod accuracy;
 pub mod answer_length;

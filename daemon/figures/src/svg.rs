@@ -127,7 +127,7 @@ pub struct Writer {
     open: Vec<Tag>,
 }
 
-/// An element whose attributes are being written.
+/// Element whose attributes are being written.
 #[must_use = "an element ends with `leaf`, `open` or `words`"]
 pub struct Attributes<'a> {
     writer: &'a mut Writer,
@@ -192,7 +192,7 @@ impl Attributes<'_> {
         }
     }
 
-    /// Ends the element, which holds nothing.
+    /// Ends the element, which has no content.
     pub fn leaf(self) {
         if matches!(self.tag, Tag::Div | Tag::Li | Tag::Span | Tag::Ul) {
             // HTML reads `<span/>` as a span that is open.

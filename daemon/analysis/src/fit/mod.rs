@@ -1,15 +1,15 @@
-//! Straight lines through points, with how well they are known.
+//! Straight lines through points, with confidence intervals.
 //!
-//! Delays have long tails: a message that waited behind others is late by any amount and never early by much. What
-//! that means for a line of best fit:
+//! Delays have long tails: a message that waited behind others is late by any amount and never early by much. This has
+//! consequences for a line of best fit:
 //!
-//! * [`least_squares`] over single delays is pulled by every late one, by its square, and its standard errors hold for
-//!   a bell-shaped error alone. Over *medians*, each weighted by how well it is known, it is sound: medians of many
-//!   samples are nearly normal whatever the tail (the central limit theorem of order statistics), a large message's
-//!   wider scatter gets its smaller weight, and since the scale of the errors is taken from the residuals, a delay that
-//!   is not quite linear in size makes the intervals wider instead of going unseen.
-//! * [`theil_sen`] takes the median of the slopes of all pairs: up to 29 % of the points may be arbitrarily wrong, and
-//!   its intervals ask nothing of the distribution but that deviations from the line are alike.
+//! * [`least_squares`] over single delays depends on every late one by its square, and its standard errors are only valid
+//!   for normal errors. Over *medians*, each weighted by its precision, it is valid: medians of many samples are nearly
+//!   normal with any tail (the central limit theorem of order statistics), and the medians of large messages, which vary
+//!   more, have smaller weights. The scale of the errors is estimated from the residuals, so a delay that is not quite
+//!   linear in size makes the intervals wider.
+//! * [`theil_sen`] computes the median of the slopes of all pairs: up to 29 % of the points may be arbitrarily wrong, and
+//!   its intervals only assume that deviations from the line have the same distribution.
 
 mod least_squares;
 mod means;

@@ -1,4 +1,4 @@
-//! "Can I publish this run?": what was seen before, during and after a run, in plain sentences.
+//! "Can I publish this run?": the facts from before, during and after a run that bear on the answer, in plain sentences.
 //!
 //! ```text
 //! rows (crate::rows) ──┐

@@ -1,4 +1,4 @@
-//! Many users of one cloud at once: latency against their number, and how evenly they are served.
+//! Statistics of many users of one cloud at the same time: latency against their number, and fairness.
 //!
 //! ```text
 //! Loaded ── together ── of ──┐

@@ -12,7 +12,7 @@ use peernet_analysis::loaded::{Loaded, unknown_labels};
 use peernet_analysis::order::Ordered;
 use peernet_analysis::rows::RowRef;
 
-/// Column with the share of answers whose best class is the label.
+/// Column that is 1 if the best class is the label, else 0.
 pub(super) const TOP_1: &str = ACCURACIES[0];
 /// Maximum number of points that a reader can distinguish.
 const MOST: usize = 24;

@@ -13,13 +13,13 @@ use crate::scale::Tick;
 use crate::svg::{Em, Share, Tag, Writer};
 use crate::text::{rem, width_step};
 
-/// From the top of a plot downwards to the baseline of a remark above it, and of one inside because labels stand above; in the type
+/// Distance from the top of a plot downwards to the baseline of a remark above it, and of a remark inside if labels are above; in the type
 /// size.
 const REMARK: [f64; 2] = [-0.4, 0.9];
-/// A label this near to an end of a plot without room at its sides would reach over it.
+/// Distance from an end of a plot, as a share, below which a label would extend beyond a plot without room at its sides.
 const END: f64 = 0.04;
 
-/// Draws a plot with its axes; `class` names its grid in the style sheet, `words` say what it shows.
+/// Draws a plot with its axes; `class` is its grid in the style sheet, `words` describe it for screen readers.
 pub fn plot(plot: &Plot, class: &str, words: &str) -> String {
     let mut svg = Writer::default();
     svg.element(Tag::Div).set("class", class).set("role", "img").set("aria-label", words).open();
@@ -59,8 +59,8 @@ pub fn plot(plot: &Plot, class: &str, words: &str) -> String {
     svg.finish()
 }
 
-/// Draws items alone in one picture, such as a bar or a sparkline. Without words it is hidden from screen readers: the text beside
-/// it says the same.
+/// Draws items without axes in one picture, such as a bar or a sparkline. Without words it is hidden from screen readers, for pictures
+/// whose content is in the text beside them.
 pub fn picture(drawn: &[Item], class: &str, words: &str) -> String {
     let mut svg = Writer::default();
     let picture = svg.element(Tag::Svg).set("class", class);
@@ -80,14 +80,14 @@ pub fn paths(drawn: &[Item], class: &str) -> String {
     svg.finish()
 }
 
-/// Draws labels in a row above bars or below a plot. Where they would touch, every second one is shown.
+/// Draws labels in a row above bars or below a plot. If they would touch, every second one is shown.
 pub fn axis(class: &str, ticks: &[Tick]) -> String {
     let mut svg = Writer::default();
     row(&mut svg, class, &ticks.iter().map(|tick| (Anchor::Middle, tick)).collect::<Vec<_>>());
     svg.finish()
 }
 
-/// The same for a picture that has no room at its sides: labels at its ends stand inside.
+/// Draws the same row for a picture that has no room at its sides: labels at its ends are inside.
 pub fn axis_within(class: &str, ticks: &[Tick]) -> String {
     let anchor = |tick: &Tick| match tick.at {
         left if left < END => Anchor::Start,
@@ -145,7 +145,7 @@ fn row(svg: &mut Writer, class: &str, labels: &[(Anchor, &Tick)]) {
     };
     hidden(svg, Tag::Svg, &format!("axisrow {class}")).open();
     for (index, this) in labels.iter().enumerate() {
-        // Each goes with all others that are divisible by the same power of two.
+        // A label is hidden together with all others whose index is divisible by the same power of two.
         let stride = if index == 0 { labels.len() } else { 1 << index.trailing_zeros() };
         let before = index.checked_sub(stride).and_then(|other| labels.get(other));
         let after = labels.get(index + stride);

@@ -76,7 +76,7 @@ impl Places {
         let between = BETWEEN * figure.plots.len().saturating_sub(1) as f64;
         let fixed: f64 = figure.plots.iter().map(|plot| fixed(plot.height)).sum();
         let rest = figure.plots.iter().filter(|plot| plot.height == Height::Rest).count();
-        // A figure has its height, and more for every plot of a height of its own beside others.
+        // A figure has its standard height, plus the heights of plots with a fixed height if there are others.
         let content = if rest > 0 || figure.plots.is_empty() {
             let others: f64 = figure.plots.iter().filter(|plot| plot.height != Height::Rest).map(own).sum();
             HEIGHT + others
@@ -116,14 +116,14 @@ fn above(plot: &Plot) -> f64 {
     title + strip + plot.lines_above as f64 * (SMALL + 1.5)
 }
 
-/// Height of labels and title of the horizontal axis.
+/// Returns the height of labels and title of the horizontal axis.
 fn below(plot: &Plot) -> f64 {
     let labels = if has_labels(plot) { LINE } else { 0.0 };
     let title = if plot.x.title.is_empty() { 0.0 } else { LINE };
     BELOW + labels * lines(plot) as f64 + title
 }
 
-/// Returns true if the horizontal axis has labels: those of several plots stand below the lowest.
+/// Returns whether the horizontal axis has labels: of several plots only the lowest has them.
 fn has_labels(plot: &Plot) -> bool {
     match &plot.x.marks {
         Marks::Round(_) => true,
@@ -139,12 +139,12 @@ pub(super) fn lines(plot: &Plot) -> usize {
     }
 }
 
-/// The marks of the vertical axis of a plot of a height: a low one has fewer.
+/// Returns the marks of the vertical axis of a plot of a height: a low one has fewer.
 pub(super) fn rows(plot: &Plot, height: f64) -> Vec<Tick> {
     plot.y.ticks(((height / APART) as usize).clamp(1, 5))
 }
 
-/// Type size of the labels of the vertical axis.
+/// Returns the type size of the labels of the vertical axis.
 pub(super) fn row_size(plot: &Plot) -> f64 {
     let Marks::Names(ticks) = &plot.y.marks else { return TEXT };
     let is_close = matches!(plot.height, Height::Points(height) if height < ticks.len() as f64 * CLOSE);
@@ -152,7 +152,7 @@ pub(super) fn row_size(plot: &Plot) -> f64 {
     if is_close || is_long { SMALL } else { TEXT }
 }
 
-/// Width of the labels of the vertical axis with what parts them from it.
+/// Returns the width of the labels of the vertical axis, with their distance from it.
 fn gutter(plot: &Plot) -> f64 {
     let size = row_size(plot);
     let ticks = rows(plot, if let Height::Points(points) = plot.height { points } else { HEIGHT / 2.0 });

@@ -140,7 +140,7 @@ pub(super) fn label(svg: &mut Writer, label: &Label) {
     }
 }
 
-/// Its class, and what stands for a number.
+/// Adds its class, and the attributes that represent a number.
 fn styled<'a>(element: Attributes<'a>, style: &Style) -> Attributes<'a> {
     let opacity = style.fill.map(|fill| fill.opacity).filter(|opacity| *opacity < 1.0);
     element.set("class", &*style.class).some("fill-opacity", opacity)
