@@ -8,9 +8,9 @@ pub const LATENCY: &str = "inference";
 const ANSWER: &str = "download-bytes";
 /// Suffix of the names of quantities that count tokens.
 const TOKENS: &str = "tokens";
-/// Names with one of these words count what was asked.
+/// Words in the names of quantities that count the question and not the answer.
 const ASKED: [&str; 2] = ["prompt", "input"];
-/// The longest answer is at least so much longer than the shortest, or its length is not what matters.
+/// Minimum ratio of the longest to the shortest answer; below it the length does not explain the latency.
 const VARIED: f64 = 1.5;
 
 /// Returns the name of the quantity that is the length of an answer. Among the names that count tokens it is the first one by name, those

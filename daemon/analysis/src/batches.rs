@@ -1,8 +1,8 @@
-//! Batches of values that follow upon one another.
+//! Batches of consecutive values.
 //!
-//! Latencies that follow upon one another are alike: a queue empties slowly, a processor stays warm. Batches that are longer than
-//! what neighbours have in common are nearly independent, which single values are not (non-overlapping batch means, Schmeiser,
-//! *Batch size effects in the analysis of simulation output*, Operations Research 30, 1982).
+//! Consecutive latencies are correlated: a queue empties slowly, a processor stays warm. The means of batches that are longer than this
+//! correlation are nearly independent, unlike single values (non-overlapping batch means, Schmeiser, *Batch size effects in the analysis of
+//! simulation output*, Operations Research 30, 1982).
 
 use std::ops::Range;
 
@@ -19,13 +19,13 @@ pub(crate) trait Series {
     /// Returns the number of places.
     fn places(&self) -> usize;
 
-    /// Returns how many values there are at a place.
+    /// Returns the number of values at a place.
     fn count(&self, at: usize) -> u64;
 
     /// Returns the sum of the values at a place.
     fn sum(&self, at: usize) -> f64;
 
-    /// Returns how many values there are at all places.
+    /// Returns the number of values at all places.
     fn total_count(&self) -> u64 {
         (0..self.places()).map(|at| self.count(at)).sum()
     }

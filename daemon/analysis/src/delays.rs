@@ -1,4 +1,4 @@
-//! One-way delays and round trips of several seconds as one: verdict, median, smallest.
+//! Summary of one-way delays and round trips over several seconds: verdict, median, smallest.
 
 use peernet_clock::{Span, Verdict};
 use peernet_stream::{DelayPoint, DelaySecond, RoundTrip};
@@ -56,7 +56,7 @@ impl DelaySum {
         }
     }
 
-    /// Returns how many delays were judged.
+    /// Returns the number of judged delays.
     pub fn count(&self) -> u64 {
         self.count
     }

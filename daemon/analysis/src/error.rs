@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-/// A file of results that could not be written.
+/// Error of writing a file of results.
 #[derive(Debug, thiserror::Error)]
 #[error("cannot write {}: {reason}", path.display())]
 pub struct WriteError {

@@ -9,7 +9,7 @@ use crate::record::{Counts, RunRecord};
 use crate::rows::Rows;
 use crate::run_trust_input::cut_short;
 
-/// The reason for the end of a run whose rows are there and whose record, which is written last, is not.
+/// Reason for the end of a run that has rows but no record. The record is written last.
 pub const NO_RECORD: &str =
     "there is no run.json: the run is under way or was killed, or data.csv came here alone";
 

@@ -52,7 +52,7 @@ impl RunState {
     }
 }
 
-/// The name, and why a run failed.
+/// Writes the name, and the reason if the run failed.
 impl fmt::Display for RunState {
     fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {

@@ -36,7 +36,7 @@ pub struct SensorStudy {
     pub jitter_median: f64,
     /// The longest time without a sample, failed iterations included.
     pub longest_gap: f64,
-    /// The iteration that ended it.
+    /// Iteration that ended this gap.
     pub longest_gap_at: u64,
     /// Median time from asking for a sample to having it.
     pub sensing: f64,

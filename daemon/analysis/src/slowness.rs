@@ -88,7 +88,7 @@ impl Medians {
         Some(both_ways(self.median(&stage::TOTAL)?, others, self.median(&stage::UNATTRIBUTED)?))
     }
 
-    /// Returns how many times the run's median a total is.
+    /// Returns the ratio of a total to the run's median.
     pub fn factor(&self, total: Option<f64>) -> Option<f64> {
         let median = self.median(&stage::TOTAL).filter(|median| *median > 0.0)?;
         Some(total? / median)

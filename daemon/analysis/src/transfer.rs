@@ -74,7 +74,7 @@ impl Transfers {
 mod tests {
     use super::*;
 
-    /// A small, fast message and a large, slow one, as (bytes, seconds).
+    /// Small, fast message and large, slow one, as (bytes, seconds).
     const MESSAGES: [(f64, f64); 2] = [(2e3, 1e-6), (122e3, 3.58e-3)];
 
     fn means(name: &Name) -> Option<(u64, f64)> {

@@ -1,4 +1,4 @@
-//! Figures: what `peernet-analysis` found, drawn for pages and files.
+//! Figures of the results of `peernet-analysis`, drawn for pages and files.
 //!
 //! ```text
 //! Loaded, Loaded, … ── of_results ─────┐

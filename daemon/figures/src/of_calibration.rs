@@ -11,11 +11,11 @@ use peernet_analysis::WriteError;
 use peernet_analysis::calibration::{DirectionStudy, SizeSummary, Study};
 use peernet_analysis::fit::rate;
 
-/// Draws `latency` and `throughput` of a study as `.png`, `.svg`, `.pdf` and `-caption.txt` into a folder that is there; returns what was written.
-/// Figures of nothing are left out.
+/// Draws `latency` and `throughput` of a study as `.png`, `.svg`, `.pdf` and `-caption.txt` into an existing folder; returns the files that
+/// were written. Figures without data are left out.
 ///
 /// # Errors
-/// When a file cannot be written.
+/// If a file cannot be written.
 pub fn draw_calibration(study: &Study, folder: &Path) -> Result<Vec<PathBuf>, WriteError> {
     let mut written = Vec::new();
     for (stem, figure) in [("latency", latency(study)), ("throughput", throughput(study))] {

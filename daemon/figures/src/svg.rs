@@ -154,7 +154,7 @@ impl Writer {
         escape(&mut self.out, text);
     }
 
-    /// Writes what another writer made.
+    /// Appends the content of another writer.
     pub fn append(&mut self, other: Self) {
         self.out.push_str(&other.finish());
     }

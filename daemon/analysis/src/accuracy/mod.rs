@@ -14,7 +14,7 @@ use crate::rows::{RowRef, Rows};
 /// Names of the accuracy columns: a row has 1 if the labelled class was the first answer, or among the first five, else 0.
 pub const ACCURACIES: [&str; 2] = ["top-1", "top-5"];
 
-/// The share of iterations in which a model was right, from 0 to 1.
+/// Share of iterations in which a model was right, from 0 to 1.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Accuracy {
     /// The share.

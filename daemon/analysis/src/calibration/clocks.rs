@@ -13,9 +13,9 @@ pub struct Clocks {
     pub seconds: u64,
     /// Number of times that either clock was stepped, drifted faster than allowed, or was a different clock after the peer had been away.
     pub steps: u64,
-    /// The clocks that were related, by the last second.
+    /// Clocks that were related, by the last second.
     pub clocks: Option<RelatedClocks>,
-    /// The limit of drift that all bounds rest on, parts per million.
+    /// Limit of drift that all bounds assume, parts per million.
     pub max_drift_ppm: Option<f64>,
     /// Assumed limit of the rate at which the drift changes, parts per million per second; `None` without a limit.
     pub max_drift_change_ppm_per_s: Option<f64>,

@@ -10,7 +10,7 @@ use crate::Passage;
 use crate::fit::{Estimate, Fit, Point, Weighted, least_squares, theil_sen};
 use crate::order::{Ordered, Z95};
 
-/// No median is known better than a clock is read: a tenth of a microsecond.
+/// Resolution of a clock, a tenth of a microsecond: the minimum error of a median.
 const CLOCK_READ: f64 = 1e-7;
 
 /// Statistics of one direction of the link.

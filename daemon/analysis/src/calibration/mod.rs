@@ -58,7 +58,7 @@ pub struct Setting {
 /// Number of iterations by how they ended.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct Counts {
-    /// Answered, warm-up left out: what everything below rests on.
+    /// Answered iterations, warm-up left out: the input of all results below.
     pub measured: u64,
     /// Warm-up.
     pub warm_up: u64,
@@ -104,10 +104,10 @@ impl Study {
         Self { failures: Failures::of(&samples), setting, counts, clocks, up, down, verdict, samples }
     }
 
-    /// Writes `samples.csv`, `summary.csv` and `calibration.json` into a folder that is there; returns what was written.
+    /// Writes `samples.csv`, `summary.csv` and `calibration.json` into an existing folder; returns the files that were written.
     ///
     /// # Errors
-    /// When a file cannot be written.
+    /// If a file cannot be written.
     pub fn write(&self, folder: &Path) -> Result<Vec<PathBuf>, WriteError> {
         let written =
             vec![folder.join("samples.csv"), folder.join("summary.csv"), folder.join("calibration.json")];

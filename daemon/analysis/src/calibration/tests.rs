@@ -16,7 +16,7 @@ const HALF: f64 = 50e-6;
 /// Parameters in which a simulated link differs from a good one.
 #[derive(Clone, Copy)]
 struct Link {
-    /// Error of the estimate within its bounds or beyond: added upwards, taken off downwards.
+    /// Error of the estimate within its bounds or beyond them: added to upload, subtracted from download.
     wrong: f64,
     /// Offset of the raw stamps.
     raw: f64,
@@ -29,7 +29,7 @@ struct Link {
 const GOOD: Link =
     Link { wrong: 0.0, raw: 1.0, bend: 0.0, verdict: Delay::Limited, source: DelaySource::InBand };
 
-/// Waiting behind others: skewed, with every tenth message late by up to ten times as much; from 0 to 1 steps.
+/// Returns the queueing time of a message: skewed, with every tenth message late by up to ten times as much; from 0 to 1 steps.
 fn waiting(number: u64) -> f64 {
     let random = (number.wrapping_mul(0x9e37_79b9_7f4a_7c15) >> 11) as f64 / (1_u64 << 53) as f64;
     let late = if number % 10 == 3 { 300e-6 } else { 0.0 };

@@ -12,11 +12,11 @@ use crate::fit::{Estimate, Fit};
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Kind {
-    /// The intercepts lie within what the clock bounds allow.
+    /// The intercepts lie within the clock bounds.
     Trusted,
     /// Both ends read one clock, so the delays have no clock error.
     Exact,
-    /// An intercept lies outside.
+    /// An intercept lies outside of the clock bounds.
     Contradicted,
     /// The intercepts are less certain than the bounds that they would be compared with.
     Inconclusive,

@@ -1,4 +1,4 @@
-//! The best line, and how far the others are from it.
+//! Best line, and the differences of the others to it.
 
 use peernet_sample::printable_line;
 use peernet_statistics::number::column_decimals;

@@ -12,7 +12,7 @@ const LONG: usize = 120;
 /// Something that differs: its name and the label of each configuration.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Column {
-    /// Name of what differs.
+    /// Name of the fact.
     pub axis: String,
     /// Label of each configuration.
     pub labels: Vec<String>,
@@ -23,7 +23,7 @@ pub struct Column {
 pub struct ChosenColumns {
     /// Columns that distinguish the configurations.
     pub columns: Vec<Column>,
-    /// The others.
+    /// Columns that differ and were not chosen.
     pub rest: Vec<Column>,
 }
 

@@ -15,7 +15,7 @@ const IMPLIED: [&str; 6] = ["model", "device", "task", "input", "labels", "class
 /// Maximum number of labels of one group that are written side by side.
 const MOST_TOGETHER: usize = 3;
 
-/// The configurations of some runs.
+/// Configurations of runs.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Configurations {
     /// Names of the columns that distinguish the runs.

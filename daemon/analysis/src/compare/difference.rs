@@ -11,10 +11,10 @@ pub const MIN_VALUES: usize = 30;
 /// Fewest batches on each side that an interval is computed from.
 pub const MIN_BATCHES: usize = 5;
 
-/// A difference with its 95 % confidence interval.
+/// Difference with its 95 % confidence interval.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Difference {
-    /// The second less the first.
+    /// Second value minus the first.
     pub value: f64,
     /// Ends of the interval; `None` if there are too few values.
     pub interval: Option<(f64, f64)>,
@@ -85,7 +85,7 @@ impl MeanEstimate {
         self.mean
     }
 
-    /// Returns how many batches the interval of a difference would be computed from.
+    /// Returns the number of batches that the interval of a difference would be computed from.
     pub fn batches(&self) -> usize {
         self.batches.len()
     }

@@ -28,7 +28,7 @@ pub struct Differences {
     pub baseline: String,
     /// Name of the line that is compared with it.
     pub other: String,
-    /// The stages that both have.
+    /// Stages that both lines have.
     pub stages: Vec<StageDifference>,
 }
 
@@ -39,11 +39,11 @@ pub struct StageDifference {
     pub stage: String,
     /// Mean of the baseline and of the other.
     pub means: (f64, f64),
-    /// The other's less the baseline's.
+    /// Mean of the other line minus the baseline's.
     pub mean: Difference,
     /// Median of the baseline and of the other.
     pub medians: (f64, f64),
-    /// The other's less the baseline's.
+    /// Median of the other line minus the baseline's.
     pub median: Difference,
     /// Error of the difference beyond its interval, because the offset of the hosts' clocks is only known within bounds: half the mean
     /// width of both lines' bounds together. `None` for stages that one clock measured.

@@ -14,7 +14,7 @@ const RESAMPLES: usize = 2000;
 /// length.
 const PIECES: usize = 2000;
 
-/// Values of runs that are taken together, each run's in the order in which they were measured.
+/// Values of pooled runs, each run's in the order in which they were measured.
 pub(super) struct Sample<'a> {
     runs: &'a [Vec<f64>],
     sorted: Ordered,

@@ -51,7 +51,7 @@ const NEARLY_ALL: f64 = 0.95;
 /// Treatment of repeats of one configuration.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Repeats<'a> {
-    /// Their iterations are taken together, in one line: the paper's table.
+    /// Repeats are pooled into one line, as in the paper's table.
     #[default]
     Pooled,
     /// Each repeat is a line.
@@ -89,11 +89,11 @@ pub struct Comparison {
 pub struct Line {
     /// Labels that distinguish the line: as many as there are axes.
     pub labels: Vec<String>,
-    /// The results that are taken together, as numbers of what was given.
+    /// Indices of the results in this line.
     pub runs: Vec<usize>,
     /// Number of runs. Edges that were measured at the same time belong to one run.
     pub repeats: usize,
-    /// The most edges that were measured at once.
+    /// Maximum number of edges that were measured at the same time.
     pub edges: usize,
     /// Number of iterations that count.
     pub count: u64,
@@ -127,7 +127,7 @@ pub struct Latency {
 }
 
 impl Comparison {
-    /// Compares runs; repeats are taken together.
+    /// Compares runs; repeats are pooled.
     pub fn of(runs: &[Loaded]) -> Self {
         Self::with(runs, Repeats::Pooled)
     }
@@ -179,7 +179,7 @@ impl Line {
     }
 
     fn fill(&mut self, runs: &[Loaded], by: &str) {
-        // Which repeat each is of, and how many edges each has.
+        // The repeat of each run, and the number of its edges.
         let mut repeats: Vec<(Option<u32>, usize)> = Vec::new();
         for Loaded { record, rows, .. } in self.runs.iter().map(|run| &runs[*run]) {
             self.count += rows.iter().filter(|row| row.counts()).count() as u64;

@@ -1,4 +1,4 @@
-//! The difference of two iterations, one of each of two configurations.
+//! Distribution of the difference between iterations of two configurations.
 
 use peernet_statistics::Summary;
 
@@ -9,7 +9,7 @@ const POINTS: u32 = 100;
 /// different runs are not paired.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PairwiseDifference {
-    /// The second less the first: quantiles of both, each with each.
+    /// Second duration minus the first: quantiles of both, all pairs.
     pub differences: Summary,
     /// Share of the pairs in which the second is smaller, from 0 to 1 (the statistic of Mann and Whitney, *On a test of whether one of
     /// two random variables is stochastically larger than the other*, Annals of Mathematical Statistics 18, 1947, over the number of

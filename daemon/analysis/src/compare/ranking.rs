@@ -1,4 +1,4 @@
-//! The configuration with the smallest mean, and how far the others are from it.
+//! Configuration with the smallest mean, and the differences of the others to it.
 
 use super::difference::{Difference, MeanEstimate};
 
@@ -45,8 +45,8 @@ impl Ranking {
     }
 }
 
-/// Returns whether a model computes something, by the facts of a run: one that only answers what it was sent is not ranked with those
-/// that do.
+/// Returns whether a model computes something, by the facts of a run: one that only returns its input is not ranked with those that
+/// compute.
 pub fn computes(facts: &[(String, String)]) -> bool {
     // The model kind `echo` describes itself by one of these facts.
     let is_echo = |fact: &str| fact == "echo" || fact.starts_with("echo, ");

@@ -20,7 +20,7 @@ pub struct MeanAtSize {
     pub std: Option<f64>,
 }
 
-/// Returns how many sizes there are that differ by a tenth or more.
+/// Returns the number of sizes that differ by a tenth or more.
 pub fn distinct_sizes(sizes: impl Iterator<Item = f64>) -> usize {
     let mut distinct: Vec<f64> = Vec::new();
     for size in sizes {

@@ -1,4 +1,4 @@
-//! `run.json`: what a run was, whole enough to do it again.
+//! `run.json`: the record of a run, complete enough to repeat it.
 
 mod clocks;
 
@@ -18,7 +18,7 @@ use crate::deadline::Misses;
 use crate::rows::{Outcome, Rows, Units};
 use crate::trust;
 
-/// The form that this program writes.
+/// Format version that this program writes.
 pub const FORMAT: u32 = 1;
 
 /// Everything about a run except its rows. Unknown values are `None` or empty, so that results of other programs and of other versions can
@@ -44,9 +44,9 @@ pub struct RunRecord {
     pub version: String,
     /// The command that was typed.
     pub command: String,
-    /// The folder in which it was typed: relative paths of the command and of the configuration belong to it.
+    /// Folder in which it was typed: relative paths of the command and of the configuration are relative to it.
     pub folder: String,
-    /// The variables of its environment that decide what it finds and how fast it computes, as far as they were set.
+    /// Environment variables that influence which files it finds and how fast it computes, if they were set.
     pub environment: BTreeMap<String, String>,
     /// The file of devices that the command or the experiment names.
     pub network_config: Option<NetworkConfig>,
@@ -170,7 +170,7 @@ pub struct ModelRecord {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(default)]
 pub struct Counts {
-    /// Answered: what the statistics rest on.
+    /// Answered iterations, the input of statistics.
     pub ok: u64,
     /// The sample or the model failed.
     pub failed: u64,

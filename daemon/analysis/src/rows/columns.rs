@@ -14,7 +14,7 @@ pub const LATENESS: &str = "lateness";
 /// Kind of the cells of a column.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ColumnKind {
-    /// The iteration's place in the run, or how it ended.
+    /// Position of the iteration in the run, or its outcome.
     Place,
     /// Value of a node of the tree.
     Node,

@@ -42,14 +42,14 @@ pub struct Rows {
     judged: [Chunks<Option<JudgedDelay>>; 2],
     /// Reasons by row, in order, of the rows that have one. Consecutive ones are mostly the same.
     reasons: Vec<(usize, Arc<str>)>,
-    /// The row that is put in.
+    /// Row that is being appended.
     line: RowBuilder,
 }
 
-/// The column of a flag that is kept apart: every statistic asks for it.
+/// Column of a flag that is stored separately, because every statistic reads it.
 const WARM_UP: &str = "warm-up";
 
-/// The verdict on a delay, and what it rests on.
+/// Verdict on a delay, and the source of its clock relation.
 pub type JudgedDelay = (Verdict, DelaySource);
 
 /// Row that is built cell by cell: its numbers by the place of their column, and its other values.

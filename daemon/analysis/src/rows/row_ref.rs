@@ -6,7 +6,7 @@ use super::columns::{ColumnKind, FIXED_COLUMNS};
 use super::{Column, Outcome, Row, Rows, WARM_UP};
 use crate::Passage;
 
-/// The columns that a passage is put together of: its delay, payload and metadata, then what is known of the delay.
+/// Columns that a passage is built from: its delay, payload and metadata, then the properties of the delay.
 const UPLOAD: [&str; 6] =
     ["upload", "upload-bytes", "upload-logger-bytes", "upload-raw", "upload-lo", "upload-hi"];
 const DOWNLOAD: [&str; 6] =

@@ -29,7 +29,7 @@ pub struct Progress {
     pub seconds: f64,
 }
 
-/// Result of a run that ended before its limit: how far it came.
+/// Progress of a run that ended before its limit.
 #[derive(Clone, Debug, PartialEq)]
 pub struct EndedEarly {
     /// Amount that was reached, in `unit`.
@@ -71,12 +71,12 @@ impl EndedEarly {
         (!whole).then_some(early)
     }
 
-    /// Returns the reached share of what was ordered, from 0 on.
+    /// Returns the reached share of the limit, from 0 on.
     pub fn share(&self) -> f64 {
         self.reached / self.ordered
     }
 
-    /// Describes how far the run came: `after 57 of 120 iterations`.
+    /// Describes the progress of the run: `after 57 of 120 iterations`.
     pub(crate) fn how_far(&self) -> String {
         let Self { reached, ordered, unit, .. } = self;
         match unit {

@@ -67,7 +67,7 @@ pub struct Finding {
     pub advice: String,
 }
 
-/// The answer to "can I publish this run?".
+/// Answer to "can I publish this run?", with its reasons.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Report {
     /// The answer.
@@ -77,10 +77,10 @@ pub struct Report {
 }
 
 impl Report {
-    /// Judges a run by what is known of it.
+    /// Judges a run.
     pub fn of(input: &TrustInput) -> Self {
         let mut sentences = judge::sentences(input);
-        // Stable: what is as harmful stays in the order in which it is looked at.
+        // The sort is stable: findings of the same grade keep the order of the judgements.
         sentences.sort_by_key(|sentence| (sentence.about != judge::END, Reverse(sentence.grade)));
         let verdict = match sentences.iter().map(|sentence| sentence.grade).max() {
             None | Some(Grade::Good | Grade::Unknown) => Publish::Yes,

@@ -17,7 +17,7 @@ const DRIFT: f64 = 0.05;
 const NORMAL: f64 = 1.4826;
 /// Distances above the median, in such deviations, from which on a value is an outlier (Iglewicz and Hoaglin 1993).
 const OUTLIER: f64 = 3.5;
-/// The deviation is at least this share of the median: the resolution of the stored quantiles.
+/// Minimum deviation, as a share of the median: the resolution of the stored quantiles.
 const FINEST: f64 = 0.01;
 
 /// Statistics of a duration over the time of a run; seconds; successful iterations only, warm-up left out.
@@ -33,7 +33,7 @@ pub struct TimeSeries {
     pub batches: Vec<f64>,
     /// Median of the first half of the values and of the second.
     pub halves: Option<(f64, f64)>,
-    /// The first values against the rest.
+    /// Comparison of the first values with the rest.
     pub beginning: Option<Beginning>,
     /// Values far above the others.
     pub outliers: Outliers,

@@ -128,8 +128,7 @@ impl UsersLine {
         }
     }
 
-    /// Returns a configuration from whole runs, each given by its repeat and what its edge got. Repeats that lack an edge are left
-    /// out.
+    /// Returns a configuration from whole runs, each given by its repeat and its edge's share. Repeats that lack an edge are left out.
     pub fn of_whole_runs(labels: Vec<String>, runs: &[(u32, Option<Share>)], totals: Totals) -> Self {
         let mut repeats: Vec<(u32, Vec<Option<Share>>)> = Vec::new();
         for (repeat, share) in runs {

@@ -1,4 +1,4 @@
-//! Edges that measured at once, and what each of them got.
+//! Edges that were measured at the same time, and the share of each of them.
 
 use super::Share;
 use crate::loaded::Loaded;

@@ -1,4 +1,4 @@
-//! The table of many users.
+//! Table of many users.
 
 use peernet_statistics::number::{fixed, milliseconds, significant};
 

@@ -50,7 +50,7 @@ fn loaded(title: &str, rows: Rows) -> Loaded {
     Loaded { folder: title.replace([' ', ','], "-").into(), record, rows }
 }
 
-/// Stages in seconds, and what follows from them.
+/// Returns the columns of a row from its stages in seconds.
 fn values(stages: &[(&'static str, f64)]) -> Vec<(Column, f64)> {
     let sum: f64 = stages.iter().map(|(_, value)| value).sum();
     let mut values: Vec<(Column, f64)> =

@@ -32,9 +32,9 @@ const ROOM: f64 = 0.05;
 pub struct Lengths {
     /// Title of the figure.
     pub title: String,
-    /// The horizontal axis.
+    /// Unit of the horizontal axis.
     pub x: Unit,
-    /// The vertical axis.
+    /// Unit of the vertical axis.
     pub y: Unit,
     /// Stage that determines the colour of the points: that of the vertical axis. Quantities that are no stage are drawn in ink.
     pub stage: String,

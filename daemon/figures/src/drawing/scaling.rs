@@ -45,7 +45,7 @@ pub struct Value {
 pub struct Series {
     /// Name in the legend.
     pub name: String,
-    /// The stage whose colour it has: `upload` or `download`.
+    /// Stage that determines its colour: `upload` or `download`.
     pub stage: &'static str,
     /// Mark of the series.
     pub mark: Mark,
@@ -65,11 +65,11 @@ impl Value {
 /// Explanations of the parts of a figure, in a few words each; parts that are not drawn are not explained.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Parts {
-    /// The points.
+    /// Explanation of the points.
     pub point: &'static str,
-    /// The whiskers.
+    /// Explanation of the whiskers.
     pub whisker: &'static str,
-    /// The lines.
+    /// Explanation of the lines.
     pub line: &'static str,
 }
 

@@ -30,7 +30,7 @@ const ROOM: f64 = 0.06;
 pub struct Sharing {
     /// Title of the figure.
     pub title: String,
-    /// The vertical axis: a latency.
+    /// Unit of the vertical axis: a latency.
     pub unit: Unit,
     /// Curves: at most four.
     pub curves: Vec<SharingCurve>,
@@ -43,7 +43,7 @@ pub struct Sharing {
 pub struct SharingCurve {
     /// Name for the legend; if it is empty, there is no entry.
     pub name: String,
-    /// The fewest edges first.
+    /// Points of the curve, the fewest edges first.
     pub points: Vec<SharingPoint>,
 }
 
@@ -56,7 +56,7 @@ pub struct SharingPoint {
     pub median: f64,
     /// 95th percentile of all totals; `None` for few values.
     pub p95: Option<f64>,
-    /// The median of each.
+    /// Median of each edge.
     pub each: Vec<f64>,
     /// Jain's index of their rates, from 0 to 1.
     pub fairness: Option<f64>,

@@ -1,4 +1,4 @@
-//! The stages: one table of names, classes, colours and hatches for every figure and page.
+//! Stages: one table of names, classes, colours and hatches for every figure and page.
 
 use super::colour::{INK, LINE_STRONG, ON_DARK, ON_PALE, Rgb, Token, WHITE};
 use super::hatch::Hatch;
@@ -24,7 +24,7 @@ pub struct Stage {
     pub colour: Token,
     /// Darker edge, which a fill carries that is pale on paper: every boundary keeps a contrast of 3.
     pub edge: Option<Token>,
-    /// Hatch in a file, so that stages differ without colour as well. Pages hatch waiting and what is unattributed alone.
+    /// Hatch in a file, so that stages differ without colour as well. Pages only hatch waiting and the unattributed time.
     pub hatch: Hatch,
     /// Colour of a line in a file if neither ground nor edge is suitable.
     line: Option<Rgb>,
@@ -101,7 +101,7 @@ pub fn stage(name: &str) -> Stage {
 }
 
 impl Stage {
-    /// Returns true if it is a stage of [`STAGES`], which alone have colours of their own.
+    /// Returns whether it is a stage of [`STAGES`], which are the only ones with a specific colour.
     pub fn has_colour(&self) -> bool {
         STAGES.iter().any(|stage| stage.name == self.name)
     }

@@ -1,4 +1,4 @@
-//! Styles: how a shape looks on both sheets.
+//! Styles: the look of a shape on both sheets.
 
 use std::borrow::Cow;
 
@@ -180,7 +180,7 @@ pub struct TextStyle {
 impl TextStyle {
     /// Label of an axis; pages style it by its place.
     pub const AXIS: Self = Self { class: "", colour: INK_2.light, halo: false };
-    /// The name of a category at an axis.
+    /// Name of a category at an axis.
     pub const NAME: Self = Self { class: "", colour: INK.light, halo: false };
     /// Text at a mark in a plot.
     pub const MARK: Self = Self { class: "marktext", colour: INK.light, halo: true };

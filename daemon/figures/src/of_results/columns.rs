@@ -15,7 +15,7 @@ pub(super) fn is_drawable(value: f64) -> bool {
     value.abs() <= LARGEST
 }
 
-/// Returns a note on how many numbers of these columns are too large to be drawn; `None` if there are none.
+/// Returns a note on the count of numbers in these columns that are too large to be drawn; `None` if there are none.
 pub(super) fn too_large<'a>(rows: impl Iterator<Item = RowRef<'a>>, columns: &[&str]) -> Option<String> {
     let counted = rows.filter(|row| row.counts());
     let numbers = counted.flat_map(|row| columns.iter().filter_map(move |column| row.value(column)));

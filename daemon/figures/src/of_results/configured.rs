@@ -4,7 +4,7 @@ use peernet_analysis::compare::Configurations;
 use peernet_analysis::loaded::Loaded;
 use peernet_analysis::rows::RowRef;
 
-/// Runs of one configuration, its repeats, are taken together.
+/// Runs by configuration; repeats of one configuration are pooled.
 pub(super) struct Configured<'a> {
     /// Names of the labels that distinguish the configurations.
     pub(super) axes: Vec<String>,

@@ -84,7 +84,7 @@ pub enum MissingData {
     CommonTotal,
 }
 
-/// The end of the sentence: how many iterations cannot have a score.
+/// Formats the end of the sentence: the number of iterations that cannot have a score.
 struct Unscored<'a>(&'a Option<UnknownLabels>);
 
 impl fmt::Display for Unscored<'_> {

@@ -32,7 +32,7 @@ use peernet_analysis::loaded::Loaded;
 use peernet_analysis::record::RunRecord;
 use peernet_analysis::rows::Rows;
 
-/// The figures there are.
+/// Kind of figure.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Kind {
     /// The six histograms of the published program.
@@ -116,9 +116,9 @@ impl Kind {
 /// Columns that the user chose; without them each kind uses its default.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Columns {
-    /// The horizontal axis: the column of a histogram or of a cumulative distribution, the length of a response.
+    /// Column of the horizontal axis: that of a histogram or of a cumulative distribution, or the length of a response.
     pub x: Option<String>,
-    /// The vertical axis: a latency.
+    /// Column of the vertical axis: a latency.
     pub y: Option<String>,
 }
 
@@ -148,11 +148,11 @@ pub fn of_run(record: &RunRecord, rows: &Rows, folder: &Path) -> Result<Vec<Path
     Ok(written::write(&drawings, folder)?.files)
 }
 
-/// Draws what several runs have together, as far as there is something to show: `stacked`, `totals` and `accuracy` of several
-/// configurations, `paired`, `payload-latency` and `payload-throughput`, `users`.
+/// Draws the figures of several runs together, as far as they have the data: `stacked`, `totals` and `accuracy` of several configurations,
+/// `paired`, `payload-latency` and `payload-throughput`, `users`.
 ///
 /// # Errors
-/// When a file cannot be written.
+/// If a file cannot be written.
 pub fn of_experiment(runs: &[Loaded], folder: &Path) -> Result<Vec<PathBuf>, WriteError> {
     let mut files = Vec::new();
     let kinds = Kind::ALL.into_iter().filter(|kind| !kind.is_of_one_run() && kind.is_worth_drawing(runs));

@@ -21,7 +21,7 @@ const MOST_SIZES: usize = 24;
 /// Columns that the figures are drawn from.
 const SHOWN: [&str; 6] =
     ["upload", "upload-bytes", "upload-logger-bytes", "download", "download-bytes", "download-logger-bytes"];
-/// No median is known better than a clock is read: a tenth of a microsecond.
+/// Resolution of a clock, a tenth of a microsecond: the minimum error of a median.
 const CLOCK_READ: f64 = 1e-7;
 
 /// The messages of one size. Seconds, bytes.
@@ -46,7 +46,7 @@ struct Study {
     /// Name of the link, for the title.
     whose: String,
     notes: Vec<String>,
-    /// The directions that are not drawn.
+    /// Notes on the directions that are not drawn.
     missing: Vec<String>,
 }
 

@@ -1,4 +1,4 @@
-//! Which figures results have, and what is taken from the rows.
+//! Tests of the figures that results have, and of the values that they show.
 
 mod extremes;
 mod holes;

@@ -11,7 +11,7 @@ use crate::scale::{Scale, Tick};
 pub struct Unit {
     /// Title with the unit: `One-way delay, ms`.
     pub title: String,
-    /// The unit alone, for figures in words; empty for a count.
+    /// Symbol of the unit, for figures in words; empty for a count.
     pub symbol: Cow<'static, str>,
     /// The number shown per SI unit.
     pub per_si: f64,

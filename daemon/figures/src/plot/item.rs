@@ -118,7 +118,7 @@ pub enum Item {
     Rect {
         /// Any corner.
         from: At,
-        /// The corner across.
+        /// Opposite corner.
         to: At,
         /// Minimum width and height in a file.
         least: (f64, f64),
@@ -127,9 +127,9 @@ pub enum Item {
     },
     /// Straight line.
     Line {
-        /// One of the ends.
+        /// First end.
         from: At,
-        /// The other.
+        /// Second end.
         to: At,
         /// Look.
         style: Style,

@@ -2,7 +2,7 @@
 
 use crate::look::{Mark, Style};
 
-/// Sample of what an entry of a legend explains.
+/// Sample of the look that an entry of a legend explains.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Swatch {
     /// Filled area.

@@ -23,7 +23,7 @@ enum Spread {
     Logarithmic,
 }
 
-/// Range of values and how they are spread over a length of 1.
+/// Range of values and their positions on a length of 1.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Scale {
     lo: f64,

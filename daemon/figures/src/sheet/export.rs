@@ -21,8 +21,8 @@ const UNITS_PER_INCH: f32 = 96.0;
 /// Bytes of a PNG's signature and header (W3C, *Portable Network Graphics*, 5.2 and 11.2.1). The chunk with the size of its pixels follows
 /// them.
 const HEADER: usize = 8 + 25;
-/// The chunk `pHYs` (ibid., 11.3.4.3): [`PIXELS_PER_INCH`] as 18,898 to the metre, and the checksum. Programs that set papers put
-/// a picture without it at the resolution of a screen.
+/// Chunk `pHYs` (ibid., 11.3.4.3): [`PIXELS_PER_INCH`] as 18,898 to the metre, and the checksum. Without it, programs that typeset papers
+/// place a picture at the resolution of a screen.
 const DENSITY: [u8; 21] = *b"\0\0\0\x09pHYs\0\0\x49\xd2\0\0\x49\xd2\x01\xa8\x45\x8a\xf8";
 /// Endings of the names of a figure's files. The text has `-caption`, because tables have the same names.
 pub const ENDINGS: [&str; 4] = [".png", ".svg", ".pdf", "-caption.txt"];

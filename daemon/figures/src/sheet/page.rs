@@ -73,7 +73,7 @@ pub fn picture(drawn: &[Item], class: &str, words: &str) -> String {
     svg.finish()
 }
 
-/// Draws the items on a sheet that is stretched over its picture, for [`Path`](crate::plot::Path)s alone.
+/// Draws the items on a sheet that is stretched over its picture, which is only suitable for [`Path`](crate::plot::Path)s.
 pub fn paths(drawn: &[Item], class: &str) -> String {
     let mut svg = Writer::default();
     stretched(&mut svg, class, &drawn.iter().collect::<Vec<_>>());

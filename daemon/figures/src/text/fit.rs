@@ -34,7 +34,7 @@ pub fn shorten_apart(names: &[&str], size: f64, room: f64) -> Vec<String> {
     short.iter().enumerate().map(apart).collect()
 }
 
-/// Returns what of a name is not in all of the others as well, with `…` for what is.
+/// Returns the parts of a name that not all of the others have, with `…` for the parts that they have.
 fn difference(name: &str, others: &[&str]) -> String {
     fn shared(a: impl Iterator<Item = char>, b: impl Iterator<Item = char>) -> usize {
         a.zip(b).take_while(|(a, b)| a == b).count()

@@ -5,7 +5,7 @@ use std::sync::LazyLock;
 use peernet_sample::printable_line;
 use ttf_parser::Face;
 
-/// The font's family; files that are opened elsewhere name others behind it.
+/// Family of the font; files that are opened elsewhere name substitutes after it.
 pub const FAMILY: &str = "Inter";
 /// Font of the dashboard in one weight, with the glyphs that figures use: `assets/instance.py`.
 pub const FONT: &[u8] = include_bytes!("../../assets/inter.ttf");

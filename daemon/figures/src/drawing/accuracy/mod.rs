@@ -55,9 +55,9 @@ impl Score {
 pub struct Accuracy {
     /// Title of the figure.
     pub title: String,
-    /// The horizontal axis: a latency.
+    /// Unit of the horizontal axis: a latency.
     pub unit: Unit,
-    /// The points; those without an answer or of no latency are left out.
+    /// Points of the figure; those without an answer or without a latency are left out.
     pub scores: Vec<Score>,
     /// Notes below the figure, such as what is left out.
     pub notes: Vec<String>,

@@ -34,11 +34,11 @@ const SEEN: f64 = 0.6;
 pub struct Course {
     /// Title of the figure.
     pub title: String,
-    /// The horizontal axis: `Time since the start, s`, `Iteration`.
+    /// Title of the horizontal axis: `Time since the start, s`, `Iteration`.
     pub x: String,
     /// `true` if it contains numbers of iterations instead of times.
     pub is_counted: bool,
-    /// The vertical axis.
+    /// Unit of the vertical axis.
     pub unit: Unit,
     /// The total: the range of each column, and its median.
     pub total: Line,

@@ -39,7 +39,7 @@ pub struct Distribution {
     pub quantiles: Vec<(&'static str, f64)>,
     /// Quantity and unit.
     pub unit: Unit,
-    /// The stage whose colour the bars have.
+    /// Stage that determines the colour of the bars.
     pub stage: Stage,
     /// Meaning of the bars.
     pub view: View,

@@ -24,7 +24,7 @@ pub struct Histogram {
     pub title: String,
     /// Unit of the horizontal axis.
     pub unit: Unit,
-    /// The stage whose colour the bars have.
+    /// Stage that determines the colour of the bars.
     pub stage: String,
     /// The values, SI units.
     pub values: Ordered,

@@ -26,9 +26,9 @@ const WIDEST: f64 = 0.09;
 const ABOVE: f64 = 0.12;
 /// Distance from the plot to the baseline of the counts, points.
 const COUNT: f64 = 9.5;
-/// Up to how many values each is drawn.
+/// Number of values up to which each is drawn as a point.
 const MOST_POINTS: usize = 60;
-/// Room for single points above the axis' range, below what is written there.
+/// Room for single points above the axis' range, below the text at the top, as a factor.
 const NEAR: f64 = 1.05;
 /// Ratio of the largest to the smallest median from which on the axis is logarithmic.
 const WIDE: f64 = 30.0;

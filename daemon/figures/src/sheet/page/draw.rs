@@ -70,7 +70,7 @@ fn item(svg: &mut Writer, item: &Item) {
     }
 }
 
-/// Opens a picture at a place, inside which lengths are pixels; what reaches over its ends is seen.
+/// Opens a picture at a place, in which lengths are pixels; items beyond its ends are visible.
 fn open_at(svg: &mut Writer, x: f64, y: f64) {
     svg.element(Tag::Svg).set("class", "at").set("x", Share(x)).set("y", Share(y)).open();
 }
