@@ -5,8 +5,8 @@
 //! Study ────────────── of_calibration ─┴─ drawing ── SVG, PNG
 //! ```
 //!
-//! `of_results` decides which figures a run or an experiment has, `of_calibration` those of a study of a link; `drawing` has what figures look
-//! like.
+//! `of_results` decides which figures a run or an experiment has, `of_calibration` those of a study of a
+//! link; `drawing` defines their layout.
 
 pub mod drawing;
 pub mod look;

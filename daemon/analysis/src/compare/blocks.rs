@@ -2,11 +2,12 @@
 
 /// Returns the mean block length of a stationary bootstrap of the mean of these values, at least 1.
 ///
-/// Consecutive latencies are correlated: a queue empties slowly, a processor stays warm. Drawing them one by one would make
-/// an interval that is too narrow. The length that minimises the error of the bootstrapped variance is that of Politis and White, *Automatic block-length selection for the dependent bootstrap* (Econometric Reviews
-/// 23, 2004), as corrected by Patton, Politis and White (Econometric Reviews 28, 2009): with the autocovariance R, the
-/// window λ, G = Σ λ(k/M) |k| R(k) and σ² = Σ λ(k/M) R(k), it is (G² / σ⁴ · n)^⅓, at most 3 √n and n / 3. Independent
-/// values have a length of about 1, and the bootstrap is the ordinary one.
+/// Consecutive latencies are correlated: a queue empties slowly, a processor stays warm. Drawing them one by one would
+/// make an interval that is too narrow. The length that minimises the error of the bootstrapped variance is that of
+/// Politis and White, *Automatic block-length selection for the dependent bootstrap* (Econometric Reviews 23, 2004), as
+/// corrected by Patton, Politis and White (Econometric Reviews 28, 2009): with the autocovariance R, the window λ, G =
+/// Σ λ(k/M) |k| R(k) and σ² = Σ λ(k/M) R(k), it is (G² / σ⁴ · n)^⅓, at most 3 √n and n / 3. Independent values have a
+/// length of about 1, and the bootstrap is the ordinary one.
 pub(super) fn length(values: &[f64]) -> f64 {
     let n = values.len() as f64;
     let longest = (3.0 * n.sqrt()).min(n / 3.0).ceil().max(1.0);

@@ -10,8 +10,8 @@ use crate::trust::{Finding, TrustInput};
 /// Returns a finding for each accuracy that is not of all iterations; accuracies that lack the same number share one.
 pub(super) fn sentences(input: &TrustInput) -> Vec<Finding> {
     let foreign = input.unknown_labels.as_ref().map_or(0, |unknown| unknown.count);
-    // The key is the name, the number of iterations without a score for another reason than their label, and the number of all.
     let lacking = |accuracy: &Accuracy| accuracy.unscored.saturating_sub(foreign);
+    // Names, number of iterations without a score for another reason than their label, number of all.
     let mut partial: Vec<(Vec<&str>, u64, u64)> = Vec::new();
     for (name, accuracy) in input.accuracy.iter().filter(|(_, accuracy)| lacking(accuracy) > 0) {
         match partial.iter_mut().find(|(_, other, _)| *other == lacking(accuracy)) {
