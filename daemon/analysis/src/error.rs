@@ -13,7 +13,7 @@ pub struct WriteError {
 }
 
 impl WriteError {
-    /// Returns a function that turns an error of writing the file at `path` into an [`Error`].
+    /// Returns a function that turns an error of writing the file at `path` into a [`WriteError`].
     pub fn at<E: std::fmt::Display>(path: &Path) -> impl FnOnce(E) -> Self {
         move |error| Self { path: path.to_owned(), reason: error.to_string() }
     }

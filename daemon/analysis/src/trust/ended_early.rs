@@ -38,7 +38,7 @@ pub struct EndedEarly {
     pub ordered: f64,
     /// Unit of both amounts.
     pub unit: Unit,
-    /// `true` if the run was interrupted by a person or a program.
+    /// `true` if the run was interrupted.
     pub interrupted: bool,
 }
 

@@ -45,7 +45,7 @@ pub(crate) struct Arguments {
     seed: u64,
 }
 
-/// How tables are written.
+/// Format of the tables.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 enum Format {
     /// For the terminal, milliseconds.

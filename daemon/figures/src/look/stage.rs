@@ -55,7 +55,7 @@ pub const STAGES: [Stage; 13] = [
     },
     dark("upload", Token::new("s-upload", 0xd5_5e00, 0xee_6c16), Hatch::Rising),
     pale("queue", "queue", QUEUE, QUEUE_EDGE, Hatch::Rising),
-    // A model in a separate process receives its sample by inter-process communication, which resembles encoding.
+    // Handing a sample to a model in a separate process is similar to encoding it for the network, so it has similar colours.
     Stage { line: Some(Rgb::hex(0x2f_6b48)), ..pale("ipc", "encode", ENCODE, ENCODE_EDGE, Hatch::Cross) },
     pale(
         "preprocessing",
