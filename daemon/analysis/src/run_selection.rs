@@ -143,6 +143,8 @@ pub fn exclusions(runs: &[Candidate]) -> Vec<Option<Exclusion>> {
         Some(Exclusion::Unfinished(state.clone()))
     };
     let mut found: Vec<Option<Exclusion>> = runs.iter().map(unfinished).collect();
+    // Copies are excluded before repeats are compared, because the results of one run are also of one repeat: the rank chooses among
+    // them, not the time.
     let by_id = best(runs, &found, |run| run.id, |at, run| (!run.is_named, run.rank, at));
     exclude(runs, &mut found, |run| Some(Exclusion::CopyOf(*by_id.get(&run.id?)?)));
     let newest = best(runs, &found, |run| run.repeat.as_ref(), |at, run| (-i128::from(run.sequence), at));

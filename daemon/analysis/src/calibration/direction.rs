@@ -16,7 +16,7 @@ const CLOCK_READ: f64 = 1e-7;
 /// Statistics of one direction of the link.
 #[derive(Clone, Debug, Serialize)]
 pub struct DirectionStudy {
-    /// Which.
+    /// Direction of the messages.
     pub direction: Direction,
     /// Summary of each size, smallest first.
     pub sizes: Vec<SizeSummary>,
@@ -212,6 +212,7 @@ impl Fits {
 impl Claim {
     fn new(smallest: &SizeSummary, fit: Option<&Fit>) -> Option<Self> {
         let (lo, hi) = smallest.bounds?;
+        // A negative slope is noise: it must not raise the bounds of an empty message above those of the payload.
         let bytes = fit.map_or(0.0, |fit| fit.slope.value * smallest.wire_bytes).max(0.0);
         let margin = smallest.median_error.map_or(0.0, |error| Z95 * error);
         let at_zero = ((lo - bytes - margin).max(0.0), (hi - bytes + margin).max(0.0));

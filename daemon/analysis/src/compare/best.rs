@@ -53,7 +53,7 @@ pub fn against_best(comparison: &Comparison) -> Option<Captioned> {
 fn beyond_best(comparison: &Comparison) -> Table {
     let Comparison { axes, lines, by, .. } = comparison;
     let others = || lines.iter().filter_map(|line| Some((line, line.beyond_best?)));
-    // As many in a whole column, so that its figures compare.
+    // One number of decimals for the whole column, so that its figures are easy to compare.
     let decimals = others().map(|(_, difference)| column_decimals(difference.margin()));
     let decimals = decimals.max().unwrap_or_default();
     let mut header = axes.clone();

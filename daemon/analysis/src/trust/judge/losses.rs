@@ -8,8 +8,8 @@ use crate::trust::{Counts, EndedEarly, Finding, Missing, Starts, TrustInput};
 
 /// Samples below which no 95th percentile is given anywhere in PEERNet.
 const FEW: u64 = 60;
-/// Shares of iterations without an answer, and of starts that were skipped, that are mentioned, and that make the latency
-/// of the others a half truth.
+/// Shares of iterations without an answer, and of skipped starts: from the first on they are mentioned, from the second on the
+/// latency of the others is misleading.
 const NOTED: f64 = 0.001;
 const MANY: f64 = 0.1;
 /// Share of missing events from which on the received ones do not represent the missing ones.

@@ -168,7 +168,7 @@ impl Paired {
             let lowest = self.shown().map_or(lo, |(lowest, _)| lowest);
             let is_shown = |value: &&f64| **value >= lowest && highest.is_some_and(|most| **value <= most);
             for (number, value) in values.values().iter().filter(is_shown).enumerate() {
-                // Spread evenly to the sides, so that each is seen; the same every time.
+                // Points are spread to the sides by the golden ratio, so that each is visible and the figure is reproducible.
                 let aside = (number as f64 * 0.618_034).fract() - 0.5;
                 let at = At::new(middle + aside * half, y(*value));
                 items.push(Item::mark(at, look.mark, RADIUS, look.shape()));
@@ -191,7 +191,7 @@ impl Paired {
         }
         let above = self.beyond(values);
         if let Some(highest) = highest.filter(|_| above > 0) {
-            // Clear of the highest point.
+            // The label must not touch the highest point.
             let at = At::new(middle, y(highest)).aside(0.0, -3.0);
             let label = Label::new(at, format!("+{}", fixed(above as f64, 0)), TextStyle::BEYOND);
             items.push(Item::Text(label.anchored(Anchor::Middle).shifted(0.0, 0.0)));
@@ -231,7 +231,7 @@ impl Paired {
     fn scale(&self, (lo, hi): (f64, f64)) -> Scale {
         let (lo, hi) = (lo * self.unit.per_si, hi * self.unit.per_si);
         if self.is_wide() {
-            // Room for the ratios above, as below.
+            // A logarithmic axis needs the same room for the ratios above, as a factor.
             let room = (hi / lo).powf(ABOVE);
             Scale::logarithmic((lo / room.sqrt(), hi * room))
         } else {
