@@ -30,7 +30,7 @@ pub fn varies(shortest: f64, longest: f64) -> bool {
     longest > shortest && longest >= VARIED * shortest
 }
 
-/// Fewest iterations that a line is drawn through.
+/// Minimum number of iterations for a line.
 const FEWEST: usize = 60;
 /// Width of an interval, as a share of the slope, above which the slope is not given as one figure.
 const TELLING: f64 = 0.5;

@@ -11,10 +11,10 @@ use peernet_statistics::Summary;
 /// Maximum number of batches of a run: more add nothing (Schmeiser 1982).
 pub(crate) const MAX_BATCHES: u64 = 30;
 
-/// Fewest values of a batch.
+/// Minimum number of values in a batch.
 pub(crate) const MIN_BATCH_VALUES: u64 = 10;
 
-/// Values in the order of time, singly or summed up in buckets.
+/// Values in the order of time, single or in buckets.
 pub(crate) trait Series {
     /// Returns the number of places.
     fn places(&self) -> usize;

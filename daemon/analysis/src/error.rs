@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 #[derive(Debug, thiserror::Error)]
 #[error("cannot write {}: {reason}", path.display())]
 pub struct WriteError {
-    /// Which file.
+    /// Path of the file.
     pub path: PathBuf,
     /// Why.
     pub reason: String,

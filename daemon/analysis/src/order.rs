@@ -1,8 +1,8 @@
 //! Order statistics, which describe delays, because their distribution has a long tail.
 
-/// Fewest values that p5 and p95 are given of, everywhere in PEERNet.
+/// Minimum number of values for p5 and p95, everywhere in PEERNet.
 pub const ENOUGH_FOR_P95: usize = 60;
-/// Fewest values that p99 is given of.
+/// Minimum number of values for p99.
 pub const ENOUGH_FOR_P99: usize = 300;
 
 /// The normal quantile of a 95 % interval.
@@ -42,7 +42,7 @@ impl Ordered {
     pub fn quantile(&self, p: f64) -> Option<f64> {
         let at = p.clamp(0.0, 1.0) * self.0.len().checked_sub(1)? as f64;
         let (below, above) = (self.0[at.floor() as usize], self.0[at.ceil() as usize]);
-        // Equal ones may both be infinite, and their difference no number.
+        // Equal values may both be infinite, and their difference would be NaN.
         Some(if below == above { below } else { below + (above - below) * at.fract() })
     }
 

@@ -5,10 +5,10 @@ use statrs::distribution::{ContinuousCDF, StudentsT};
 
 use crate::batches::{MAX_BATCHES, MIN_BATCH_VALUES, Series};
 
-/// Fewest values of each run that an interval is computed from.
+/// Minimum number of values of each run for an interval.
 pub const MIN_VALUES: usize = 30;
 
-/// Fewest batches on each side that an interval is computed from.
+/// Minimum number of batches on each side for an interval.
 pub const MIN_BATCHES: usize = 5;
 
 /// Difference with its 95 % confidence interval.

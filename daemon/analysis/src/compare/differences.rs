@@ -35,7 +35,7 @@ pub struct Differences {
 /// Difference of two lines in one stage.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct StageDifference {
-    /// Which.
+    /// Name of the stage.
     pub stage: String,
     /// Mean of the baseline and of the other.
     pub means: (f64, f64),

@@ -47,7 +47,7 @@ fn missing(runs: &[Loaded], line: &Line) -> Vec<String> {
     let rows = || line.runs.iter().flat_map(|run| &runs[*run].rows).filter(|row| row.counts());
     let told = |(name, latency): (&str, &Option<super::Latency>)| {
         let known = (*latency)?.count as f64 / line.count as f64;
-        // A different sentence covers a larger number of unknown delays.
+        // If many delays are unknown, a different sentence covers them.
         (known >= NEARLY_ALL || !["upload", "download"].contains(&name)).then_some(())?;
         let lacking = rows().filter(|row| is_missing(*row, name)).count();
         let iterations = format!("{lacking} of {}", counted(line.count, "iteration"));

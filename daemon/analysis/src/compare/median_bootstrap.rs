@@ -118,7 +118,7 @@ impl Run {
             let length = if self.block <= 1.0 {
                 1
             } else {
-                // Geometric, of mean `block`.
+                // The length of a block has the geometric distribution with the mean `block`.
                 let uniform: f64 = random.random_range(f64::MIN_POSITIVE..1.0);
                 (uniform.ln() / ends.ln_1p()) as usize + 1
             };

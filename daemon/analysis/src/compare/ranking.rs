@@ -2,7 +2,7 @@
 
 use super::difference::{Difference, MeanEstimate};
 
-/// Which of several configurations has the smallest mean, and whether that is more than chance.
+/// Ranking of several configurations by their means, and whether the smallest mean is so by more than chance.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Ranking {
     /// Place of the configuration with the smallest mean.

@@ -353,7 +353,7 @@ fn miss_rate_stands_beside_unanswered() {
     });
     let comparison = Comparison::of(&runs);
     let misses = comparison.lines[1].misses.expect("a deadline");
-    // Of the iterations 6 to 106; the one that was lost is the tenth.
+    // The iterations are 6 to 106; the tenth was lost.
     assert_eq!((misses.missed, misses.of, comparison.lines[0].misses), (10, 101, None));
     let text = comparison.text();
     assert!(

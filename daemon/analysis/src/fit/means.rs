@@ -4,7 +4,7 @@ use super::{Fit, Point, Weighted, least_squares};
 
 /// Sizes within this factor are one size.
 pub(crate) const ALIKE: f64 = 1.1;
-/// Fewest sizes that a line is drawn through.
+/// Minimum number of sizes for a line.
 pub const FEWEST_SIZES: usize = 3;
 
 /// Mean of a quantity at one size.

@@ -72,7 +72,7 @@ pub struct RunRecord {
     pub patience_s: Option<f64>,
     /// Seeds of random quantities, by their purpose.
     pub seeds: BTreeMap<String, u64>,
-    /// Which iterations are warm-up, in words.
+    /// Iterations that are warm-up, in words.
     pub warm_up: String,
     /// Number of iterations by how they ended.
     pub counts: Counts,

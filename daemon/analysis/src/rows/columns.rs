@@ -136,7 +136,7 @@ impl<'a> Found<'a> {
         let parent = node.parent.unwrap_or(NodeId::ROOT);
         let value = node.measure.value().filter(|value| !value.is_nan());
         if let Some(at) = place(tree, parent, &node.name) {
-            // Of several, the sum, as in `stages-total`.
+            // Several nodes of one name are added up, as in `stages-total`.
             if let Some(value) = value {
                 self.fixed[at] = Some(self.fixed[at].unwrap_or_default() + value);
             }

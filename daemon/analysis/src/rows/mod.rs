@@ -105,7 +105,7 @@ impl Rows {
             }
         }
         for (name, value) in &row.values {
-            // Of two of one name, the first.
+            // Of two values with one name, the first one counts.
             let place = line.place(self, name);
             line.numbers[place] = line.numbers[place].or(Some(*value));
         }

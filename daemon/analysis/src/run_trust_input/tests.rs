@@ -71,7 +71,7 @@ fn a_run_that_is_not_what_was_ordered_says_so_first() {
             pipeline: serde_json::json!({ "limit": limit }),
             ..RunRecord::default()
         };
-        // 5 of warm-up, 200 measured, one each second.
+        // 5 iterations of warm-up and 200 measured ones, one each second.
         let report = Report::of(&TrustInput::of_run(&record, &rows(quiet(205))));
         (report.verdict, report.sentences[0].text.clone())
     };

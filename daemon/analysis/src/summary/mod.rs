@@ -39,7 +39,7 @@ pub struct Summary {
 /// Summary of one column, in the column's unit.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Quantity {
-    /// Which column.
+    /// Name of the column.
     pub column: Column,
     /// Number of values.
     pub count: u64,
@@ -67,7 +67,7 @@ impl Summary {
             FIXED_COLUMNS.get(*place).is_none_or(|(_, kind)| *kind == ColumnKind::Node) && !is_bound(name)
         });
         let quantity = |(_, name): (usize, &Column)| {
-            // Of all iterations, so that the mean is the miss rate.
+            // This column includes unanswered iterations, so that its mean is the miss rate.
             if *name == DEADLINE_MISSED {
                 let all = rows.iter().filter(|row| !row.warm_up());
                 return Quantity::of(name.clone(), all.filter_map(|row| row.value(name)));

@@ -88,7 +88,7 @@ impl TimeSeries {
     /// Returns the statistics of values in order of time; `None` without any.
     pub fn of_values(values: &[f64]) -> Option<Self> {
         let finite = || values.iter().copied().filter(|value| value.is_finite());
-        // Sorted one after the other, so that a long run needs the room of one.
+        // Sorted one after the other, so that a long run needs memory for only one of them.
         let median = finite().collect::<Ordered>().median()?;
         let deviation = finite().map(|value| (value - median).abs()).collect::<Ordered>().median()?;
         let limit = limit(median, deviation);

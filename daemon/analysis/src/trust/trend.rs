@@ -25,7 +25,7 @@ pub(super) fn chance_of_trend(series: &[f64]) -> Option<f64> {
     if variance <= 0.0 {
         return Some(1.0);
     }
-    // Continuity: the score moves in steps of two.
+    // Continuity correction: the score changes in steps of two.
     let z = (score.abs() - 1.0).max(0.0) / variance.sqrt();
     Some(2.0 * (1.0 - Normal::standard().cdf(z)))
 }

@@ -44,7 +44,7 @@ fn edge(labels: &[(&str, &str)], (name, from): (&str, f64), each: f64, count: u3
 #[test]
 fn only_the_time_in_which_all_measure_counts() {
     let one = edge(&[("N", "1")], ("a", 0.0), 0.5, 21, 0.25);
-    // The second begins 2 s late and ends with the first; it gets half as much.
+    // The second edge begins 2 s late and ends with the first; it gets half as many answers.
     let [first, second] =
         [edge(&[("N", "2")], ("a", 0.0), 0.5, 21, 0.5), edge(&[("N", "2")], ("b", 2.0), 1.0, 9, 1.0)];
     let users = Users::of(&[first.clone(), one.clone(), second]).expect("several edges");
@@ -54,7 +54,7 @@ fn only_the_time_in_which_all_measure_counts() {
     assert_eq!((both.edges, both.rate, both.extremes()), (2, Some(3.0), Some((1.0, 2.0))));
     assert_eq!(both.fairness, Some(0.9));
     assert_eq!(alone.totals.count, 21, "an edge alone: all of them, as in the table");
-    // 16 of the first and 8 of the second.
+    // 16 answers of the first edge and 8 of the second.
     assert_eq!((both.totals.count, both.totals.median), (24, Some(0.5)));
     assert_eq!(both.shares.iter().map(|share| share.median).collect::<Vec<_>>(), [Some(0.5), Some(1.0)]);
     assert!(users.text().contains("0.900"), "{}", users.text());

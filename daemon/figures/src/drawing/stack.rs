@@ -77,7 +77,7 @@ impl Stack<'_> {
             let [begin, end] = [from, to].map(|value| self.scale.at(value));
             let corners = [direction.at(begin, near), direction.at(end, far)];
             items.push(Item::Rect { from: corners[0], to: corners[1], least, style: stage(name).area() });
-            // Parts are parted, so that neighbours of one grey do not run together.
+            // A line between parts separates neighbours of the same grey.
             if from != 0.0 && (end - begin).abs() > PARTED {
                 items.push(Item::line(direction.at(begin, near), direction.at(begin, far), Style::cut()));
             }

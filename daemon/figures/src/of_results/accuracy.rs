@@ -56,7 +56,7 @@ pub(super) fn drawings(runs: &[Loaded]) -> Result<Vec<Drawing>, MissingData> {
         missing.push(format!("left out: {configurations} without scored samples"));
     }
     notes.extend(missing.iter().cloned());
-    // Of those with scored samples, and for another reason than the label.
+    // Only configurations with scored samples, and only iterations without a score for another reason than their label.
     let unscored = |(_, runs): &(String, Vec<&Loaded>)| {
         let valid = counted(runs).filter(judged).count();
         let foreign = unknown_labels(runs.iter().copied()).map_or(0, |unknown| unknown.count);

@@ -32,7 +32,7 @@ pub(super) fn drawings(record: &RunRecord, rows: &Rows) -> Result<Vec<Drawing>, 
     let Some(total) = total else {
         return Err(MissingData::Total);
     };
-    // Summed before any line is made: of a long run the lines of all stages are much more than those shown.
+    // The sums are computed before any line, because the lines of all stages of a long run would need much more memory.
     let sum =
         |name: &str| answered().filter_map(|row| row.value(name)).filter(|value| is_drawable(*value)).sum();
     let mut stages: Vec<(f64, usize, Name)> =

@@ -9,6 +9,6 @@ pub fn round_step(range: f64, most: usize) -> f64 {
     let least = range / most.max(1) as f64;
     let power = 10_f64.powf(least.log10().floor());
     let steps = [1.0, 2.0, 5.0].map(|factor| factor * power);
-    // The tolerance keeps a step that fits exactly in spite of the rounding error of the division.
+    // The tolerance keeps a step that fits exactly although the division rounds.
     steps.into_iter().find(|step| *step >= least * (1.0 - 1e-9)).unwrap_or(10.0 * power)
 }

@@ -106,7 +106,7 @@ impl Exported {
     pub fn png(&self) -> Result<Vec<u8>, ExportError> {
         let Pixels { width, height, rgb } = self.pixels()?;
         let mut png = Vec::new();
-        // Large areas of one colour: a filter would only hide that from the compression.
+        // The picture has large areas of one colour, which compress better without a filter.
         PngEncoder::new_with_quality(&mut png, CompressionType::Default, FilterType::NoFilter).write_image(
             &rgb,
             width,

@@ -108,7 +108,7 @@ impl Accuracy {
             .shown()
             .map(|(score, _)| (score.median * self.unit.per_si, late(score) * self.unit.per_si))
             .reduce(join)?;
-        // So little beyond 100 that it is not marked: points at the end are whole.
+        // The axis ends a little above 100, so that points there are complete, but below the next mark.
         let edge = (high - low).max(1.0) * 0.04;
         let shares = Scale::linear(((low - ROOM).max(-edge), (high + ROOM).min(100.0 + edge)));
         let across = if slow > fast * WIDE {

@@ -5,7 +5,7 @@ use peernet_analysis::order::Ordered;
 /// Values in one column of pixels.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Column {
-    /// Which column, from the left.
+    /// Index of the column, from the left.
     pub(super) number: usize,
     pub(super) min: f64,
     pub(super) median: f64,

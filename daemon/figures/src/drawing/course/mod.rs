@@ -160,7 +160,7 @@ impl Course {
         let y = |value: f64| plot.up(value * self.unit.per_si);
         let steps: Ordered =
             columns.windows(2).map(|pair| (pair[1].number - pair[0].number) as f64).collect();
-        // Few values are far from each other, and no gap is between them.
+        // Few values are far from each other, which is not a gap.
         let gap = (4.0 * steps.median().unwrap_or_default()).max(GAP);
         let pieces = || columns.chunk_by(|a, b| (b.number - a.number) as f64 <= gap);
         let medians = pieces()

@@ -2,7 +2,7 @@
 
 use peernet_analysis::order::Ordered;
 
-/// Fewest and most bins.
+/// Minimum and maximum number of bins.
 const FEWEST: usize = 8;
 const MOST: usize = 60;
 /// Limits of the values that are cut at an end: one in a hundred, or of fewer values three, but never more than one in eight.
@@ -87,7 +87,7 @@ pub(in crate::drawing) fn range(all: &Ordered) -> Option<(f64, f64)> {
     let values = all.values();
     let (lo, hi) = (*values.first()?, *values.last()?);
     let most = (values.len() / RARE).max((values.len() / FEW_OF).min(FEW));
-    // Ranks, not interpolated quantiles: those would be pulled by the very value that is to be cut.
+    // Ranks, not interpolated quantiles, because those would depend on the value that is to be cut.
     let (low, high) = (values[most], values[values.len() - 1 - most]);
     let width = high - low;
     // If all but a few values are equal, there is no width to compare with.

@@ -19,7 +19,7 @@ pub(super) fn density(values: &Ordered, (lo, hi): (f64, f64)) -> Vec<(f64, f64)>
     let cell = (hi - lo) / CELLS as f64;
     let mut cells = [0_u32; CELLS];
     finite().for_each(|value| cells[(((value - lo) / cell) as usize).min(CELLS - 1)] += 1);
-    // Narrower than a cell would fall between the cells.
+    // A kernel that is narrower than a cell would fall between the cells.
     let width = width.max(cell);
     let steps = ((PER_WIDTH * (hi - lo) / width).ceil() as usize).clamp(FEWEST, MOST);
     let at = |step: usize| lo + (hi - lo) * step as f64 / steps as f64;

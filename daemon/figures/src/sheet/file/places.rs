@@ -64,7 +64,7 @@ pub(super) struct Places {
     pub(super) plots: Vec<Area>,
 }
 
-/// Returns the areas of the plots of a figure, before anything is drawn in them: for kinds that look for free places.
+/// Returns the areas of the plots of a figure, before anything is drawn in them, for kinds that search for free places.
 pub fn areas(figure: &Figure) -> Vec<Area> {
     Places::of(figure).plots
 }

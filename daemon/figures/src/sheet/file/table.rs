@@ -28,7 +28,7 @@ pub(super) fn draw(svg: &mut Writer, table: &Table, top: f64) {
         let cells = table.lines.iter().filter_map(move |(_, cells)| cells.get(column));
         cells.chain(table.titles.get(column)).map(|cell| width(cell, SMALL)).fold(0.0, f64::max)
     };
-    // Right ends, from the last column on.
+    // Right ends of the columns, from the last to the first.
     let mut ends = vec![WIDTH - EDGE; columns];
     for column in (0..columns.saturating_sub(1)).rev() {
         ends[column] = ends[column + 1] - cells(column + 1) - GAP;
