@@ -1,4 +1,4 @@
-//! Runs side by side: the paper's table, and how far differences between them are known.
+//! Comparison of runs: the paper's table, and differences with their confidence intervals.
 //!
 //! ```text
 //! Loaded, Loaded, … ── configuration ── Comparison ─┬─ text, Markdown, CSV, LaTeX

@@ -1,11 +1,11 @@
-//! "Can I publish this run?": the facts from before, during and after a run that bear on the answer, in plain sentences.
+//! Answer to "can I publish this run?", with findings from before, during and after the run, in plain sentences.
 //!
 //! ```text
 //! rows (crate::rows) ──┐
 //! roll-ups of a store ─┴─ TrustInput ── Report: a verdict, sentences ── text, JSON, page
 //! ```
 //!
-//! No I/O. The thresholds and methods, with their sources, are beside each judgement and in `docs/trust.md`.
+//! The module does no I/O. The thresholds and methods, with their sources, are in the comments on each judgement and in `docs/trust.md`.
 
 mod ended_early;
 mod judge;

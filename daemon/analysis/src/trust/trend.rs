@@ -35,8 +35,8 @@ pub(super) fn chance_of_trend(series: &[f64]) -> Option<f64> {
 ///
 /// A change looks like autocorrelation as well, so it is removed first: a line, and steps after a quarter, a half and three quarters; the
 /// one that explains most is used. In simulations the test finds a trend in series without one in 4 % of all cases when their values are
-/// independent, and in 9 % at an autocorrelation of 0.5, where the plain test does so in 23 %. The correction over all lags (Hamed and Rao
-/// 1998) does so in 18 %, because it underestimates the correlation of so few values.
+/// independent, and in 9 % at an autocorrelation of 0.5, where the plain test does so in 23 %. The correction over all lags
+/// (Hamed and Rao 1998) does so in 18 %, because it underestimates the correlation of so few values.
 fn inflation(series: &[f64]) -> f64 {
     let n = series.len();
     let count = n as f64;

@@ -103,8 +103,8 @@ fn known(name: &str) -> Option<Stage> {
     Some(stage(name)).filter(Stage::has_colour)
 }
 
-/// Points counted into cells: one path of rectangles for each shade from 0 to 1, the lightest first. One point is seen, and ten times
-/// as many are a step darker, however many there are.
+/// Counts points into cells. Returns one path of rectangles for each shade from 0 to 1, the lightest first. The scale is logarithmic: a
+/// single point is visible, and ten times as many are a step darker.
 pub fn cells(points: impl Iterator<Item = (f64, f64)>) -> Vec<(f64, Path)> {
     let (columns, rows) = CELLS;
     let mut counts: BTreeMap<(u32, u32), u32> = BTreeMap::new();
