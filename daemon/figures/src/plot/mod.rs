@@ -8,7 +8,7 @@
 //! A kind of figure is one function that makes [`Plot`]s: it chooses the scales, and places [`Item`]s by them. Positions are
 //! shares from the left and from the top, not pixels or points ([`Plot::at`] computes them from values). Lengths that stay the
 //! same when the plot grows (marks, caps, distances of text) are given in points or in the type size, in addition to the share.
-//! The look of an item is a [`Style`], which has a class for pages and literal attributes for files.
+//! The look of an item is a [`Style`](crate::look::Style), which has a class for pages and literal attributes for files.
 //!
 //! ```
 //! use peernet_figures::look::Style;
