@@ -13,7 +13,7 @@ pub(crate) const Z95: f64 = 1.959_963_984_540_054;
 pub struct Ordered(Vec<f64>);
 
 impl FromIterator<f64> for Ordered {
-    /// Values that are not numbers are left out.
+    /// Collects and sorts the values. NaN is left out.
     fn from_iter<I: IntoIterator<Item = f64>>(values: I) -> Self {
         let mut values: Vec<f64> = values.into_iter().filter(|value| !value.is_nan()).collect();
         values.sort_unstable_by(f64::total_cmp);

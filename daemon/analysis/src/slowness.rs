@@ -23,7 +23,7 @@ pub struct Cause {
 }
 
 impl Cause {
-    /// Seconds beyond the run's median.
+    /// Returns the seconds beyond the run's median.
     pub fn excess(&self) -> f64 {
         self.value - self.median
     }

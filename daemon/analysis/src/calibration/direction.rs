@@ -236,7 +236,7 @@ impl Throughput {
     }
 }
 
-/// Bits per second of seconds per byte.
+/// Returns the bits per second of a slope in seconds per byte; `None` unless it is above 0.
 fn rate(slope: f64) -> Option<f64> {
     (slope > 0.0).then(|| 8.0 / slope)
 }

@@ -57,7 +57,7 @@ mod tests {
 
     use super::*;
 
-    /// Values each of which keeps so much of the one before.
+    /// Returns a first-order autoregressive series with the coefficient `keeps`.
     fn autoregressive(keeps: f64, count: usize) -> Vec<f64> {
         let mut random = StdRng::seed_from_u64(5);
         let mut last = 0.0;

@@ -100,7 +100,7 @@ impl MeanEstimate {
     }
 }
 
-/// Means of at most 30 batches of at least ten values; of a short run of five batches.
+/// Returns the means of at most 30 batches of at least ten values; of a short run the means of five batches.
 fn batch_means<S: Series + ?Sized>(run: &S) -> Vec<f64> {
     let batches = (run.total_count() / MIN_BATCH_VALUES).clamp(MIN_BATCHES as u64, MAX_BATCHES);
     run.parts(batches).into_iter().filter_map(|range| run.mean(range)).collect()

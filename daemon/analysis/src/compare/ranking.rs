@@ -57,7 +57,7 @@ pub fn computes(facts: &[(String, String)]) -> bool {
 mod tests {
     use super::*;
 
-    /// Values that vary by one about a mean.
+    /// Returns the estimate of values that vary by one about a mean.
     fn estimate(mean: f64, count: usize) -> Option<MeanEstimate> {
         MeanEstimate::of_values(&[(0..count).map(|n| mean + (n as f64).sin()).collect()])
     }

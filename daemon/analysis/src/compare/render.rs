@@ -391,7 +391,7 @@ impl Differences {
     }
 }
 
-/// Milliseconds.
+/// Formats seconds as milliseconds.
 pub(super) fn in_milliseconds(seconds: f64, decimals: usize) -> String {
     fixed(seconds * 1e3, decimals)
 }
@@ -403,7 +403,7 @@ pub(super) fn with_interval(difference: Difference, decimals: usize) -> [String;
     [figure(difference.value), ends.unwrap_or_else(|| NOTHING.to_owned())]
 }
 
-/// Milliseconds with a sign on either side of zero.
+/// Formats seconds as milliseconds with a sign, also above zero.
 fn signed(seconds: f64, decimals: usize) -> String {
     let text = in_milliseconds(seconds, decimals);
     let is_zero = !text.bytes().any(|digit| (b'1'..=b'9').contains(&digit));

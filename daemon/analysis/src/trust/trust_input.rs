@@ -153,7 +153,7 @@ impl TrustInput {
 }
 
 impl Counts {
-    /// Iterations that should be in the statistics.
+    /// Returns the number of iterations that should be in the statistics.
     pub const fn measured(&self) -> u64 {
         self.ok + self.unanswered()
     }

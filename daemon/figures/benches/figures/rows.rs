@@ -180,7 +180,7 @@ pub(crate) fn teleoperation() -> Vec<Loaded> {
     lines.into_iter().map(run).collect()
 }
 
-/// Payloads of seven sizes.
+/// Returns a run with payloads of seven sizes.
 pub(crate) fn payload() -> Loaded {
     let mut dice = Dice::new(9);
     let sizes = [1e3, 3e3, 1e4, 3e4, 1e5, 3e5, 1e6];

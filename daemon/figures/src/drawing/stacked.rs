@@ -153,7 +153,7 @@ impl Stacked {
         plot
     }
 
-    /// Points at the right of lying bars that their sums need: as few as every bar leaves room for.
+    /// Returns the space at the right of horizontal bars that their sums need, points. Sums of shorter bars use the space that these leave.
     fn free(&self, values: Scale) -> f64 {
         let names = self.bars.iter().map(|bar| width(&bar.label, TEXT)).fold(0.0, f64::max);
         let across = WIDTH - BESIDE - names.min(MOST_NAME);

@@ -29,7 +29,7 @@ impl Mark {
         }
     }
 
-    /// Corners around the middle for a radius of 1; empty for a disc, and two strokes for a cross.
+    /// Returns the corners around the middle for a radius of 1; empty for a disc, and two strokes for a cross.
     pub(crate) const fn corners(self) -> &'static [(f64, f64)] {
         match self {
             Self::Disc => &[],

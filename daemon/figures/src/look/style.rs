@@ -140,7 +140,7 @@ impl Style {
         Self::line("cut", WHITE, 0.45)
     }
 
-    /// Points and lines of no stage.
+    /// Returns the style of points and lines that belong to no stage.
     pub fn ink() -> Self {
         Self::area("f-ink", Fill::of(INK.light))
     }

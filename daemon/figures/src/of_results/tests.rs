@@ -28,7 +28,7 @@ impl ChangeRows for Rows {
     }
 }
 
-/// Rows 1 to `count`: five are warm-up, the seventh is lost; the values are those of `of`, in ms or bytes.
+/// Returns a run with rows 1 to `count`: five are warm-up, the seventh is lost; the values are those of `of`, in ms or bytes.
 fn run(count: u64, of: impl Fn(u64) -> Vec<(&'static str, f64)>) -> Loaded {
     let row = |number: u64| Row {
         iteration: number,
@@ -72,7 +72,7 @@ fn names(files: &[PathBuf]) -> Vec<String> {
     files.iter().map(|file| file.file_name().expect("a name").to_string_lossy().into_owned()).collect()
 }
 
-/// Names of the files of a figure.
+/// Returns the names of the files of a figure.
 fn written_as(stem: &str) -> Vec<String> {
     [".png", ".svg", ".pdf", "-caption.txt"].map(|ending| format!("{stem}{ending}")).to_vec()
 }

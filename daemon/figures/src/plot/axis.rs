@@ -18,12 +18,12 @@ pub struct Unit {
 }
 
 impl Unit {
-    /// Seconds, shown as ms.
+    /// Returns the unit of seconds, shown as ms.
     pub fn milliseconds(what: &str) -> Self {
         Self { title: format!("{what}, ms"), symbol: "ms".into(), per_si: 1e3 }
     }
 
-    /// Bits per second, shown as MB/s.
+    /// Returns the unit of bits per second, shown as MB/s.
     pub fn megabytes_per_second(what: &str) -> Self {
         Self { title: format!("{what}, MB/s"), symbol: "MB/s".into(), per_si: 1.0 / 8e6 }
     }

@@ -102,7 +102,7 @@ impl Path {
         Self::of(steps)
     }
 
-    /// Rectangles between two corners each.
+    /// Returns rectangles between two corners each.
     pub fn rects(corners: impl IntoIterator<Item = [Point; 2]>) -> Self {
         let mut steps = Vec::new();
         for [(left, top), (right, bottom)] in corners {
@@ -111,7 +111,7 @@ impl Path {
         Self::of(steps)
     }
 
-    /// Dots: lines of no length, which a stroke with round ends makes visible.
+    /// Returns dots: lines of length zero, which a stroke with round ends makes visible.
     pub fn dots(points: impl IntoIterator<Item = Point>) -> Self {
         Self::of(points.into_iter().flat_map(|(x, y)| [Step::Move(x, y), Step::Line(x, y)]).collect())
     }

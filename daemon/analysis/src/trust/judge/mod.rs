@@ -48,7 +48,7 @@ fn percent(share: f64) -> String {
     format!("{}\u{202f}%", fixed(value, decimals))
 }
 
-/// Seconds as milliseconds with three significant digits: `16.1 ms`.
+/// Formats seconds as milliseconds with three significant digits: `16.1 ms`.
 fn ms(seconds: f64) -> String {
     format!("{}\u{202f}ms", significant(seconds * 1e3))
 }

@@ -190,7 +190,7 @@ impl Course {
         items
     }
 
-    /// Iterations without an answer, above the plot.
+    /// Returns the strip above the plot with the iterations without an answer.
     fn rail(&self, plot: &Plot) -> Option<Strip> {
         if self.unanswered.is_empty() {
             return None;

@@ -25,7 +25,7 @@ fn sample_width(swatch: &Swatch) -> f64 {
     if matches!(swatch, Swatch::Curve(_, Mark::Diamond, _)) { LONG } else { SAMPLE }
 }
 
-/// Places of the entries: points from the left, and the number of the line.
+/// Returns the places of the entries: points from the left, and the number of the line.
 fn places(legend: &[Key]) -> Vec<(f64, usize)> {
     let (mut x, mut line) = (EDGE, 0);
     let place = |key: &Key| {

@@ -131,7 +131,7 @@ fn has_labels(plot: &Plot) -> bool {
     }
 }
 
-/// Lines of the labels of the horizontal axis.
+/// Returns the number of lines of the labels of the horizontal axis.
 pub(super) fn lines(plot: &Plot) -> usize {
     match &plot.x.marks {
         Marks::Names(ticks) => ticks.iter().map(|tick| tick.text.lines().count()).max().unwrap_or(1),
