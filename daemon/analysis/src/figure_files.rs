@@ -23,7 +23,7 @@ const NUMBERED: [&str; 4] = ["payload-latency", "payload-throughput", "totals", 
 /// Bytes of the longest header that is read.
 const LONGEST_HEADER: u64 = 1 << 20;
 
-/// Returns the names of the files in a folder that figures of its results are written to, for all kinds.
+/// Returns the names of the files in a result folder that are figures of its results, of every kind.
 pub fn figure_files(dir: &Path) -> Vec<String> {
     let columns = columns(&dir.join("data.csv"));
     let entries = read_dir(dir).into_iter().flatten().filter_map(Result::ok);

@@ -107,8 +107,7 @@ impl<'a> Group<'a> {
 }
 
 impl Run {
-    /// Blocks from anywhere, as many pieces in all as the run has. The run is a circle: after its last piece comes its
-    /// first.
+    /// Draws blocks at random places until they have as many pieces as the run. The run is circular: its first piece follows its last.
     fn blocks(&self, random: &mut StdRng, mut take: impl FnMut(usize, usize)) {
         let count = self.sums.len() - 1;
         let ends = -1.0 / self.block;
