@@ -88,7 +88,7 @@ impl Summary {
         }
     }
 
-    /// Adds facts from the run's record: its title, the units of its own columns, the words of its labels and classes, and the facts about
+    /// Adds facts from the run's record: its title, the units of its further columns, the words of its labels and classes, and the facts about
     /// iterations that have no row.
     #[must_use]
     pub fn about(mut self, record: &RunRecord) -> Self {
