@@ -1,38 +1,38 @@
-//! How long answers are: which quantity is their length, whether it varies, and how latency grows with it.
+//! Length of answers: the quantity that measures it, whether it varies, and how latency grows with it.
 
 use crate::fit::{Fit, Point, theil_sen};
 
-/// How long answers take.
+/// Column of the time that an answer takes.
 pub const LATENCY: &str = "inference";
-/// How long answers are, where no tokens are counted.
+/// Column of the length of an answer where no tokens are counted.
 const ANSWER: &str = "download-bytes";
-/// With this end the names of those that a run counts itself.
+/// Suffix of the names of quantities that count tokens.
 const TOKENS: &str = "tokens";
-/// Names with one of these words count what was asked.
+/// Words in the names of quantities that count the question and not the answer.
 const ASKED: [&str; 2] = ["prompt", "input"];
-/// The longest answer is at least so much longer than the shortest, or its length is not what matters.
+/// Minimum ratio of the longest to the shortest answer; below it the length does not explain the latency.
 const VARIED: f64 = 1.5;
 
-/// Which of these names is the length of an answer: of those that count tokens the first by name, those of the answer
-/// before those of the question; `download-bytes` where nobody counted.
+/// Returns the name of the quantity that is the length of an answer. Among the names that count tokens it is the first one by name, those
+/// of the answer before those of the question; `download-bytes` if no tokens are counted.
 pub fn answer_length<'a>(names: impl Iterator<Item = &'a str>) -> &'a str {
     let is_asked = |name: &str| ASKED.iter().any(|word| name.contains(word));
     names.filter(|name| is_tokens(name)).min_by_key(|name| (is_asked(name), *name)).unwrap_or(ANSWER)
 }
 
-/// Whether a length is counted in tokens, else in bytes.
+/// Returns whether a length is counted in tokens; otherwise it is in bytes.
 pub fn is_tokens(name: &str) -> bool {
     name.ends_with(TOKENS)
 }
 
-/// Whether answers differ enough in length to be drawn against it.
+/// Returns whether the answers' lengths differ enough for a figure of latency against length.
 pub fn varies(shortest: f64, longest: f64) -> bool {
     longest > shortest && longest >= VARIED * shortest
 }
 
-/// Fewest iterations that a line is drawn through.
+/// Minimum number of iterations for a line.
 const FEWEST: usize = 60;
-/// An interval that is wider than this share of a slope does not tell the slope.
+/// Width of an interval, as a share of the slope, above which the slope is not given as one figure.
 const TELLING: f64 = 0.5;
 
 /// Growth of latency with the length of answers: a line through single iterations.
@@ -45,8 +45,8 @@ pub struct Growth {
 }
 
 impl Growth {
-    /// Returns the line whose slope is the median of those of all pairs of iterations, given as length and latency: whatever the tail
-    /// of the latencies and the distribution of the lengths, late answers hardly move it. `None` where there are too few.
+    /// Returns the line whose slope is the median of the slopes of all pairs of iterations, given as length and latency. This slope is
+    /// robust against long tails of the latencies and any distribution of the lengths. `None` if there are too few iterations.
     pub fn of(iterations: &[(f64, f64)]) -> Option<Self> {
         (iterations.len() >= FEWEST).then_some(())?;
         let points: Vec<Point> = iterations.iter().map(|(x, y)| Point { x: *x, y: *y }).collect();
@@ -59,12 +59,12 @@ impl Growth {
         self.interval.0 > 0.0 || self.interval.1 < 0.0
     }
 
-    /// Returns whether the interval is too wide for the slope to be told as one figure.
+    /// Returns whether the interval is too wide for the slope to be given as one figure.
     pub fn is_vague(&self) -> bool {
         self.interval.1 - self.interval.0 > TELLING * self.fit.slope.value.abs()
     }
 
-    /// Returns intercept and slope where the slope is certain.
+    /// Returns intercept and slope if the slope is certain.
     pub fn line(&self) -> Option<(f64, f64)> {
         self.is_certain().then_some((self.fit.intercept.value, self.fit.slope.value))
     }

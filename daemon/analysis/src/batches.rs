@@ -1,49 +1,49 @@
-//! Batches of values that follow upon one another.
+//! Batches of consecutive values.
 //!
-//! Latencies that follow upon one another are alike: a queue empties slowly, a processor stays warm. Batches that are longer than
-//! what neighbours have in common are nearly independent, which single values are not (non-overlapping batch means, Schmeiser,
-//! *Batch size effects in the analysis of simulation output*, Operations Research 30, 1982).
+//! Consecutive latencies are correlated: a queue empties slowly, a processor stays warm. The means of batches that are longer than this
+//! correlation are nearly independent, unlike single values (non-overlapping batch means, Schmeiser, *Batch size effects in the analysis of
+//! simulation output*, Operations Research 30, 1982).
 
 use std::ops::Range;
 
 use peernet_statistics::Summary;
 
-/// Most batches of a run: more add nothing (Schmeiser 1982).
+/// Maximum number of batches of a run: more add nothing (Schmeiser 1982).
 pub(crate) const MAX_BATCHES: u64 = 30;
 
-/// Fewest values of a batch.
+/// Minimum number of values in a batch.
 pub(crate) const MIN_BATCH_VALUES: u64 = 10;
 
-/// Values in the order of time, singly or summed up in buckets.
+/// Values in the order of time, single or in buckets.
 pub(crate) trait Series {
     /// Returns the number of places.
     fn places(&self) -> usize;
 
-    /// Returns how many values there are at a place.
+    /// Returns the number of values at a place.
     fn count(&self, at: usize) -> u64;
 
     /// Returns the sum of the values at a place.
     fn sum(&self, at: usize) -> f64;
 
-    /// Returns how many values there are at all places.
+    /// Returns the number of values at all places.
     fn total_count(&self) -> u64 {
         (0..self.places()).map(|at| self.count(at)).sum()
     }
 
-    /// Returns the mean of the values at some places; `None` where there is none.
+    /// Returns the mean of the values in a range of places; `None` if it has no values.
     fn mean(&self, range: Range<usize>) -> Option<f64> {
         let add = |(count, sum): (u64, f64), at| (count + self.count(at), sum + self.sum(at));
         let (count, sum) = range.fold((0, 0.0), add);
         (count > 0).then(|| sum / count as f64)
     }
 
-    /// Cuts the series into parts of about the same number of values, at most so many, none empty. Buckets are not divided.
+    /// Cuts the series into at most `parts` parts of about the same number of values, none of them empty. Buckets are not divided.
     fn parts(&self, parts: u64) -> Vec<Range<usize>> {
         let all = self.total_count();
         let (mut ranges, mut from, mut count) = (Vec::new(), 0, 0);
         for at in 0..self.places() {
             count += self.count(at);
-            // The end of the part that is being filled lies at this share of all.
+            // The current part ends at this share of all values.
             let end = u128::from(all) * (ranges.len() as u128 + 1);
             if u128::from(count) * u128::from(parts) >= end && (ranges.len() as u64) < parts {
                 ranges.push(from..at + 1);

@@ -1,19 +1,19 @@
-//! How often iterations missed their deadline.
+//! Missed deadlines of iterations.
 
 use serde::{Deserialize, Serialize};
 
 use crate::rows::RowRef;
 
-/// The node, and the column, that holds 1 where an iteration took longer than the deadline of its pipeline or has no answer,
+/// Name of the node, and of the column, with the value 1 if an iteration took longer than the deadline of its pipeline or has no answer,
 /// else 0. Absent without a deadline.
 pub const DEADLINE_MISSED: &str = "deadline-missed";
 
 /// Iterations that missed their deadline, warm-up left out.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Misses {
-    /// Those that took longer than the deadline or have no answer.
+    /// Number of iterations that took longer than the deadline or have no answer.
     pub missed: u64,
-    /// All iterations.
+    /// Number of all iterations.
     pub of: u64,
 }
 
@@ -23,12 +23,12 @@ impl Misses {
         Self { missed: late.min(answered) + unanswered, of: answered + unanswered }
     }
 
-    /// Returns those of several runs together; `None` of none.
+    /// Returns the sum over several runs; `None` without runs.
     pub fn together(runs: impl IntoIterator<Item = Self>) -> Option<Self> {
         runs.into_iter().reduce(|a, b| Self { missed: a.missed + b.missed, of: a.of + b.of })
     }
 
-    /// Counts rows; `None` where no row says whether a deadline was missed.
+    /// Counts rows; `None` if no row has the column of missed deadlines.
     pub fn of_rows<'a>(rows: impl IntoIterator<Item = RowRef<'a>>) -> Option<Self> {
         let mut has_deadline = false;
         let (mut answered, mut late, mut unanswered) = (0, 0, 0);
@@ -45,7 +45,7 @@ impl Misses {
         has_deadline.then(|| Self::new(answered, late, unanswered))
     }
 
-    /// The miss rate: the share of iterations that missed their deadline, 0 to 1; `None` before the first iteration.
+    /// Returns the miss rate: the share of iterations that missed their deadline, 0 to 1; `None` before the first iteration.
     pub fn rate(self) -> Option<f64> {
         (self.of > 0).then(|| self.missed as f64 / self.of as f64)
     }

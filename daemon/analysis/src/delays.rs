@@ -1,12 +1,12 @@
-//! One-way delays and round trips of several seconds as one: verdict, median, smallest.
+//! Summary of one-way delays and round trips over several seconds: verdict, median, smallest.
 
 use peernet_clock::{Span, Verdict};
 use peernet_stream::{DelayPoint, DelaySecond, RoundTrip};
 
-/// A verdict counts for many delays where at least one in so many was given it or a worse one.
+/// Reciprocal of the share of delays that need a verdict, or a worse one, for the verdict to apply to all of them.
 const WORST_OF: u64 = 20;
 
-/// Returns how much a verdict takes from a delay; the largest is the worst.
+/// Returns a rank of the verdict; the largest is the worst.
 pub const fn severity(verdict: Verdict) -> u8 {
     match verdict {
         Verdict::Ok => 0,
@@ -18,8 +18,8 @@ pub const fn severity(verdict: Verdict) -> u8 {
     }
 }
 
-/// Returns the verdict on many delays, given how many of them were given each: the worst one that, with those that are worse, a
-/// twentieth of them were given. `None` of none.
+/// Returns the verdict on many delays from the number of delays by verdict: the worst verdict for which at least a twentieth of the delays
+/// have it or a worse one. `None` without delays.
 pub fn prevailing(verdicts: &[(Verdict, u64)]) -> Option<Verdict> {
     let all: u64 = verdicts.iter().map(|(_, count)| count).sum();
     let mut by_severity: Vec<(Verdict, u64)> =
@@ -44,10 +44,10 @@ pub struct DelaySum {
 impl DelaySum {
     /// Adds the delays of a second.
     pub fn add(&mut self, second: &DelaySecond) {
-        // A second that was judged at all has a say.
+        // A judged second has at least the weight 1.
         let weight = u64::from(second.count.max(1));
         self.count += u64::from(second.count);
-        // Nothing arrives before it was sent: a negative value is no delay.
+        // A negative delay is impossible, so it is left out.
         self.medians
             .extend(second.median.filter(|point| !point.value.is_negative()).map(|point| (point, weight)));
         match self.verdicts.iter_mut().find(|(known, _)| *known == second.verdict) {
@@ -56,13 +56,13 @@ impl DelaySum {
         }
     }
 
-    /// Returns how many delays were judged.
+    /// Returns the number of judged delays.
     pub fn count(&self) -> u64 {
         self.count
     }
 
-    /// Returns the median of the seconds' medians, each weighted by its number of delays, with the bounds of that very one. `None`
-    /// where no second has one.
+    /// Returns the median of the seconds' medians, each weighted by its number of delays, with the bounds of the second that it comes from.
+    /// `None` if no second has one.
     pub fn median(&self) -> Option<DelayPoint> {
         let mut medians = self.medians.clone();
         medians.sort_unstable_by_key(|(point, _)| point.value);
@@ -75,12 +75,12 @@ impl DelaySum {
         found.map(|(point, _)| point)
     }
 
-    /// Returns the verdict on all delays; `None` where none was judged.
+    /// Returns the verdict on all delays; `None` if none was judged.
     pub fn verdict(&self) -> Option<Verdict> {
         prevailing(&self.verdicts)
     }
 
-    /// Returns all as if it were one second; `None` where no delay was judged.
+    /// Returns all seconds as one; `None` if no delay was judged.
     pub fn second(&self) -> Option<DelaySecond> {
         let count = u32::try_from(self.count).unwrap_or(u32::MAX);
         Some(DelaySecond { count, median: self.median(), verdict: self.verdict()? })
@@ -96,8 +96,8 @@ impl<'a> FromIterator<&'a DelaySecond> for DelaySum {
     }
 }
 
-/// Returns the round trips of several seconds as one: the smallest, and the median of their medians, of two in the middle the
-/// smaller. `None` of none.
+/// Returns the round trips of several seconds as one: the smallest, and the median of their medians, of two in the middle the smaller.
+/// `None` without any.
 pub fn round_trip(seconds: impl IntoIterator<Item = RoundTrip>) -> Option<RoundTrip> {
     let (mut smallest, mut medians): (Option<Span>, Vec<Span>) = (None, Vec::new());
     for RoundTrip { min, median } in seconds {

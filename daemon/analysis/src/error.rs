@@ -1,19 +1,19 @@
-//! What can go wrong when results are written.
+//! Errors of writing results.
 
 use std::path::{Path, PathBuf};
 
-/// A file of results that could not be written.
+/// Error of writing a file of results.
 #[derive(Debug, thiserror::Error)]
 #[error("cannot write {}: {reason}", path.display())]
 pub struct WriteError {
-    /// Which file.
+    /// Path of the file.
     pub path: PathBuf,
     /// Why.
     pub reason: String,
 }
 
 impl WriteError {
-    /// What an error in writing a file becomes.
+    /// Returns a function that turns an error of writing the file at `path` into a [`WriteError`].
     pub fn at<E: std::fmt::Display>(path: &Path) -> impl FnOnce(E) -> Self {
         move |error| Self { path: path.to_owned(), reason: error.to_string() }
     }

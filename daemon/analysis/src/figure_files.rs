@@ -4,7 +4,7 @@ use std::fs::{File, read_dir};
 use std::io::{BufRead, BufReader, Read};
 use std::path::Path;
 
-/// The published histograms: name of the file, column, what it is.
+/// Published histograms: name of the file, column, description.
 pub const HISTOGRAMS: [(&str, &str, &str); 6] = [
     ("sensing-time", "sensing", "Sensing time"),
     ("upload-time", "upload", "Upload time"),
@@ -14,7 +14,7 @@ pub const HISTOGRAMS: [(&str, &str, &str); 6] = [
     ("download-throughput", "download-throughput", "Download throughput"),
 ];
 
-/// What each is written as: a text as well, whose name says that it is a figure's.
+/// Endings of a figure's files. The text is one of them, because its name says that it belongs to a figure.
 const ENDINGS: [&str; 4] = [".png", ".svg", ".pdf", "-caption.txt"];
 /// Figures of which there is one.
 const SINGLE: [&str; 6] = ["cumulative", "series", "length", "stacked", "accuracy", "paired"];
@@ -23,7 +23,7 @@ const NUMBERED: [&str; 4] = ["payload-latency", "payload-throughput", "totals", 
 /// Bytes of the longest header that is read.
 const LONGEST_HEADER: u64 = 1 << 20;
 
-/// Names of the files in a folder that figures of its results are written to, whichever kind was drawn.
+/// Returns the names of the files in a result folder that are figures of its results, of every kind.
 pub fn figure_files(dir: &Path) -> Vec<String> {
     let columns = columns(&dir.join("data.csv"));
     let entries = read_dir(dir).into_iter().flatten().filter_map(Result::ok);
@@ -50,7 +50,7 @@ fn is_figure(name: &str, columns: &[String]) -> bool {
         || is_column()
 }
 
-/// The columns of rows, each of which may have a histogram; none where there are no rows.
+/// Returns the columns of rows, each of which may have a histogram; empty without rows.
 fn columns(data: &Path) -> Vec<String> {
     let header = || -> Option<String> {
         let file = data.is_file().then(|| File::open(data).ok())??;

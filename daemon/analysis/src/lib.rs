@@ -1,4 +1,4 @@
-//! Everything that is computed from recorded iterations: fits, comparisons, verdicts, tables, studies.
+//! Analysis of recorded iterations: fits, comparisons, verdicts, tables, studies.
 //!
 //! ```text
 //! samples ── calibration (a study: fits, bounds, verdict) ── table   CSV, text, Markdown, LaTeX
@@ -7,7 +7,14 @@
 //!                     └─ accuracy, deadline, trust, slowness, summary
 //! ```
 //!
-//! Pure but for writing tables. Files of results are read and written by `peernet-results`, figures drawn by `peernet-figures`.
+//! Each question has one function, which pages, REST API and commands call, so that they agree. It takes one plain value, such
+//! as [`compare::MeanEstimate`], [`trust::TrustInput`] or [`slowness::Medians`], which `peernet-results` fills from rows and
+//! `peernet-store` from roll-ups. There is no single record of a run for all questions, because a page would have to read the
+//! data of all questions for each of them. Files contain every value, so their medians and quantiles are exact; those of a
+//! sketch are within 1 %. Medians have confidence intervals only if they come from files, because the bootstrap needs single
+//! values.
+//!
+//! Writing tables is the only I/O. Files of results are read and written by `peernet-results`, figures drawn by `peernet-figures`.
 
 pub mod accuracy;
 pub mod answer_length;

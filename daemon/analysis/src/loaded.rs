@@ -9,18 +9,18 @@ use crate::record::{Counts, RunRecord};
 use crate::rows::Rows;
 use crate::run_trust_input::cut_short;
 
-/// The reason for the end of a run whose rows are there and whose record, which is written last, is not.
+/// Reason for the end of a run that has rows but no record. The record is written last.
 pub const NO_RECORD: &str =
     "there is no run.json: the run is under way or was killed, or data.csv came here alone";
 
 /// Results that were read back.
 #[derive(Clone, Debug)]
 pub struct Loaded {
-    /// Where from.
+    /// Folder that the results were read from.
     pub folder: PathBuf,
-    /// What the run was.
+    /// Record of the run.
     pub record: RunRecord,
-    /// Its iterations, in order.
+    /// Iterations of the run, in order.
     pub rows: Rows,
 }
 
@@ -41,8 +41,8 @@ pub enum RowsDamage {
 }
 
 impl Loaded {
-    /// Why the rows are not those of a whole run, in one clause: not all that it measured, or all of a run that was
-    /// interrupted, broke off, was killed or is under way. `None` where they are, or where nobody knows, as of files of
+    /// Returns the reason why the rows are not those of a whole run, in one clause: some measurements are missing, or the run was
+    /// interrupted, broke off, was killed or is still in progress. `None` if they are complete, or if this is not known, as for files of
     /// other programs.
     pub fn lacking(&self) -> Option<String> {
         let has_no_record = self.record.reason.failure() == Some(NO_RECORD);
@@ -52,8 +52,8 @@ impl Loaded {
         })
     }
 
-    /// Why the rows are not all that were measured: `data.csv` has others than `run.json` counts, as when it was cut off
-    /// or changed. `None` where they are, or where nothing counts them.
+    /// Returns the reason why the rows are not all that were measured: their number in `data.csv` differs from the count in `run.json`, as
+    /// when the file was truncated or changed. `None` if they agree, or if there is no count.
     pub fn damage(&self) -> Option<RowsDamage> {
         let said = self.record.counts;
         let is = Counts::of(&self.rows, said.unseen);
@@ -68,7 +68,7 @@ impl Loaded {
         })
     }
 
-    /// Samples that are neither right nor wrong, because their label is no class of the model.
+    /// Returns samples that are neither right nor wrong, because their label is not a class of the model.
     fn unknown_labels(&self) -> Option<UnknownLabels> {
         UnknownLabels::of(&self.rows, &self.record.facts)
     }

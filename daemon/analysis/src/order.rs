@@ -1,8 +1,8 @@
-//! Order statistics: what is said of delays, whose distribution has a long tail.
+//! Order statistics, which describe delays, because their distribution has a long tail.
 
-/// Fewest values that p5 and p95 are given of, everywhere in PEERNet.
+/// Minimum number of values for p5 and p95, everywhere in PEERNet.
 pub const ENOUGH_FOR_P95: usize = 60;
-/// Fewest values that p99 is given of.
+/// Minimum number of values for p99.
 pub const ENOUGH_FOR_P99: usize = 300;
 
 /// The normal quantile of a 95 % interval.
@@ -13,7 +13,7 @@ pub(crate) const Z95: f64 = 1.959_963_984_540_054;
 pub struct Ordered(Vec<f64>);
 
 impl FromIterator<f64> for Ordered {
-    /// Values that are not numbers are left out.
+    /// Collects and sorts the values. NaN is left out.
     fn from_iter<I: IntoIterator<Item = f64>>(values: I) -> Self {
         let mut values: Vec<f64> = values.into_iter().filter(|value| !value.is_nan()).collect();
         values.sort_unstable_by(f64::total_cmp);
@@ -22,52 +22,52 @@ impl FromIterator<f64> for Ordered {
 }
 
 impl Ordered {
-    /// The values, smallest first.
+    /// Returns the values, smallest first.
     pub fn values(&self) -> &[f64] {
         &self.0
     }
 
-    /// How many.
+    /// Returns the number of values.
     pub fn len(&self) -> usize {
         self.0.len()
     }
 
-    /// Whether there are none.
+    /// Returns whether there are no values.
     pub fn is_empty(&self) -> bool {
         self.0.is_empty()
     }
 
-    /// The quantile at `p` from 0 to 1, between neighbours by linear interpolation (definition 7 of Hyndman and
-    /// Fan 1996); `None` without values.
+    /// Returns the quantile at `p` from 0 to 1, between neighbours by linear interpolation (definition 7 of Hyndman and Fan 1996); `None`
+    /// without values.
     pub fn quantile(&self, p: f64) -> Option<f64> {
         let at = p.clamp(0.0, 1.0) * self.0.len().checked_sub(1)? as f64;
         let (below, above) = (self.0[at.floor() as usize], self.0[at.ceil() as usize]);
-        // Equal ones may both be infinite, and their difference no number.
+        // Equal values may both be infinite, and their difference would be NaN.
         Some(if below == above { below } else { below + (above - below) * at.fract() })
     }
 
-    /// The median; `None` without values.
+    /// Returns the median; `None` without values.
     pub fn median(&self) -> Option<f64> {
         self.quantile(0.5)
     }
 
-    /// The 5th and the 95th percentile; `None` with fewer than 60 values.
+    /// Returns the 5th and the 95th percentile; `None` with fewer than 60 values.
     pub fn tails(&self) -> Option<(f64, f64)> {
         Some((self.quantile(0.05)?, self.p95()?))
     }
 
-    /// The 95th percentile; `None` with fewer than 60 values.
+    /// Returns the 95th percentile; `None` with fewer than 60 values.
     pub fn p95(&self) -> Option<f64> {
         self.quantile(0.95).filter(|_| self.0.len() >= ENOUGH_FOR_P95)
     }
 
-    /// The 99th percentile; `None` with fewer than 300 values.
+    /// Returns the 99th percentile; `None` with fewer than 300 values.
     pub fn p99(&self) -> Option<f64> {
         self.quantile(0.99).filter(|_| self.0.len() >= ENOUGH_FOR_P99)
     }
 
-    /// The standard error of the median, from the order statistics that bound it with 95 % confidence (McKean and
-    /// Schrader 1984): it asks nothing of the distribution's shape. `None` with fewer than 6 values.
+    /// Returns the standard error of the median, from the order statistics that bound it with 95 % confidence (McKean and Schrader 1984):
+    /// it does not depend on the distribution's shape. `None` with fewer than 6 values.
     pub fn median_error(&self) -> Option<f64> {
         let n = self.0.len();
         (n >= 6).then_some(())?;

@@ -1,4 +1,4 @@
-//! How iterations ended.
+//! Outcomes of iterations.
 
 use peernet_stream::OutcomeCounts;
 

@@ -1,26 +1,26 @@
-//! A message one way, and what is known of its delay.
+//! Message in one direction, with its delay.
 
 use peernet_clock::{OneWayDelay, Span, Verdict};
 use peernet_logger::{Measure, Name, Tree, stage};
 
-/// A message one way.
+/// Message in one direction.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Passage {
     /// Payload, bytes.
     pub payload_bytes: u64,
     /// Metadata, bytes.
     pub logger_bytes: u64,
-    /// What is known of its delay.
+    /// Delay of the message, with its bounds if they are known.
     pub delay: OneWayDelay,
 }
 
 impl Passage {
-    /// Edge to cloud; `None` when it was never sent or never judged.
+    /// Returns the message from edge to cloud; `None` when it was never sent or never judged.
     pub fn up(tree: &Tree) -> Option<Self> {
         Self::of(tree, [stage::UPLOAD, stage::UPLOAD_BYTES, stage::UPLOAD_LOGGER_BYTES])
     }
 
-    /// Cloud to edge.
+    /// Returns the message from cloud to edge.
     pub fn down(tree: &Tree) -> Option<Self> {
         Self::of(tree, [stage::DOWNLOAD, stage::DOWNLOAD_BYTES, stage::DOWNLOAD_LOGGER_BYTES])
     }
@@ -35,18 +35,18 @@ impl Passage {
         })
     }
 
-    /// Payload and metadata, bytes.
+    /// Returns the size of payload and metadata, bytes.
     pub fn wire_bytes(&self) -> u64 {
         self.payload_bytes + self.logger_bytes
     }
 
-    /// The delay in seconds, where it is known: one near a step or from contradicting sources is not.
+    /// Returns the delay in seconds if it is known: a delay near a step or from contradicting sources is not.
     pub fn seconds(&self) -> Option<f64> {
         let known = matches!(self.delay.verdict, Verdict::Ok | Verdict::Limited | Verdict::Stale);
         self.delay.value.filter(|_| known).map(Span::seconds)
     }
 
-    /// The delay's bounds in seconds.
+    /// Returns the delay's bounds in seconds.
     pub fn bounds(&self) -> Option<(f64, f64)> {
         self.seconds()?;
         self.delay.bounds.map(|bounds| (bounds.lo.seconds(), bounds.hi.seconds()))

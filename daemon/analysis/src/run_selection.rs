@@ -1,5 +1,5 @@
-//! Which runs count: those that were measured to their end, each repeat of a configuration once, and those that are asked for by
-//! themselves.
+//! Choice of the runs that count: those that were measured to their end, each repeat of a configuration once, and those that are named
+//! explicitly.
 
 use std::collections::HashMap;
 use std::fmt;
@@ -14,18 +14,18 @@ use crate::loaded::Loaded;
 pub enum RunState {
     /// It has not begun.
     Pending,
-    /// It has no end: it is under way, or its program was killed.
+    /// It has no end: it is in progress, or its program was killed.
     Open,
     /// It was measured to its end.
     Finished,
     /// Somebody ended it.
     Interrupted,
-    /// It could not be measured to its end, for this reason where one is known.
+    /// It could not be measured to its end, for this reason if one is known.
     Failed(Option<String>),
 }
 
 impl RunState {
-    /// Returns the state of a run that began, by the reason for its end; `None` of one without an end.
+    /// Returns the state of a run that began, by the reason for its end; `None` for one without an end.
     pub fn of_end(reason: Option<&EndReason>) -> Self {
         match reason {
             None | Some(EndReason::Unknown) => Self::Open,
@@ -52,7 +52,7 @@ impl RunState {
     }
 }
 
-/// The name, and why a run failed.
+/// Writes the name, and the reason if the run failed.
 impl fmt::Display for RunState {
     fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
@@ -84,24 +84,24 @@ impl Exclusion {
     }
 }
 
-/// What decides whether a run counts.
+/// Facts that decide whether a run counts.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Candidate {
-    /// Its id; `None` of results of other programs.
+    /// Id of the run; `None` for results of other programs.
     pub id: Option<RunId>,
-    /// Its progress; `None` where nothing tells of it.
+    /// Progress of the run; `None` if it is not recorded.
     pub state: Option<RunState>,
-    /// What it measured; `None` outside of experiments.
+    /// Repeat that the run measured; `None` outside of experiments.
     pub repeat: Option<Repeat>,
-    /// Its place in time: of two runs the later one has the larger number.
+    /// Position in time: of two runs the later one has the larger number.
     pub sequence: i64,
-    /// Whether it is asked for by itself, so that its progress does not matter.
+    /// `true` if it is named explicitly, so that its progress does not matter.
     pub is_named: bool,
-    /// Of several results of one run those with the lowest rank count.
+    /// Rank of the results. Of several results of one run, those with the lowest rank count.
     pub rank: u8,
 }
 
-/// A repeat of a configuration, as one edge measured it: several users of one run are several edges.
+/// Repeat of a configuration, as one edge measured it: several users of one run are several edges.
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
 pub struct Repeat {
     experiment: String,
@@ -120,7 +120,8 @@ impl Repeat {
 }
 
 impl Candidate {
-    /// Returns the candidate of results that were read. Results outside of experiments have no state: nobody does them again.
+    /// Returns the candidate of results that were read. Results outside of experiments have no state, because such runs are not repeated
+    /// after a failure.
     pub fn of_results(run: &Loaded) -> Self {
         let record = &run.record;
         let place = record.experiment.as_ref();
@@ -135,13 +136,15 @@ impl Candidate {
     }
 }
 
-/// Returns for each run why it does not count; `None` of those that do.
+/// Returns for each run the reason why it does not count; `None` for those that do.
 pub fn exclusions(runs: &[Candidate]) -> Vec<Option<Exclusion>> {
     let unfinished = |run: &Candidate| {
         let state = run.state.as_ref().filter(|state| !run.is_named && !state.is_finished())?;
         Some(Exclusion::Unfinished(state.clone()))
     };
     let mut found: Vec<Option<Exclusion>> = runs.iter().map(unfinished).collect();
+    // Copies are excluded before repeats are compared, because the results of one run are also of one repeat: the rank chooses among
+    // them, not the time.
     let by_id = best(runs, &found, |run| run.id, |at, run| (!run.is_named, run.rank, at));
     exclude(runs, &mut found, |run| Some(Exclusion::CopyOf(*by_id.get(&run.id?)?)));
     let newest = best(runs, &found, |run| run.repeat.as_ref(), |at, run| (-i128::from(run.sequence), at));
@@ -153,7 +156,7 @@ pub fn exclusions(runs: &[Candidate]) -> Vec<Option<Exclusion>> {
     found
 }
 
-/// The place of the run with the smallest order of each key, among those that count so far.
+/// Returns the index of the run with the smallest order of each key, among those that count so far.
 fn best<'a, K: Eq + std::hash::Hash, O: Ord>(
     runs: &'a [Candidate],
     found: &[Option<Exclusion>],

@@ -1,4 +1,4 @@
-//! A sensor alone: how fast and how evenly it runs, and what it drops.
+//! Study of a sensor alone: its rate, its jitter, and its dropped samples.
 
 use peernet_statistics::Moments;
 use peernet_statistics::number::{counted, fixed, milliseconds, significant};
@@ -7,19 +7,18 @@ use crate::order::{ENOUGH_FOR_P95, Ordered};
 use crate::rows::{Outcome, RowRef, Rows};
 use crate::table::Table;
 
-/// What a sensor says of its dropped samples stands in a column that ends with this.
+/// Suffix of the columns in which sensors report their dropped samples.
 const DROPPED: &str = "dropped-samples";
 
-/// What the samples of a run show of their sensor. Seconds, and samples per second.
+/// Periods and jitter of a sensor, from the samples of a run. Seconds, and samples per second.
 ///
-/// A sample's moment is when it was ready: the start of its iteration and its `sensing` after that. A period lies between
-/// the moments of two samples that follow each other; warm-up is left out. The jitter of a period is how far it is from
-/// the median period, in either direction.
+/// A sample's moment is when it was ready: the start of its iteration plus its `sensing`. A period lies between the moments of two samples
+/// that follow each other; warm-up is left out. The jitter of a period is its distance from the median period, in either direction.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SensorStudy {
-    /// Samples that the sensor gave.
+    /// Samples that the sensor returned.
     pub samples: u64,
-    /// Iterations in which it gave none: it failed.
+    /// Iterations in which it failed to return a sample.
     pub failed: u64,
     /// Samples per second: one over the mean period.
     pub rate: f64,
@@ -31,21 +30,21 @@ pub struct SensorStudy {
     pub median: f64,
     /// Percentiles of the jitter; `None` below 60 and 300 periods.
     pub jitter_p95: Option<f64>,
-    /// As `jitter_p95`.
+    /// 99th percentile of the jitter, like `jitter_p95`.
     pub jitter_p99: Option<f64>,
     /// Median jitter.
     pub jitter_median: f64,
     /// The longest time without a sample, failed iterations included.
     pub longest_gap: f64,
-    /// The iteration that ended it.
+    /// Iteration that ended this gap.
     pub longest_gap_at: u64,
     /// Median time from asking for a sample to having it.
     pub sensing: f64,
-    /// Samples that the sensor says it dropped; `None` when it says nothing of that.
+    /// Samples that the sensor reports as dropped; `None` without such a report.
     pub dropped: Option<u64>,
 }
 
-/// A sample: its iteration and its moment.
+/// Sample of the sensor: its iteration and its moment.
 #[derive(Clone, Copy, Debug)]
 struct Taken {
     iteration: u64,
@@ -53,7 +52,7 @@ struct Taken {
 }
 
 impl SensorStudy {
-    /// What these rows show, in whatever order; `None` with fewer than two samples that follow each other.
+    /// Returns the study of these rows, in any order; `None` with fewer than two samples that follow each other.
     pub fn of(rows: &Rows) -> Option<Self> {
         let measured = || rows.iter().filter(|row| !row.warm_up());
         let mut taken: Vec<Taken> = measured().filter_map(taken).collect();
@@ -84,7 +83,7 @@ impl SensorStudy {
         })
     }
 
-    /// What it comes to, in sentences.
+    /// Returns the results in sentences.
     pub fn sentences(&self) -> Vec<String> {
         let mut said = vec![format!(
             "The sensor ran at {} samples per second: one every {} ms{}, over {}.",
@@ -127,12 +126,12 @@ impl SensorStudy {
         said
     }
 
-    /// The sentences, one on a line, and the table.
+    /// Returns the sentences, one on a line, and the table.
     pub fn text(&self) -> String {
         format!("{}\n\n{}", self.sentences().join("\n"), self.table().text())
     }
 
-    /// The figures.
+    /// Returns the table of figures.
     pub fn table(&self) -> Table {
         let unknown = || "—".to_owned();
         let ms = |value: Option<f64>| value.map_or_else(unknown, milliseconds);
@@ -162,7 +161,7 @@ impl SensorStudy {
 
 fn taken(row: RowRef<'_>) -> Option<Taken> {
     let at = row.value("at").filter(|_| row.outcome() == Outcome::Ok)?;
-    // Behind its plan an iteration begins late; without a plan never.
+    // An iteration with a planned start begins late by its lateness; one without a plan has none.
     let at = at + row.value("lateness").unwrap_or(0.0) + row.value("sensing")?;
     Some(Taken { iteration: row.iteration(), at })
 }
@@ -179,7 +178,7 @@ mod tests {
     use super::*;
     use crate::rows::Row;
 
-    /// A sample each 20 ms, every fourth one 8 ms late, ready 5 ms after it was asked for.
+    /// Returns a sample each 20 ms, every fourth one 8 ms late, ready 5 ms after its request.
     fn rows(count: u64) -> Vec<Row> {
         let row = |iteration: u64| {
             let late = if iteration.is_multiple_of(4) { 0.008 } else { 0.0 };

@@ -1,37 +1,37 @@
-//! What made an iteration slow, by comparison with the medians of its run.
+//! Causes of slow iterations, by comparison with the medians of their run.
 
 use peernet_logger::{Name, stage};
 use serde::Serialize;
 
 use crate::rows::LATENESS;
 
-/// Stands for both directions of the network where they are only known together.
+/// Name of both directions of the network, for runs in which only their sum is known.
 pub const BOTH_WAYS: &str = "upload + download";
 
 /// Share of an iteration's excess that the causes explain together.
 const EXPLAINED: f64 = 0.8;
 
-/// A part of an iteration that took longer than it usually does in its run.
+/// Part of an iteration that took longer than it usually does in its run.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Cause {
-    /// A stage, `lateness`, `unattributed`, or both directions of the network together.
+    /// Name of a stage, `lateness`, `unattributed`, or both directions of the network together.
     pub name: Name,
     /// Seconds it took.
     pub value: f64,
-    /// Seconds it takes in the median of the run.
+    /// Median of the part over the run, seconds.
     pub median: f64,
 }
 
 impl Cause {
-    /// Seconds beyond the run's median.
+    /// Returns the seconds beyond the run's median.
     pub fn excess(&self) -> f64 {
         self.value - self.median
     }
 }
 
-/// Returns the causes of an iteration that took `total` seconds where its run's median is `median`: the parts with the
-/// largest excess over their own medians, largest first, until they explain 80 % of the total's excess. Parts must not
-/// overlap. Empty where the iteration was no slower than the median.
+/// Returns the causes of an iteration that took `total` seconds in a run with the median `median`: the parts with the largest excess over
+/// their medians, largest first, until they explain 80 % of the total's excess. Parts must not overlap. Empty if the iteration was no
+/// slower than the median.
 pub fn causes(total: f64, median: f64, parts: impl IntoIterator<Item = Cause>) -> Vec<Cause> {
     let wanted = EXPLAINED * (total - median);
     let mut slower: Vec<Cause> = parts.into_iter().filter(|part| part.excess() > 0.0).collect();
@@ -47,7 +47,7 @@ pub fn causes(total: f64, median: f64, parts: impl IntoIterator<Item = Cause>) -
         .collect()
 }
 
-/// Returns what both directions of the network take together: what a total has beyond the other stages and what is unattributed.
+/// Returns the time that both directions of the network take together: the total less the other stages and the unattributed time.
 pub fn both_ways(total: f64, others: impl Iterator<Item = f64>, unattributed: f64) -> f64 {
     (total - others.sum::<f64>() - unattributed).max(0.0)
 }
@@ -55,15 +55,15 @@ pub fn both_ways(total: f64, others: impl Iterator<Item = f64>, unattributed: f6
 /// Durations of an iteration and its parts, seconds.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Times<'a> {
-    /// From the intended start to the end.
+    /// Duration from the intended start to the end.
     pub total: Option<f64>,
-    /// In the order of the stages.
+    /// Durations in the order of the stages.
     pub stages: &'a [(Name, f64)],
-    /// From the intended start to the real one: a part of `unattributed`.
+    /// Delay of the real start after the intended one: a part of `unattributed`.
     pub lateness: Option<f64>,
     /// The part of the total that no stage accounts for.
     pub unattributed: Option<f64>,
-    /// Both directions of the network, where they are only known together.
+    /// Duration of both directions of the network, if only their sum is known.
     pub both_ways: Option<f64>,
 }
 
@@ -76,8 +76,8 @@ impl Medians {
         self.0.iter().find(|(known, _)| known == name).map(|(_, median)| *median)
     }
 
-    /// What `upload` and `download` take together: where neither is ever known, what the total's median holds beyond
-    /// the others'.
+    /// Returns the time that `upload` and `download` take together. If neither is ever known, it is the difference between the total's
+    /// median and those of the other stages.
     fn both_ways(&self) -> Option<f64> {
         let known = [stage::UPLOAD, stage::DOWNLOAD].into_iter().filter_map(|name| self.median(&name));
         let known: Vec<f64> = known.collect();
@@ -88,14 +88,14 @@ impl Medians {
         Some(both_ways(self.median(&stage::TOTAL)?, others, self.median(&stage::UNATTRIBUTED)?))
     }
 
-    /// Returns how many times the run's median a total is.
+    /// Returns the ratio of a total to the run's median.
     pub fn factor(&self, total: Option<f64>) -> Option<f64> {
         let median = self.median(&stage::TOTAL).filter(|median| *median > 0.0)?;
         Some(total? / median)
     }
 
-    /// Returns what made an iteration slow. What no stage accounts for is a candidate like any stage, split where a late start is
-    /// known of it; both directions of the network take the place of each where they are only known together.
+    /// Returns the causes of a slow iteration. The unattributed time is a candidate like any stage, and the late start is separated from it
+    /// if it is known. Both directions of the network replace each of them if only their sum is known.
     pub fn causes(&self, times: &Times<'_>) -> Vec<Cause> {
         let Some((total, median)) = times.total.zip(self.median(&stage::TOTAL)) else { return Vec::new() };
         let late = Name::from_static(LATENESS);

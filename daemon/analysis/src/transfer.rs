@@ -47,19 +47,19 @@ impl Transfer {
     }
 }
 
-/// Returns the speeds that follow from the ends of a delay's interval, which is `half_width` to each side of it: without an upper one
-/// where the delay may be nothing.
+/// Returns the speeds that follow from the ends of a delay's interval, which is `half_width` to each side of it; the upper one is `None` if
+/// the delay may be zero.
 pub fn speed_between(speed: f64, delay: f64, half_width: f64) -> (f64, Option<f64>) {
     let bytes = speed * delay;
     (bytes / (delay + half_width), (half_width < delay).then(|| bytes / (delay - half_width)))
 }
 
-/// Both directions.
+/// Sums of both directions.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct Transfers {
-    /// From the edge to the cloud; `None` when nothing was sent.
+    /// Sums from the edge to the cloud; `None` when nothing was sent.
     pub up: Option<Transfer>,
-    /// From the cloud to the edge; `None` when nothing was sent.
+    /// Sums from the cloud to the edge; `None` when nothing was sent.
     pub down: Option<Transfer>,
 }
 
@@ -74,7 +74,7 @@ impl Transfers {
 mod tests {
     use super::*;
 
-    /// A small, fast message and a large, slow one, as (bytes, seconds).
+    /// Small, fast message and large, slow one, as (bytes, seconds).
     const MESSAGES: [(f64, f64); 2] = [(2e3, 1e-6), (122e3, 3.58e-3)];
 
     fn means(name: &Name) -> Option<(u64, f64)> {

@@ -1,12 +1,12 @@
-//! Figures: what `peernet-analysis` found, drawn for pages and files.
+//! Figures of the results of `peernet-analysis`, drawn for pages and files.
 //!
 //! ```text
 //! Loaded, Loaded, … ── of_results ─────┐
 //! Study ────────────── of_calibration ─┴─ drawing ── SVG, PNG
 //! ```
 //!
-//! `of_results` decides which figures a run or an experiment has, `of_calibration` those of a study of a link; `drawing` has what figures look
-//! like.
+//! `of_results` decides which figures a run or an experiment has, `of_calibration` those of a study of a
+//! link; `drawing` defines their layout.
 
 pub mod drawing;
 pub mod look;

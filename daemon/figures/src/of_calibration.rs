@@ -11,11 +11,11 @@ use peernet_analysis::WriteError;
 use peernet_analysis::calibration::{DirectionStudy, SizeSummary, Study};
 use peernet_analysis::fit::rate;
 
-/// Draws `latency` and `throughput` of a study as `.png`, `.svg`, `.pdf` and `-caption.txt` into a folder that is there; returns what was written.
-/// Figures of nothing are left out.
+/// Draws `latency` and `throughput` of a study as `.png`, `.svg`, `.pdf` and `-caption.txt` into an existing folder; returns the files that
+/// were written. Figures without data are left out.
 ///
 /// # Errors
-/// When a file cannot be written.
+/// If a file cannot be written.
 pub fn draw_calibration(study: &Study, folder: &Path) -> Result<Vec<PathBuf>, WriteError> {
     let mut written = Vec::new();
     for (stem, figure) in [("latency", latency(study)), ("throughput", throughput(study))] {
@@ -26,7 +26,7 @@ pub fn draw_calibration(study: &Study, folder: &Path) -> Result<Vec<PathBuf>, Wr
     Ok(written)
 }
 
-/// Delay against size, with the lines that were fitted; `None` when no delay is known.
+/// Returns the figure of delay against size, with the fitted lines; `None` when no delay is known.
 fn latency(study: &Study) -> Option<Scaling> {
     let value = |size: &SizeSummary| {
         let bounds = size.bounds.map(|(lo, hi)| (lo, Some(hi)));
@@ -56,7 +56,7 @@ fn latency(study: &Study) -> Option<Scaling> {
     )
 }
 
-/// Throughput against size, with that of the slope; `None` when no delay is known.
+/// Returns the figure of throughput against size, with that of the slope; `None` when no delay is known.
 fn throughput(study: &Study) -> Option<Scaling> {
     let value = |size: &SizeSummary| {
         let bounds = size.throughput_bounds;
@@ -111,7 +111,7 @@ mod tests {
 
     use super::*;
 
-    /// A message that takes 60 µs and 1 ns for each byte, known to 50 µs.
+    /// Returns a message that takes 60 µs and 1 ns for each byte, with bounds of 50 µs.
     fn passage(payload_bytes: u64, number: u64) -> Passage {
         let true_delay = 60e-6 + 1e-9 * payload_bytes as f64 + (number % 7) as f64 * 1e-6;
         let span = Span::from_seconds_f64;

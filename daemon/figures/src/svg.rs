@@ -127,7 +127,7 @@ pub struct Writer {
     open: Vec<Tag>,
 }
 
-/// An element whose attributes are being written.
+/// Element whose attributes are being written.
 #[must_use = "an element ends with `leaf`, `open` or `words`"]
 pub struct Attributes<'a> {
     writer: &'a mut Writer,
@@ -154,7 +154,7 @@ impl Writer {
         escape(&mut self.out, text);
     }
 
-    /// Writes what another writer made.
+    /// Appends the content of another writer.
     pub fn append(&mut self, other: Self) {
         self.out.push_str(&other.finish());
     }
@@ -192,7 +192,7 @@ impl Attributes<'_> {
         }
     }
 
-    /// Ends the element, which holds nothing.
+    /// Ends the element, which has no content.
     pub fn leaf(self) {
         if matches!(self.tag, Tag::Div | Tag::Li | Tag::Span | Tag::Ul) {
             // HTML reads `<span/>` as a span that is open.
@@ -202,7 +202,7 @@ impl Attributes<'_> {
         }
     }
 
-    /// Leaves the element open for others inside it, until [`Writer::close`].
+    /// Leaves the element open for nested ones, until [`Writer::close`].
     pub fn open(self) {
         self.writer.out.push('>');
         self.writer.open.push(self.tag);
@@ -216,7 +216,7 @@ impl Attributes<'_> {
     }
 }
 
-/// Appends a number with at most so many decimals and without trailing zeros; 0 for what is not finite.
+/// Appends a number with at most `decimals` decimals and without trailing zeros; 0 if it is not finite.
 pub(crate) fn number(out: &mut String, value: f64, decimals: usize) {
     let value = if value.is_finite() { value } else { 0.0 };
     let from = out.len();

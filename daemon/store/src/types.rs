@@ -227,8 +227,8 @@ pub struct IterationRow {
     pub total: Option<f64>,
     /// `total` divided by the run's median of `total`.
     pub factor: Option<f64>,
-    /// What made it slow, the largest excess first: stages, `lateness`, `unattributed`, or [`BOTH_WAYS`](peernet_analysis::slowness::BOTH_WAYS). Empty where it took
-    /// no longer than the run's median.
+    /// Causes of the slow iteration, the largest excess first: stages, `lateness`, `unattributed`, or
+    /// [`BOTH_WAYS`](peernet_analysis::slowness::BOTH_WAYS). Empty if it took no longer than the run's median.
     pub causes: Vec<Cause>,
     /// Seconds per stage, in the order of the stages; several nodes of one stage are added up.
     pub stages: Vec<(Name, f64)>,
@@ -316,7 +316,7 @@ pub struct IterationDetail {
 /// Which incidents to list, newest first.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct IncidentFilter {
-    /// At most so many, 1 to 1,000.
+    /// Maximum number of incidents, 1 to 1,000.
     pub limit: u32,
     /// Only incidents before this one: the id of the last of the page before.
     pub before: Option<i64>,

@@ -1,4 +1,4 @@
-//! How often a model was right.
+//! Accuracy of a model: the share of answers that were right.
 
 mod unknown;
 
@@ -11,25 +11,25 @@ use serde::{Deserialize, Serialize};
 use crate::order::Z95;
 use crate::rows::{RowRef, Rows};
 
-/// The columns of accuracies: a row has 1 where the labelled class was the first answer, or among the first five, else 0.
+/// Names of the accuracy columns: a row has 1 if the labelled class was the first answer, or among the first five, else 0.
 pub const ACCURACIES: [&str; 2] = ["top-1", "top-5"];
 
-/// The share of iterations in which a model was right, from 0 to 1.
+/// Share of iterations in which a model was right, from 0 to 1.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Accuracy {
     /// The share.
     pub share: f64,
-    /// Its 95 % confidence interval.
+    /// 95 % confidence interval of the share.
     pub interval: (f64, f64),
-    /// Of how many iterations.
+    /// Number of scored iterations.
     pub count: u64,
-    /// How many more iterations count, but have no score that is 0 or 1: no label was known, it is [no class of the
-    /// model](UnknownLabels), the answer named no class, or the score is no number.
+    /// Number of further iterations that count but have no score of 0 or 1: no label was known, the label is [no class of the
+    /// model](UnknownLabels), the answer named no class, or the score is not a number.
     pub unscored: u64,
 }
 
 impl Accuracy {
-    /// A column of [`ACCURACIES`] over the rows that count; `None` where none of them has a score.
+    /// Returns the accuracy from a column of [`ACCURACIES`] over the rows that count; `None` if none of them has a score.
     pub fn of<'a>(rows: impl IntoIterator<Item = RowRef<'a>>, column: &str) -> Option<Self> {
         let (mut right, mut count, mut unscored) = (0, 0, 0);
         for row in rows.into_iter().filter(|row| row.counts()) {
@@ -41,20 +41,20 @@ impl Accuracy {
         Self::of_counts(right, count, unscored)
     }
 
-    /// Each column of [`ACCURACIES`] of which there are scores.
+    /// Returns the accuracy of each column of [`ACCURACIES`] that has scores.
     pub fn of_each(rows: &Rows) -> BTreeMap<String, Self> {
         let of = |column: &str| Some((column.to_owned(), Self::of(rows, column)?));
         ACCURACIES.into_iter().filter_map(of).collect()
     }
 
-    /// Returns the accuracy from the mean of `count` scores that are 0 or 1, of so many answered iterations; `None` without a score,
-    /// and where the mean is none of such scores.
+    /// Returns the accuracy from the mean of `count` scores that are 0 or 1, of `answered` iterations with an answer; `None` without a
+    /// score, and where no such scores have this mean.
     pub fn of_mean(mean: f64, count: u64, answered: u64) -> Option<Self> {
         (0.0..=1.0).contains(&mean).then_some(())?;
         Self::of_counts((mean * count as f64).round() as u64, count, answered.saturating_sub(count))
     }
 
-    /// So many right answers of so many; `None` of none.
+    /// Returns the accuracy of `right` answers out of `count` scored ones; `None` if `count` is 0.
     pub fn of_counts(right: u64, count: u64, unscored: u64) -> Option<Self> {
         (count > 0).then(|| {
             let share = right as f64 / count as f64;
@@ -63,7 +63,7 @@ impl Accuracy {
     }
 }
 
-/// Whether the answer was right; `None` without a score.
+/// Returns whether the answer was right; `None` without a score.
 pub fn score(row: RowRef<'_>, column: &str) -> Option<bool> {
     match row.value(column)? {
         1.0 => Some(true),
@@ -72,14 +72,14 @@ pub fn score(row: RowRef<'_>, column: &str) -> Option<bool> {
     }
 }
 
-/// The score interval of a proportion (E. B. Wilson, *Probable inference, the law of succession, and statistical inference*,
-/// JASA 22, 1927): it stays between 0 and 1 and holds near the ends, where the usual one does not.
+/// Returns the score interval of a proportion (E. B. Wilson, *Probable inference, the law of succession, and statistical inference*, JASA
+/// 22, 1927). It stays between 0 and 1 and is valid near the ends, unlike the usual interval.
 fn wilson(share: f64, count: u64) -> (f64, f64) {
     let n = count as f64;
     let z2 = Z95 * Z95;
     let middle = (share + z2 / (2.0 * n)) / (1.0 + z2 / n);
     let half = Z95 / (1.0 + z2 / n) * (share * (1.0 - share) / n + z2 / (4.0 * n * n)).sqrt();
-    // At the ends the arithmetic may leave 1e-17 over.
+    // Rounding errors at the ends are about 1e-17.
     let lo = if share == 0.0 { 0.0 } else { (middle - half).max(0.0) };
     let hi = if share == 1.0 { 1.0 } else { (middle + half).min(1.0) };
     (lo, hi)

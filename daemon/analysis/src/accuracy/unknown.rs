@@ -1,4 +1,4 @@
-//! Samples whose label is no class of the model: no answer to them could be right, so they are neither right nor wrong.
+//! Samples whose label is not a class of the model. No answer to them can be right, so they count as neither right nor wrong.
 
 use peernet_statistics::number::{counted, fixed};
 
@@ -6,21 +6,21 @@ use crate::rows::Rows;
 
 /// The column that is 1 for such a sample.
 pub const UNKNOWN_LABEL: &str = "unknown-label";
-/// Facts of a run that hold examples behind a count: `100 of 100: dented, good`, `4: good, scratched, …`.
+/// Names of the facts of a run that contain examples behind a count: `100 of 100: dented, good`, `4: good, scratched, …`.
 const LABELS: &str = "Labels";
 const CLASSES: &str = "Classes";
 
-/// How many iterations have a label that is no class of the model, and what both sides' words are like.
+/// Count of the iterations whose label is not a class of the model, with an example of the words of either side.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct UnknownLabels {
-    /// How many of those that count; at least one.
+    /// Number of counted iterations with such a label; at least one.
     pub count: u64,
-    /// ` (the data set says …; the model knows …)`; empty where neither is known.
+    /// Text ` (the data set says …; the model knows …)`; empty if neither is known.
     words: String,
 }
 
 impl UnknownLabels {
-    /// So many iterations of a run of which these facts are known; `None` of none.
+    /// Returns the unknown labels of a run with these facts, which contain examples; `None` if `count` is 0.
     pub fn new(count: u64, facts: &[(String, String)]) -> Option<Self> {
         let words = |fact: &str, side: &str| {
             let (_, text) = facts.iter().find(|(name, _)| name == fact)?;
@@ -33,18 +33,18 @@ impl UnknownLabels {
         (count > 0).then_some(Self { count, words })
     }
 
-    /// Those among the rows that count.
+    /// Counts the rows with an unknown label among those that count.
     pub fn of(rows: &Rows, facts: &[(String, String)]) -> Option<Self> {
         Self::new(rows.counted(UNKNOWN_LABEL).filter(|is| *is == 1.0).count() as u64, facts)
     }
 
-    /// Together with those of another run, in the words of this one.
+    /// Adds the count of another run; the examples stay those of this one.
     #[must_use]
     pub(crate) fn with(self, other: &Self) -> Self {
         Self { count: self.count + other.count, ..self }
     }
 
-    /// A sentence; `all` is how many iterations count.
+    /// Returns a sentence; `all` is the number of iterations that count.
     pub fn sentence(&self, all: u64) -> String {
         let of = format!("{} of {}", fixed(self.count as f64, 0), counted(all, "iteration"));
         format!("Not scored: {of}, {}.", self.reason())

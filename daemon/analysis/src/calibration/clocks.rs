@@ -1,4 +1,4 @@
-//! What became of the two clocks during the study.
+//! State of the two clocks during the study.
 
 use peernet_clock::{RelatedClocks, Span};
 use peernet_stream::ClockSample;
@@ -11,15 +11,15 @@ use super::sample::Sample;
 pub struct Clocks {
     /// Seconds that were reported.
     pub seconds: u64,
-    /// How often either clock was stepped, ran off faster than allowed, or was another after the peer had been away.
+    /// Number of times that either clock was stepped, drifted faster than allowed, or was a different clock after the peer had been away.
     pub steps: u64,
-    /// The clocks that were related, by the last second.
+    /// Clocks that were related, by the last second.
     pub clocks: Option<RelatedClocks>,
-    /// The limit of drift that all bounds rest on, parts per million.
+    /// Limit of drift that all bounds assume, parts per million.
     pub max_drift_ppm: Option<f64>,
-    /// The limit of how fast the drift changes that they rest on, parts per million per second; `None` where there is none.
+    /// Assumed limit of the rate at which the drift changes, parts per million per second; `None` without a limit.
     pub max_drift_change_ppm_per_s: Option<f64>,
-    /// How fast the clocks drifted apart, by the last estimate; parts per million.
+    /// Rate at which the clocks drift apart, by the last estimate; parts per million.
     pub skew_ppm: Option<f64>,
     /// The offset of the wall clocks, cloud minus edge, by which the last delay was corrected; seconds.
     pub offset: Option<f64>,
@@ -35,7 +35,7 @@ impl Clocks {
             let up = sample.up.as_ref().filter(|up| up.seconds().is_some())?;
             Some((up.delay.raw - up.delay.value?).seconds())
         };
-        // Counted per relation: a peer that came back begins at none again.
+        // The counter belongs to a relation: it starts at zero again after the peer came back.
         let restarts = seconds.iter().map(|second| u64::from(second.exchanges.restarts));
         let before = std::iter::once(0).chain(restarts.clone());
         let announced: u64 = restarts.zip(before).map(|(now, before)| now.saturating_sub(before)).sum();
@@ -56,8 +56,8 @@ impl Clocks {
     }
 }
 
-/// Whether a new relation of the two clocks excludes the one before it: one of the clocks was set while nobody looked,
-/// or what came back reads another.
+/// Returns whether a new relation of the two clocks excludes the one before it: a clock was set between the two samples, or the peer that
+/// came back reads a different clock.
 fn is_another(before: &ClockSample, after: &ClockSample) -> bool {
     let is_new = before.window != after.window
         && after.exchanges.restarts <= before.exchanges.restarts

@@ -1,4 +1,4 @@
-//! One direction of the link.
+//! Statistics of one direction of the link.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -10,25 +10,25 @@ use crate::Passage;
 use crate::fit::{Estimate, Fit, Point, Weighted, least_squares, theil_sen};
 use crate::order::{Ordered, Z95};
 
-/// No median is known better than a clock is read: a tenth of a microsecond.
+/// Resolution of a clock, a tenth of a microsecond: the minimum error of a median.
 const CLOCK_READ: f64 = 1e-7;
 
-/// One direction of the link.
+/// Statistics of one direction of the link.
 #[derive(Clone, Debug, Serialize)]
 pub struct DirectionStudy {
-    /// Which.
+    /// Direction of the messages.
     pub direction: Direction,
-    /// What each size took, smallest first.
+    /// Summary of each size, smallest first.
     pub sizes: Vec<SizeSummary>,
-    /// Delay against bytes; `None` with fewer than three sizes.
+    /// Fits of delay against bytes; `None` with fewer than three sizes.
     pub fits: Option<Fits>,
-    /// What the clock relation says of the smallest payload.
+    /// Bounds that the clock relation gives for the smallest payload.
     pub claimed: Option<Claim>,
-    /// What the slope says.
+    /// Throughput that the slope implies.
     pub throughput: Option<Throughput>,
-    /// How many delays were given each verdict.
+    /// Number of delays by verdict.
     pub verdicts: BTreeMap<&'static str, u64>,
-    /// Whether both ends read one clock.
+    /// `true` if both ends read one clock.
     pub same_clock: bool,
 }
 
@@ -39,69 +39,68 @@ pub struct SizeSummary {
     pub payload_bytes: u64,
     /// Payload and metadata, median.
     pub wire_bytes: f64,
-    /// How many.
+    /// Number of values.
     pub count: u64,
     /// Median delay.
     pub median: f64,
-    /// The median's standard error; `None` with fewer than six.
+    /// Standard error of the median; `None` with fewer than six values.
     pub median_error: Option<f64>,
     /// 5th and 95th percentile; `None` with fewer than 60.
     pub tails: Option<(f64, f64)>,
     /// Median of the lower and of the upper clock bounds.
     pub bounds: Option<(f64, f64)>,
-    /// Bytes over the median delay; `None` when that is zero.
+    /// Bytes divided by the median delay; `None` when that is zero.
     pub throughput: Option<f64>,
-    /// Bytes over the upper and over the lower bound; the latter is `None` when the bound is zero.
+    /// Bytes divided by the upper and by the lower bound; the latter is `None` when the bound is zero.
     pub throughput_bounds: Option<(f64, Option<f64>)>,
 }
 
 /// Delay against bytes on the wire: seconds, seconds per byte.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Fits {
-    /// Over the medians of the sizes. Least squares are weighted by how well each median is known: this is the fit
-    /// that the verdict rests on.
+    /// Fit to the medians of the sizes. Least squares are weighted by the precision of each median; the verdict depends on this fit.
     pub medians: Pair,
-    /// Over every sample.
+    /// Fit to every sample.
     pub samples: Pair,
-    /// Least squares over every raw difference of stamps: what the published study did.
+    /// Least squares over every raw difference of stamps, as in the published study.
     pub raw: Fit,
 }
 
-/// One set of points, fitted in both ways.
+/// Two fits to one set of points.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Pair {
-    /// Least squares.
+    /// Fit by least squares.
     pub least_squares: Fit,
     /// Theil–Sen.
     pub theil_sen: Fit,
 }
 
-/// What the clock relation says of the smallest payload, and what is left of it for an empty message.
+/// Bounds that the clock relation gives for the smallest payload, and the bounds that follow from them for an empty message.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Claim {
     /// The smallest payload, bytes.
     pub payload_bytes: u64,
     /// Bounds of its delay, seconds: medians.
     pub bounds: (f64, f64),
-    /// What is left of them for an empty message: less what the payload's bytes take by the slope, with the 95 %
-    /// margin of the payload's median on both sides, because that is a sample, too; never negative.
+    /// Bounds for an empty message: those of the smallest payload less the time that its bytes take by the slope. The 95 % margin of the
+    /// payload's median is added on both sides, because the median is a sample, too. Never negative.
     pub at_zero: (f64, f64),
 }
 
-/// What the slope says: bits per second.
+/// Throughput that the slope implies: bits per second.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Throughput {
-    /// One over the slope.
+    /// Reciprocal of the slope.
     pub value: f64,
-    /// With the slope's confidence interval; the upper end is `None` when that reaches zero.
+    /// Reciprocals of the slope's confidence interval; the upper end is `None` when that reaches zero.
     pub interval: Option<(f64, Option<f64>)>,
-    /// With every delay anywhere within its clock bounds: the flattest and the steepest line from the smallest to the
-    /// largest size. A steady error of the clocks cancels, so that this is wider than the truth.
+    /// Range for delays anywhere within their clock bounds: the flattest and the steepest line from the smallest to the largest size. A
+    /// constant error of the clocks cancels, so this range is wider than necessary.
     pub bounds: Option<(f64, Option<f64>)>,
 }
 
 impl DirectionStudy {
-    /// What the samples that count say of one direction.
+    /// Returns the statistics of one direction, of the samples that count.
     pub(super) fn new(direction: Direction, samples: &[Sample]) -> Self {
         let passages: Vec<(u64, &Passage)> = samples
             .iter()
@@ -130,12 +129,12 @@ impl DirectionStudy {
         }
     }
 
-    /// The fit that the verdict rests on.
+    /// Returns the fit that the verdict depends on.
     pub fn main_fit(&self) -> Option<&Fit> {
         self.fits.as_ref().map(|fits| &fits.medians.least_squares)
     }
 
-    /// The name of its stage.
+    /// Returns the name of its stage.
     pub fn name(&self) -> &'static str {
         match self.direction {
             Direction::Up => "upload",
@@ -143,14 +142,14 @@ impl DirectionStudy {
         }
     }
 
-    /// How many delays were given any of these verdicts.
+    /// Returns the number of delays that have any of these verdicts.
     pub(super) fn judged(&self, verdicts: &[peernet_clock::Verdict]) -> u64 {
         verdicts.iter().filter_map(|verdict| self.verdicts.get(verdict.name())).sum()
     }
 }
 
 impl SizeSummary {
-    /// All messages with this payload; `None` when no delay among them is known.
+    /// Returns the summary of all messages with this payload; `None` when no delay among them is known.
     fn new(payload_bytes: u64, passages: &[(u64, &Passage)]) -> Option<Self> {
         let of_this =
             || passages.iter().filter(|(payload, _)| *payload == payload_bytes).map(|(_, passage)| *passage);
@@ -184,7 +183,7 @@ impl SizeSummary {
 impl Fits {
     fn new(sizes: &[SizeSummary], passages: &[(u64, &Passage)]) -> Option<Self> {
         let medians: Vec<Point> = sizes.iter().map(SizeSummary::point).collect();
-        // With few samples of a size nobody knows how well its median is known: all count alike.
+        // With few samples of a size the precision of its median is unknown: all sizes get the same weight.
         let errors: Option<Vec<f64>> = sizes.iter().map(|size| size.median_error).collect();
         let weight =
             |index: usize| errors.as_ref().map_or(1.0, |errors| errors[index].max(CLOCK_READ).powi(-2));
@@ -213,6 +212,7 @@ impl Fits {
 impl Claim {
     fn new(smallest: &SizeSummary, fit: Option<&Fit>) -> Option<Self> {
         let (lo, hi) = smallest.bounds?;
+        // A negative slope is noise: it must not raise the bounds of an empty message above those of the payload.
         let bytes = fit.map_or(0.0, |fit| fit.slope.value * smallest.wire_bytes).max(0.0);
         let margin = smallest.median_error.map_or(0.0, |error| Z95 * error);
         let at_zero = ((lo - bytes - margin).max(0.0), (hi - bytes + margin).max(0.0));
@@ -221,7 +221,7 @@ impl Claim {
 }
 
 impl Throughput {
-    /// What a slope alone says, seconds per byte; `None` when delays do not grow with size.
+    /// Returns the throughput of a slope in seconds per byte; `None` when delays do not grow with size.
     pub(super) fn of(slope: Estimate) -> Option<Self> {
         Some(Self { value: rate(slope.value)?, interval: slope.interval.and_then(rates), bounds: None })
     }
@@ -236,12 +236,12 @@ impl Throughput {
     }
 }
 
-/// Bits per second of seconds per byte.
+/// Returns the bits per second of a slope in seconds per byte; `None` unless it is above 0.
 fn rate(slope: f64) -> Option<f64> {
     (slope > 0.0).then(|| 8.0 / slope)
 }
 
-/// The rates between two slopes.
+/// Returns the rates between two slopes.
 fn rates((flat, steep): (f64, f64)) -> Option<(f64, Option<f64>)> {
     Some((rate(steep)?, rate(flat)))
 }

@@ -12,14 +12,14 @@ use super::sample::Sample;
 pub struct Failures {
     /// `failed`, `lost` or `timeout`.
     pub outcome: &'static str,
-    /// How many.
+    /// Number of iterations.
     pub count: u64,
-    /// The reason that was given most often; `None` when none was.
+    /// Most frequent reason; `None` when no reason was given.
     pub commonest_reason: Option<String>,
 }
 
 impl Failures {
-    /// Those of all samples, the most frequent outcome first.
+    /// Returns the failures among all samples, the most frequent outcome first.
     pub(super) fn of(samples: &[Sample]) -> Vec<Self> {
         let mut reasons: BTreeMap<&'static str, BTreeMap<Option<&str>, u64>> = BTreeMap::new();
         for sample in samples.iter().filter(|sample| !sample.warm_up && !sample.counts()) {
@@ -52,7 +52,7 @@ impl Failures {
     }
 }
 
-/// In one sentence; empty when everything was answered.
+/// Returns one sentence; empty when every payload was answered.
 pub(super) fn sentence(failures: &[Failures], sent: u64) -> String {
     if failures.is_empty() {
         return String::new();

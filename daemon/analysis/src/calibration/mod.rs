@@ -1,9 +1,9 @@
-//! The calibration of a link: one-way delay against size, the intercept of the linear fit, and what the clocks allow.
+//! Calibration of a link: one-way delay against size, the intercept of the linear fit, and the bounds that the clocks allow.
 //!
-//! The published study (IROS 2024, section on network timing) sent payloads of several sizes, fitted a line to the
-//! differences of the two hosts' stamps and read its intercept, −2.01 ms, as the error of every delay. Here the same is
-//! done with corrected delays, and the intercept stands beside what the clock relation says it can be: a real delay of
-//! an empty message, hence never negative, within the bounds of the smallest payload's.
+//! The published study (IROS 2024, section on network timing) sent payloads of several sizes, fitted a line to the differences of the two
+//! hosts' stamps and read its intercept, −2.01 ms, as the error of every delay. This module does the same with corrected delays and
+//! compares the intercept with the bounds that the clock relation allows: the intercept is the real delay of an empty message, so it is
+//! never negative and lies within the bounds of the smallest payload.
 
 mod clocks;
 mod direction;
@@ -26,63 +26,62 @@ use serde::Serialize;
 
 use crate::{WriteError, write_file};
 
-/// What was studied, as the one who studied it tells.
+/// Setting of a study, as given by the program that made it.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct Setting {
     /// Address of the peer.
     pub peer: String,
     /// The host that sent the payloads.
     pub edge: String,
-    /// The host that answered, as it calls itself; `None` when it never did.
+    /// Name of the host that answered, as it reports it; `None` when it never did.
     pub cloud: Option<String>,
     /// Kind of network.
     pub network: String,
-    /// When, RFC 3339.
+    /// Start of the study, RFC 3339.
     pub started: String,
     /// Version of the program.
     pub version: String,
     /// Payload sizes, bytes.
     pub sizes_bytes: Vec<u64>,
-    /// How often each size was to be sent.
+    /// Number of times that each size was to be sent.
     pub repeats: u64,
-    /// Whether it was ended early.
+    /// `true` if it was ended early.
     pub interrupted: bool,
-    /// Why it ended early, in words; `None` when the user ended it or nobody did.
+    /// Reason for an early end, in words; `None` when the study was complete or the user ended it.
     pub ended: Option<String>,
-    /// How often the peer went away and came back while its clock remained the same. The clocks were related anew
-    /// each time.
+    /// Number of times that the peer went away and came back while its clock remained the same. The clocks were related again each time.
     pub reconnections: u64,
-    /// Whether the clock of either host was made wrong on purpose.
+    /// `true` if the clock of either host was made wrong on purpose.
     pub rehearsed: bool,
 }
 
-/// How the iterations ended.
+/// Number of iterations by how they ended.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct Counts {
-    /// Answered, warm-up left out: what everything below rests on.
+    /// Answered iterations, warm-up left out: the input of all results below.
     pub measured: u64,
     /// Warm-up.
     pub warm_up: u64,
-    /// Without an answer.
+    /// Iterations without an answer.
     pub failed: u64,
 }
 
-/// A calibration, whole. Seconds, bytes, bits per second.
+/// Complete result of a calibration. Seconds, bytes, bits per second.
 #[derive(Clone, Debug, Serialize)]
 pub struct Study {
-    /// What was studied.
+    /// Setting of the study.
     pub setting: Setting,
-    /// How the iterations ended.
+    /// Number of iterations by how they ended.
     pub counts: Counts,
     /// Why payloads were not answered, by outcome.
     pub failures: Vec<Failures>,
-    /// What became of the clocks meanwhile.
+    /// State of the clocks during the study.
     pub clocks: Clocks,
     /// Edge to cloud.
     pub up: DirectionStudy,
     /// Cloud to edge.
     pub down: DirectionStudy,
-    /// What to make of it.
+    /// Verdict on the link's delays.
     pub verdict: Verdict,
     /// All iterations, in order.
     #[serde(skip)]
@@ -105,10 +104,10 @@ impl Study {
         Self { failures: Failures::of(&samples), setting, counts, clocks, up, down, verdict, samples }
     }
 
-    /// Writes `samples.csv`, `summary.csv` and `calibration.json` into a folder that is there; returns what was written.
+    /// Writes `samples.csv`, `summary.csv` and `calibration.json` into an existing folder; returns the files that were written.
     ///
     /// # Errors
-    /// When a file cannot be written.
+    /// If a file cannot be written.
     pub fn write(&self, folder: &Path) -> Result<Vec<PathBuf>, WriteError> {
         let written =
             vec![folder.join("samples.csv"), folder.join("summary.csv"), folder.join("calibration.json")];
@@ -119,7 +118,7 @@ impl Study {
         Ok(written)
     }
 
-    /// What the terminal shows: a table of sizes, one of fits, why payloads were not answered, the verdict.
+    /// Returns the text for a terminal: a table of sizes, a table of fits, reasons for payloads without an answer, and the verdict.
     pub fn text(&self) -> String {
         let rehearsal = "rehearsal: the clock of one of the hosts was made wrong on purpose";
         let rehearsal = if self.setting.rehearsed { rehearsal } else { "" };

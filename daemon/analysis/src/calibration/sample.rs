@@ -1,4 +1,4 @@
-//! One iteration of the sweep.
+//! Measurements of one iteration of the sweep.
 
 use peernet_clock::Direction;
 use peernet_logger::stage;
@@ -6,12 +6,12 @@ use peernet_stream::{Iteration, Outcome};
 
 use crate::Passage;
 
-/// One iteration of the sweep.
+/// Measurements of one iteration of the sweep.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Sample {
     /// Its number in the run, from 1.
     pub number: u64,
-    /// When it began, seconds of the edge's wall clock since the Unix epoch.
+    /// Start of the iteration, seconds of the edge's wall clock since the Unix epoch.
     pub at: f64,
     /// Payload, bytes.
     pub payload_bytes: u64,
@@ -19,18 +19,18 @@ pub struct Sample {
     pub warm_up: bool,
     /// `ok`, `failed`, `lost` or `timeout`.
     pub outcome: &'static str,
-    /// Why there was no answer, where somebody said so.
+    /// Reason for a missing answer, if one was reported.
     pub reason: Option<String>,
-    /// From its start to its end, seconds.
+    /// Duration from its start to its end, seconds.
     pub total: Option<f64>,
-    /// Edge to cloud; `None` when it was never sent or never judged.
+    /// Message from edge to cloud; `None` when it was never sent or never judged.
     pub up: Option<Passage>,
     /// Cloud to edge.
     pub down: Option<Passage>,
 }
 
 impl Sample {
-    /// What an iteration of a payload of `payload_bytes` measured.
+    /// Returns the measurements of an iteration with a payload of `payload_bytes`.
     pub fn new(iteration: &Iteration, payload_bytes: u64) -> Self {
         let tree = &iteration.tree;
         let at = tree.anchors().first().map_or(0.0, |anchor| anchor.wall.unix_nanos() as f64 * 1e-9);
@@ -47,12 +47,12 @@ impl Sample {
         }
     }
 
-    /// Whether the study rests on it.
+    /// Returns whether the study uses it.
     pub fn counts(&self) -> bool {
         !self.warm_up && self.outcome == Outcome::Ok.name()
     }
 
-    /// The message one way.
+    /// Returns the message in one direction.
     pub fn passage(&self, direction: Direction) -> Option<&Passage> {
         match direction {
             Direction::Up => self.up.as_ref(),

@@ -1,4 +1,4 @@
-//! A study as tables.
+//! Tables of a study.
 
 use std::path::Path;
 
@@ -11,11 +11,11 @@ use super::sample::Sample;
 use crate::table::{csv, decimals_of, interval, text};
 use crate::{Passage, WriteError};
 
-/// Most decimals of a number of ms: a tenth of a microsecond.
+/// Maximum number of decimals of a number of ms: a tenth of a microsecond.
 const MOST_IN_MS: usize = 4;
 const PASSAGE: [&str; 8] = ["bytes", "logger-bytes", "raw", "", "lo", "hi", "source", "verdict"];
 
-/// One row per iteration: seconds, bytes.
+/// Writes one row per iteration: seconds, bytes.
 pub(super) fn samples(samples: &[Sample], path: &Path) -> Result<(), WriteError> {
     let columns = |stage: &str| {
         PASSAGE.map(|column| if column.is_empty() { stage.to_owned() } else { format!("{stage}-{column}") })
@@ -62,7 +62,7 @@ fn passage_cells(passage: &Passage) -> Vec<String> {
     ]
 }
 
-/// One row per size and direction: seconds, bytes, bits per second.
+/// Writes one row per size and direction: seconds, bytes, bits per second.
 pub(super) fn summary(study: &Study, path: &Path) -> Result<(), WriteError> {
     let header = [
         "stage",
@@ -105,17 +105,17 @@ fn summary_row(stage: &str, size: &SizeSummary) -> Vec<String> {
     ]
 }
 
-/// To the nanosecond.
+/// Formats seconds to the nanosecond.
 fn seconds(seconds: f64) -> String {
     format!("{seconds:.9}")
 }
 
-/// Empty where nothing is known.
+/// Returns the text of a cell; empty if the value is unknown.
 fn cell(value: Option<String>) -> String {
     value.unwrap_or_default()
 }
 
-/// What each size took, both directions side by side.
+/// Returns the table of sizes, with both directions in each row.
 pub(super) fn sizes_text(study: &Study) -> String {
     let header = [
         "payload",
@@ -135,7 +135,7 @@ pub(super) fn sizes_text(study: &Study) -> String {
     text(&header, &rows.collect::<Vec<_>>())
 }
 
-/// The cells of one direction, a row for each payload: in each column all numbers have as many decimals.
+/// Returns the cells of one direction, a row for each payload; all numbers of a column have the same number of decimals.
 fn size_columns(direction: &DirectionStudy, payloads: &[u64]) -> Vec<Vec<String>> {
     let sizes = &direction.sizes;
     let in_ms = decimals_of(sizes.iter().map(|size| size.median * 1e3));
@@ -150,14 +150,14 @@ fn size_columns(direction: &DirectionStudy, payloads: &[u64]) -> Vec<Vec<String>
     payloads.iter().map(|payload| of(payload).unwrap_or_else(|| vec![UNKNOWN.to_owned(); 4])).collect()
 }
 
-/// The lines that were fitted, and what the clocks claim beside them.
+/// Returns the table of the fitted lines and of the bounds that the clocks allow.
 pub(super) fn fits_text(study: &Study) -> String {
     let header = ["line of best fit", "intercept ms", "95 % confidence", "MB/s", "95 % confidence"];
     let rows: Vec<Vec<String>> = study.directions().into_iter().flat_map(fit_rows).collect();
     if rows.is_empty() { String::new() } else { text(&header, &rows) }
 }
 
-/// The lines of one direction, and what the clock bounds allow: in each column all numbers have as many decimals.
+/// Returns the rows of one direction: its fitted lines and the clock bounds; all numbers of a column have the same number of decimals.
 fn fit_rows(direction: &DirectionStudy) -> Vec<Vec<String>> {
     let Some(fits) = &direction.fits else { return Vec::new() };
     let ways = [

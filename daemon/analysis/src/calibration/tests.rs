@@ -13,10 +13,10 @@ const PER_BYTE: f64 = 1e-9;
 /// Half the width of the clock bounds.
 const HALF: f64 = 50e-6;
 
-/// What differs from a good link.
+/// Parameters in which a simulated link differs from a good one.
 #[derive(Clone, Copy)]
 struct Link {
-    /// Error of the estimate within its bounds or beyond: added upwards, taken off downwards.
+    /// Error of the estimate within its bounds or beyond them: added to upload, subtracted from download.
     wrong: f64,
     /// Offset of the raw stamps.
     raw: f64,
@@ -29,7 +29,7 @@ struct Link {
 const GOOD: Link =
     Link { wrong: 0.0, raw: 1.0, bend: 0.0, verdict: Delay::Limited, source: DelaySource::InBand };
 
-/// Waiting behind others: skewed, with every tenth message late by up to ten times as much; from 0 to 1 steps.
+/// Returns the queueing time of a message: skewed, with every tenth message late by up to ten times as much; from 0 to 1 steps.
 fn waiting(number: u64) -> f64 {
     let random = (number.wrapping_mul(0x9e37_79b9_7f4a_7c15) >> 11) as f64 / (1_u64 << 53) as f64;
     let late = if number % 10 == 3 { 300e-6 } else { 0.0 };
@@ -107,7 +107,7 @@ fn a_good_link_is_found_good_and_its_line_is_found() {
         );
     }
     assert!((study.clocks.offset.expect("delays are corrected by it") - 1.0).abs() < 1e-6);
-    // What the published way would have said: the offset of the clocks, either way.
+    // The raw differences, as in the published study, contain the offset of the clocks with either sign.
     let raw = study.directions().map(|direction| direction.fits.expect("eight sizes").raw.intercept.value);
     assert!((raw[0] - 1.0).abs() < 1e-3 && (raw[1] + 1.0).abs() < 1e-3, "{raw:?}");
 }
@@ -117,7 +117,7 @@ fn a_wrong_clock_relation_is_told_from_a_bent_line() {
     let wrong = study(sweep(Link { wrong: 130e-6, ..GOOD }));
     assert_eq!(wrong.verdict.kind, Kind::Contradicted, "{}", wrong.verdict.sentence);
     assert!(wrong.verdict.sentence.contains("the clocks are at fault"), "{}", wrong.verdict.sentence);
-    // An empty message would take less than nothing.
+    // The fitted delay of an empty message is negative, which is impossible.
     assert!(wrong.down.main_fit().expect("a line").intercept.value < 0.0);
 
     let bent = study(sweep(Link { bend: 4e-15, ..GOOD }));
@@ -185,11 +185,11 @@ fn on_one_clock_nothing_has_bounds_to_print() {
     let study = study(sweep(Link { verdict: Delay::Ok, source: DelaySource::SameClock, ..GOOD }));
     let text = study.text();
     let rows: Vec<&str> = text.lines().filter(|line| line.contains("exact")).collect();
-    // A row per size, what the clock bounds allow either way, and the verdict.
+    // The table has a row per size, the clock bounds of either direction, and the verdict.
     assert_eq!(rows.len(), SIZES.len() + 3, "{text}");
 }
 
-/// A second of a relation that says that the cloud is so many milliseconds ahead.
+/// Returns a clock sample at second `at` that says that the cloud's clock is ahead by `ahead_ms` milliseconds.
 fn second(at: i64, window: u64, ahead_ms: i64) -> ClockSample {
     let at = WallTime::from_unix_nanos(at * 1_000_000_000);
     let estimate = Span::from_millis(ahead_ms);

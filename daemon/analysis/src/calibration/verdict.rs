@@ -1,4 +1,4 @@
-//! What to make of a study, in one sentence.
+//! Verdict of a study, in one sentence.
 
 use peernet_clock::Verdict as Delay;
 use peernet_statistics::number::{error_ms, mean_std, range_ms};
@@ -8,15 +8,15 @@ use super::clocks::Clocks;
 use super::direction::{Claim, DirectionStudy};
 use crate::fit::{Estimate, Fit};
 
-/// What kind of verdict.
+/// Kind of verdict.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Kind {
-    /// The intercepts lie within what the clock bounds allow.
+    /// The intercepts lie within the clock bounds.
     Trusted,
-    /// Both ends read one clock.
+    /// Both ends read one clock, so the delays have no clock error.
     Exact,
-    /// An intercept lies outside.
+    /// An intercept lies outside of the clock bounds.
     Contradicted,
     /// The intercepts are less certain than the bounds that they would be compared with.
     Inconclusive,
@@ -31,29 +31,29 @@ pub enum Kind {
 }
 
 impl Kind {
-    /// Whether the study found anything out: without related clocks or a line there is nothing to compare.
+    /// Returns whether the study has a result: without related clocks or a line there is nothing to compare.
     pub const fn is_result(self) -> bool {
         !matches!(self, Self::Unsynchronised | Self::Insufficient)
     }
 }
 
-/// What to make of a study.
+/// Verdict of a study.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Verdict {
-    /// Of what kind.
+    /// Kind of the verdict.
     pub kind: Kind,
-    /// How far a delay of a small message over this link can be off, seconds; only where it can be trusted.
+    /// Largest error of a delay of a small message over this link, seconds; `None` unless the delays can be trusted.
     pub within: Option<f64>,
-    /// In words.
+    /// Verdict in words.
     pub sentence: String,
 }
 
-/// One direction with all that a comparison needs.
+/// Values of one direction that the comparison needs.
 struct Compared {
     name: &'static str,
     intercept: Estimate,
     claim: Claim,
-    /// From the smallest payload's median to the further of its bounds.
+    /// Distance from the smallest payload's median to the further of its bounds.
     within: f64,
 }
 
@@ -111,7 +111,7 @@ impl Verdict {
         }
     }
 
-    /// Says that the peer was away so often, and what that means for the clocks.
+    /// Adds the number of times that the peer was away, and the consequence for the clocks.
     pub(super) fn reconnected(mut self, times: u64) -> Self {
         let times = match times {
             0 => return self,
@@ -151,7 +151,7 @@ impl Verdict {
             (true, false) => format!("that of the {}", up.name),
             _ => format!("that of the {}", down.name),
         };
-        // A wrong offset makes one direction longer by what it takes from the other.
+        // A wrong offset lengthens one direction by the amount that it shortens the other.
         let reason = if above * below < 0.0 {
             let limit = clocks.max_drift_ppm.map_or_else(String::new, |ppm| format!(" than {ppm} ppm"));
             format!(
@@ -175,13 +175,13 @@ impl Compared {
         Some(Self { name: direction.name(), intercept: fit.intercept, claim, within })
     }
 
-    /// Whether the intercept's margin is wider than the bounds it would be compared with.
+    /// Returns whether the intercept's margin is wider than the bounds that it would be compared with.
     fn is_vague(&self) -> bool {
         let (least, most) = self.claim.at_zero;
         self.intercept.margin().is_none_or(|margin| margin > most - least)
     }
 
-    /// How far the intercept's whole interval lies above (positive) or below (negative) what is allowed.
+    /// Returns the distance of the intercept's interval from the allowed bounds: positive if it lies above them, negative if below.
     fn outside(&self) -> f64 {
         let ((lo, hi), (least, most)) = (self.intercept.span(), self.claim.at_zero);
         (lo - most).max(0.0) + (hi - least).min(0.0)

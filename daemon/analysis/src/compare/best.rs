@@ -1,4 +1,4 @@
-//! The best line, and how far the others are from it.
+//! Best line, and the differences of the others to it.
 
 use peernet_sample::printable_line;
 use peernet_statistics::number::column_decimals;
@@ -9,8 +9,8 @@ use super::{Comparison, Line, MeanEstimate, NOTHING, values};
 use crate::loaded::Loaded;
 use crate::table::{Captioned, Table};
 
-/// Ranks the lines, and notes what the others have more than the best. Lines whose model computes nothing are ranked only where no
-/// other is there.
+/// Ranks the lines, and stores the differences of the others to the best. Lines whose model computes nothing are ranked only if there are
+/// no other lines.
 pub(super) fn mark(comparison: &mut Comparison, runs: &[Loaded]) {
     let computes = |line: &Line| line.runs.iter().all(|run| computes(&runs[*run].record.facts));
     let some_compute = comparison.lines.iter().any(computes);
@@ -30,8 +30,8 @@ pub(super) fn mark(comparison: &mut Comparison, runs: &[Loaded]) {
     }
 }
 
-/// How much larger the means of the others are than the best's: what three lines and more have in the place of
-/// [`Differences`](super::Differences). `None` where none is the best, or no other has a mean.
+/// Returns how much larger the means of the other lines are than the best's. A comparison of three or more lines has this table instead of
+/// [`Differences`](super::Differences). `None` if no line is the best, or no other line has a mean.
 pub fn against_best(comparison: &Comparison) -> Option<Captioned> {
     let best = comparison.best.filter(|_| comparison.lines.len() > 2)?;
     comparison.lines.iter().find(|line| line.beyond_best.is_some())?;
@@ -53,7 +53,7 @@ pub fn against_best(comparison: &Comparison) -> Option<Captioned> {
 fn beyond_best(comparison: &Comparison) -> Table {
     let Comparison { axes, lines, by, .. } = comparison;
     let others = || lines.iter().filter_map(|line| Some((line, line.beyond_best?)));
-    // As many in a whole column, so that its figures compare.
+    // One number of decimals for the whole column, so that its figures are easy to compare.
     let decimals = others().map(|(_, difference)| column_decimals(difference.margin()));
     let decimals = decimals.max().unwrap_or_default();
     let mut header = axes.clone();

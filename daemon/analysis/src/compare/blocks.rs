@@ -1,13 +1,13 @@
-//! How long the blocks of a bootstrap have to be, so that what follows upon one another stays together.
+//! Block length of a bootstrap: long enough that correlated neighbours stay together.
 
-/// The mean block length of a stationary bootstrap of the mean of these values, at least 1.
+/// Returns the mean block length of a stationary bootstrap of the mean of these values, at least 1.
 ///
-/// Latencies that follow upon one another are alike: a queue empties slowly, a processor stays warm. Drawing them one by
-/// one would make an interval that is too narrow. The length that makes the error of the bootstrapped variance smallest
-/// is that of Politis and White, *Automatic block-length selection for the dependent bootstrap* (Econometric Reviews
-/// 23, 2004), as corrected by Patton, Politis and White (Econometric Reviews 28, 2009): with the autocovariance R, the
-/// window λ, G = Σ λ(k/M) |k| R(k) and σ² = Σ λ(k/M) R(k), it is (G² / σ⁴ · n)^⅓, at most 3 √n and n / 3. Values that do
-/// not depend on one another have a length of about 1, and the bootstrap is the ordinary one.
+/// Consecutive latencies are correlated: a queue empties slowly, a processor stays warm. Drawing them one by one would
+/// make an interval that is too narrow. The length that minimises the error of the bootstrapped variance is that of
+/// Politis and White, *Automatic block-length selection for the dependent bootstrap* (Econometric Reviews 23, 2004), as
+/// corrected by Patton, Politis and White (Econometric Reviews 28, 2009): with the autocovariance R, the window λ, G =
+/// Σ λ(k/M) |k| R(k) and σ² = Σ λ(k/M) R(k), it is (G² / σ⁴ · n)^⅓, at most 3 √n and n / 3. Independent values have a
+/// length of about 1, and the bootstrap is the ordinary one.
 pub(super) fn length(values: &[f64]) -> f64 {
     let n = values.len() as f64;
     let longest = (3.0 * n.sqrt()).min(n / 3.0).ceil().max(1.0);
@@ -25,8 +25,8 @@ pub(super) fn length(values: &[f64]) -> f64 {
     if length.is_finite() { length.clamp(1.0, longest) } else { 1.0 }
 }
 
-/// Twice the lag behind which there is no correlation any more: five in a row within ±2 √(log₁₀ n / n). `None` where the
-/// values do not vary.
+/// Returns twice the lag after which there is no correlation: five in a row within ±2 √(log₁₀ n / n). `None` if the values
+/// do not vary.
 fn window(centred: &[f64]) -> Option<usize> {
     let n = centred.len() as f64;
     let variance = covariance(centred, 0);
@@ -57,7 +57,7 @@ mod tests {
 
     use super::*;
 
-    /// Values each of which keeps so much of the one before.
+    /// Returns a first-order autoregressive series with the coefficient `keeps`.
     fn autoregressive(keeps: f64, count: usize) -> Vec<f64> {
         let mut random = StdRng::seed_from_u64(5);
         let mut last = 0.0;

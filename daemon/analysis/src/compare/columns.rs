@@ -1,10 +1,10 @@
-//! Which of all that differs among runs becomes a column, and what is said of the rest.
+//! Choice of the facts that become columns among those that differ among runs, and sentences about the rest.
 
 use super::configuration::NOTHING;
 
-/// Most values of what is no column that are listed.
+/// Maximum number of values that are listed of a fact that has no column.
 const MOST_LISTED: usize = 4;
-/// From so many hexadecimal digits on a label is a hash.
+/// Number of hexadecimal digits from which on a label counts as a hash.
 const HASH: usize = 32;
 /// Bytes from which on a label has no place in a table: it is a list, of libraries for instance.
 const LONG: usize = 120;
@@ -12,23 +12,23 @@ const LONG: usize = 120;
 /// Something that differs: its name and the label of each configuration.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Column {
-    /// Name of what differs.
+    /// Name of the fact.
     pub axis: String,
     /// Label of each configuration.
     pub labels: Vec<String>,
 }
 
-/// Columns of which some tell configurations apart.
+/// Columns that distinguish configurations.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct ChosenColumns {
-    /// Those that tell the configurations apart.
+    /// Columns that distinguish the configurations.
     pub columns: Vec<Column>,
-    /// The others.
+    /// Columns that differ and were not chosen.
     pub rest: Vec<Column>,
 }
 
-/// Takes a column if it tells apart what those before it do not, or names what they have no label for; never one of hashes or
-/// paths, because folders have names that people gave.
+/// Chooses a column if it distinguishes configurations that the columns before it do not, or names some that they have no label for.
+/// Columns of hashes or paths are never chosen, because the names of folders, which people gave, are easier to read.
 pub fn choose_columns(all: Vec<Column>) -> ChosenColumns {
     let Some(configurations) = all.first().map(|column| column.labels.len()) else {
         return ChosenColumns { columns: all, rest: Vec::new() };
@@ -54,8 +54,8 @@ pub fn choose_columns(all: Vec<Column>) -> ChosenColumns {
     ChosenColumns { columns, rest }
 }
 
-/// Whether some of the labels of one column are hashes or paths, which tell people nothing, or lists that no table has room
-/// for.
+/// Returns whether some of the labels of one column are hashes or paths, which mean nothing to people, or lists that are too long for a
+/// table.
 fn is_opaque<'a>(mut labels: impl Iterator<Item = &'a str>) -> bool {
     let is_hash = |word: &str| word.len() >= HASH && word.bytes().all(|byte| byte.is_ascii_hexdigit());
     labels.any(|label| {
@@ -63,12 +63,12 @@ fn is_opaque<'a>(mut labels: impl Iterator<Item = &'a str>) -> bool {
     })
 }
 
-/// Whether no two configurations have the same labels.
+/// Returns whether no two configurations have the same labels.
 pub(super) fn tell_apart(columns: &[Column], configurations: usize) -> bool {
     classes(columns, configurations) == configurations
 }
 
-/// How many different rows of labels there are.
+/// Returns the number of different rows of labels.
 fn classes(columns: &[Column], configurations: usize) -> usize {
     let row = |at: usize| columns.iter().map(|column| column.labels[at].as_str()).collect::<Vec<_>>();
     let mut rows: Vec<Vec<&str>> = (0..configurations).map(row).collect();
@@ -77,7 +77,7 @@ fn classes(columns: &[Column], configurations: usize) -> usize {
     rows.len()
 }
 
-/// What differs and is no column, in words.
+/// Returns sentences about the facts that differ but have no column.
 pub(super) fn sentences(columns: &[Column], rest: &[Column]) -> Vec<String> {
     let (mut told, mut named): (Vec<String>, Vec<&str>) = (Vec::new(), Vec::new());
     for column in rest {
@@ -107,10 +107,10 @@ impl Column {
         is_opaque(self.labels.iter().map(String::as_str))
     }
 
-    /// Each of its labels, and behind it which configurations have it; `None` when that would be long.
+    /// Returns each of its labels, followed by the configurations that have it; `None` when that would be long.
     fn told(&self, columns: &[Column]) -> Option<String> {
         let mut values: Vec<(&str, Vec<String>)> = Vec::new();
-        // By one column from which it follows, or by all.
+        // The configurations are named by one column that determines this one, or by all columns.
         let by = columns.iter().find(|column| column.decides(self));
         for (at, label) in self.labels.iter().enumerate().filter(|(_, label)| *label != NOTHING) {
             let who = match by {
@@ -133,7 +133,7 @@ impl Column {
         })
     }
 
-    /// Whether another column's labels follow from this one's.
+    /// Returns whether another column's labels follow from this one's.
     fn decides(&self, other: &Self) -> bool {
         let pairs = || self.labels.iter().zip(&other.labels);
         pairs().all(|(label, of)| pairs().all(|(same, other)| same != label || other == of))

@@ -1,4 +1,4 @@
-//! What distinguishes runs: the first columns of a comparison.
+//! Labels that distinguish runs: the first columns of a comparison.
 
 use std::path::PathBuf;
 
@@ -8,31 +8,33 @@ use super::columns::{self, ChosenColumns, Column};
 use crate::loaded::Loaded;
 use crate::record::RunRecord;
 
-/// What stands where a run has nothing of the kind.
+/// Cell of a run that has no such fact.
 pub(super) const NOTHING: &str = "—";
-/// Facts that follow from a run's model or data set, which stand there already.
+/// Facts that follow from a run's model or data set, which has a column already.
 const IMPLIED: [&str; 6] = ["model", "device", "task", "input", "labels", "classes"];
-/// Most labels of one group that are written side by side.
+/// Maximum number of labels of one group that are written side by side.
 const MOST_TOGETHER: usize = 3;
 
-/// The configurations of some runs.
+/// Configurations of runs.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Configurations {
-    /// What distinguishes them, the columns' names.
+    /// Names of the columns that distinguish the runs.
     pub axes: Vec<String>,
-    /// One for each run: as many labels as there are axes.
+    /// Labels of each run: as many as there are axes.
     pub labels: Vec<Vec<String>>,
 }
 
 impl Configurations {
-    /// Runs of one experiment are told apart by its fields, all of them, as the experiment's author declared them. Of other
-    /// runs the columns are as few as tell them apart, and runs that are alike or of which nothing is known are named after
-    /// their folders or files. Repeats and edges of one configuration always have the same labels.
+    /// Returns the configurations of runs.
+    ///
+    /// Runs of one experiment are distinguished by all of its fields, as the experiment's author declared them. Other runs have as few
+    /// columns as are needed to distinguish them. Runs that are alike, or of which nothing is known, are named after their folders or
+    /// files. Repeats and edges of one configuration always have the same labels.
     pub fn of(runs: &[Loaded]) -> Self {
         Self::and_the_rest(runs).0
     }
 
-    /// With what else differs among them, in sentences.
+    /// Returns the configurations, and sentences about their other differences.
     pub(super) fn and_the_rest(runs: &[Loaded]) -> (Self, Vec<String>) {
         let places: Vec<Vec<(String, String)>> = runs.iter().map(|run| place(&run.record)).collect();
         let names =
@@ -103,8 +105,8 @@ impl Configurations {
         }
     }
 
-    /// All names in the order of their first appearance, each run's label below. The field `Model` of an experiment and the
-    /// `model` of a run outside of it are one.
+    /// Returns all names in the order of their first appearance, with the label of each run. The field `Model` of an experiment and the
+    /// `model` of a run outside of it are one column.
     fn tabulate(pairs: &[Vec<(String, String)>]) -> Self {
         let mut axes: Vec<String> = Vec::new();
         for (axis, _) in pairs.iter().flatten() {
@@ -128,10 +130,10 @@ impl Configurations {
         self.labels.iter_mut().zip(labels).for_each(|(all, label)| all.push(label));
     }
 
-    /// Tells repeats apart.
+    /// Adds a column that distinguishes repeats.
     pub(super) fn add_repeats(&mut self, runs: &[Loaded]) {
         let repeat = |run: &Loaded| match &run.record.experiment {
-            // For people, from 1.
+            // Repeats are shown from 1.
             Some(place) => (place.repeat + 1).to_string(),
             None => NOTHING.to_owned(),
         };
@@ -141,8 +143,8 @@ impl Configurations {
         }
     }
 
-    /// Gives chosen runs a line of their own, beside the other repeats of their configurations. Edges that were measured at
-    /// once stay together.
+    /// Gives each of the chosen runs a separate line, next to the other repeats of its configuration. Edges that were measured at the same
+    /// time stay together.
     pub(super) fn set_apart(&mut self, runs: &[Loaded], chosen: &[usize]) {
         let repeat = |run: usize| runs[run].record.experiment.as_ref().map(|place| place.repeat);
         let label = |run: usize| {
@@ -153,7 +155,7 @@ impl Configurations {
             match (repeats.contains(&repeat(run)), repeats.as_slice()) {
                 (_, []) => NOTHING.to_owned(),
                 (false, _) => "the other repeats".to_owned(),
-                // For people, from 1.
+                // Repeats are shown from 1.
                 (true, [Some(repeat)]) => format!("repeat {}", repeat + 1),
                 (true, repeats) => counted(repeats.len() as u64, "repeat"),
             }
@@ -164,7 +166,7 @@ impl Configurations {
         }
     }
 
-    /// Whether two runs have the same labels without being declared repeats of one another.
+    /// Returns whether two runs have the same labels without being declared repeats of each other.
     fn has_strangers_alike(&self, runs: &[Loaded]) -> bool {
         let pairs = (0..runs.len()).flat_map(|a| (0..a).map(move |b| (a, b)));
         let mut alike = pairs.filter(|(a, b)| self.labels[*a] == self.labels[*b]);
@@ -172,8 +174,8 @@ impl Configurations {
     }
 }
 
-/// Whether two runs are repeats of one configuration of one execution of an experiment, or two edges that were measured
-/// at once, as users of one cloud.
+/// Returns whether two runs are repeats of one configuration of one execution of an experiment, or two edges that were measured at the same
+/// time, as users of one cloud.
 fn are_repeats(a: &RunRecord, b: &RunRecord) -> bool {
     let edges = a.edge.name != b.edge.name;
     let (Some(a), Some(b)) = (&a.experiment, &b.experiment) else { return false };
@@ -181,12 +183,12 @@ fn are_repeats(a: &RunRecord, b: &RunRecord) -> bool {
         && (a.repeat != b.repeat || edges)
 }
 
-/// The fields of a run's experiment.
+/// Returns the fields of a run's experiment.
 fn place(record: &RunRecord) -> Vec<(String, String)> {
     record.experiment.as_ref().map(|place| place.configuration.clone()).unwrap_or_default()
 }
 
-/// What a run's record says of its configuration, the paper's columns first.
+/// Returns the facts in a run's record about its configuration, the paper's columns first.
 fn found(record: &RunRecord) -> Vec<(String, String)> {
     let pair = |axis: &str, label: Option<&str>| (axis.to_owned(), label.unwrap_or_default().to_owned());
     let model = record.model.as_ref();
@@ -203,7 +205,7 @@ fn found(record: &RunRecord) -> Vec<(String, String)> {
     pairs
 }
 
-/// Which execution of which experiment each run belongs to.
+/// Returns the experiment and its execution that each run belongs to.
 fn executions(runs: &[Loaded]) -> Vec<String> {
     let experiments = || runs.iter().map(|run| run.record.experiment.as_ref());
     let names: Vec<String> =
@@ -215,7 +217,7 @@ fn executions(runs: &[Loaded]) -> Vec<String> {
     experiments().map(|place| place.map_or_else(|| NOTHING.to_owned(), |place| short(&place.id))).collect()
 }
 
-/// The runs as groups of repeats and edges of one configuration.
+/// Returns the runs as groups of repeats and edges of one configuration.
 fn groups(runs: &[Loaded]) -> Vec<Vec<usize>> {
     let mut groups: Vec<Vec<usize>> = Vec::new();
     for (at, run) in runs.iter().enumerate() {
@@ -230,7 +232,7 @@ fn groups(runs: &[Loaded]) -> Vec<Vec<usize>> {
     groups
 }
 
-/// What is said of a group, for each of its runs.
+/// Returns the label of each run, from the labels of the groups.
 fn of_each(runs: usize, groups: &[Vec<usize>], labels: &[String]) -> Vec<String> {
     let mut all = vec![NOTHING.to_owned(); runs];
     for (group, label) in groups.iter().zip(labels) {
@@ -239,7 +241,7 @@ fn of_each(runs: usize, groups: &[Vec<usize>], labels: &[String]) -> Vec<String>
     all
 }
 
-/// The labels of the runs of a group in one.
+/// Returns the labels of the runs of a group as one label.
 fn together<'a>(labels: impl Iterator<Item = &'a String>) -> String {
     let mut distinct: Vec<&str> = Vec::new();
     for label in labels {
@@ -253,10 +255,11 @@ fn together<'a>(labels: impl Iterator<Item = &'a String>) -> String {
     distinct.join(" + ")
 }
 
-/// What the groups are called: their folders, or files of rows that stand alone, without what all of them have in front.
+/// Returns the names of the groups: their folders, or the files of rows outside of a result folder, without the prefix that all of them
+/// share.
 fn folders(runs: &[Loaded], groups: &[Vec<usize>]) -> Vec<String> {
     let path = |run: &Loaded| {
-        // Rows that nothing stands beside have the name of their file.
+        // A file of rows without a record is named after itself.
         let alone = run.record.format == 0 && !run.folder.ends_with(&run.record.name);
         if alone { run.folder.join(&run.record.name) } else { run.folder.clone() }
     };
@@ -273,12 +276,12 @@ fn folders(runs: &[Loaded], groups: &[Vec<usize>]) -> Vec<String> {
     };
     let all: Vec<Vec<String>> = groups.iter().map(of_group).collect();
     let shortest = all.iter().map(Vec::len).min().unwrap_or_default();
-    // The last part always stands there.
+    // The last part of a path is always shown.
     let front = common(&all).min(shortest.saturating_sub(1));
     all.iter().map(|parts| parts[front..].iter().collect::<PathBuf>().display().to_string()).collect()
 }
 
-/// How many parts at the beginning all paths have in common.
+/// Returns the number of leading parts that all paths have in common.
 fn common(paths: &[Vec<String>]) -> usize {
     let shortest = paths.iter().map(Vec::len).min().unwrap_or_default();
     (0..shortest).take_while(|at| paths.iter().all(|parts| parts[*at] == paths[0][*at])).count()

@@ -1,22 +1,22 @@
-//! How far the difference of two means is known.
+//! Difference of two means, with its interval.
 
 use serde::Serialize;
 use statrs::distribution::{ContinuousCDF, StudentsT};
 
 use crate::batches::{MAX_BATCHES, MIN_BATCH_VALUES, Series};
 
-/// Fewest values of each run that an interval is computed from.
+/// Minimum number of values of each run for an interval.
 pub const MIN_VALUES: usize = 30;
 
-/// Fewest batches on each side that an interval is computed from.
+/// Minimum number of batches on each side for an interval.
 pub const MIN_BATCHES: usize = 5;
 
-/// A difference with its 95 % confidence interval.
+/// Difference with its 95 % confidence interval.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Difference {
-    /// The second less the first.
+    /// Second value minus the first.
     pub value: f64,
-    /// The interval's ends; `None` where there are too few values.
+    /// Ends of the interval; `None` if there are too few values.
     pub interval: Option<(f64, f64)>,
 }
 
@@ -41,17 +41,17 @@ impl Difference {
         [Some(self.value), self.interval.map(|ends| ends.0), self.interval.map(|ends| ends.1)]
     }
 
-    /// Returns whether the interval leaves out zero, so that the difference is more than chance; `None` where there is no interval.
+    /// Returns whether the interval excludes zero, so that the difference is more than chance; `None` if there is no interval.
     pub fn is_distinct(&self) -> Option<bool> {
         self.interval.map(|(lo, hi)| lo > 0.0 || hi < 0.0)
     }
 }
 
-/// The mean of a quantity over all runs of a configuration, and what tells how far it is known.
+/// Mean of a quantity over all runs of a configuration, with the batch means that determine its precision.
 #[derive(Clone, Debug, PartialEq)]
 pub struct MeanEstimate {
     mean: f64,
-    /// Means of batches; empty where a run has too few values.
+    /// Means of batches; empty if a run has too few values.
     batches: Vec<f64>,
 }
 
@@ -85,7 +85,7 @@ impl MeanEstimate {
         self.mean
     }
 
-    /// Returns how many batches the interval of a difference would be computed from.
+    /// Returns the number of batches that the interval of a difference would be computed from.
     pub fn batches(&self) -> usize {
         self.batches.len()
     }
@@ -100,7 +100,7 @@ impl MeanEstimate {
     }
 }
 
-/// Means of at most 30 batches of at least ten values; of a short run of five batches.
+/// Returns the means of at most 30 batches of at least ten values; of a short run the means of five batches.
 fn batch_means<S: Series + ?Sized>(run: &S) -> Vec<f64> {
     let batches = (run.total_count() / MIN_BATCH_VALUES).clamp(MIN_BATCHES as u64, MAX_BATCHES);
     run.parts(batches).into_iter().filter_map(|range| run.mean(range)).collect()
@@ -130,7 +130,8 @@ mod tests {
         MeanEstimate::of_values(runs).expect("values")
     }
 
-    /// By hand: variances of the means 0.5 and 0.583, 8.989 degrees of freedom, so 2.5 ± 2.26255 × 1.04083.
+    /// The expected values were calculated by hand: variances of the means 0.5 and 0.583, 8.989 degrees of freedom, so 2.5 ± 2.26255 ×
+    /// 1.04083.
     #[test]
     fn interval_is_that_of_welch() {
         let of = |values: &[f64]| MeanEstimate {

@@ -1,4 +1,4 @@
-//! Two runs, stage by stage.
+//! Differences of two lines, stage by stage.
 
 use std::num::NonZero;
 use std::panic::resume_unwind;
@@ -15,38 +15,38 @@ use crate::rows::RowRef;
 
 static ORDER: [Name; 11] = stage::ORDER;
 
-/// What two lines of a comparison may both have.
+/// Stages that two lines of a comparison may both have.
 pub(super) static STAGES: LazyLock<Vec<&'static str>> = LazyLock::new(|| {
     let others = ["stages-total", "unattributed", "total", "lateness"];
     ORDER.iter().map(Name::as_str).chain(others).collect()
 });
 
-/// What one line of a comparison has more than another, stage by stage. Seconds.
+/// Differences of one line of a comparison to another, stage by stage. Seconds.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Differences {
-    /// What is compared with.
+    /// Name of the line that is the reference.
     pub baseline: String,
-    /// What is compared.
+    /// Name of the line that is compared with it.
     pub other: String,
-    /// The stages that both have.
+    /// Stages that both lines have.
     pub stages: Vec<StageDifference>,
 }
 
-/// A stage of two runs.
+/// Difference of two lines in one stage.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct StageDifference {
-    /// Which.
+    /// Name of the stage.
     pub stage: String,
     /// Mean of the baseline and of the other.
     pub means: (f64, f64),
-    /// The other's less the baseline's.
+    /// Mean of the other line minus the baseline's.
     pub mean: Difference,
     /// Median of the baseline and of the other.
     pub medians: (f64, f64),
-    /// The other's less the baseline's.
+    /// Median of the other line minus the baseline's.
     pub median: Difference,
-    /// How far the difference can be off beyond its interval, because the clocks of the hosts are known no better: half
-    /// the mean width of both lines' bounds together. `None` for what one clock measured.
+    /// Error of the difference beyond its interval, because the offset of the hosts' clocks is only known within bounds: half the mean
+    /// width of both lines' bounds together. `None` for stages that one clock measured.
     pub clocks: Option<f64>,
 }
 
@@ -76,7 +76,7 @@ impl Differences {
 
     fn between(baseline: (String, &[&Loaded]), other: (String, &[&Loaded]), seed: u64) -> Self {
         let (a, b) = (baseline.1, other.1);
-        // Side by side, but not all at once: each holds the values of a stage.
+        // The stages are computed in parallel, but not all at once, because each computation holds the values of a stage in memory.
         let share = STAGES.len().div_ceil(available_parallelism().map_or(1, NonZero::get));
         let of = |stages: &[&str]| {
             let found = stages.iter().filter_map(|stage| StageDifference::of(stage, a, b, seed));
@@ -112,7 +112,7 @@ impl StageDifference {
     }
 }
 
-/// Half the mean width of a delay's bounds.
+/// Returns half the mean width of a delay's bounds.
 fn half_width(runs: &[&Loaded], stage: &str) -> Option<f64> {
     ["upload", "download"].contains(&stage).then_some(())?;
     let width =

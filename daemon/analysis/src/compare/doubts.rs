@@ -1,4 +1,4 @@
-//! What is wrong with the results that are compared.
+//! Defects of the results that are compared.
 
 use peernet_clock::Verdict;
 use peernet_statistics::Summary;
@@ -10,7 +10,7 @@ use crate::loaded::Loaded;
 use crate::rows::RowRef;
 use crate::trust::Starts;
 
-/// Starts that were skipped, what folders lack of a whole run and the numbers that are missing without a reason, in sentences.
+/// Returns sentences about skipped starts, incomplete folders, and numbers that are missing without a reason.
 pub(super) fn sentences(runs: &[Loaded], lines: &[Line]) -> Vec<String> {
     let lacking: Vec<String> =
         runs.iter().filter_map(|run| Some(format!("{}: {}", run.folder.display(), run.lacking()?))).collect();
@@ -29,8 +29,8 @@ pub(super) fn sentences(runs: &[Loaded], lines: &[Line]) -> Vec<String> {
     told
 }
 
-/// A sentence about configurations of which starts were skipped, each by its name; one that stands alone may have none.
-/// `None` where all starts took place.
+/// Returns a sentence about configurations of which starts were skipped, each by its name; a single one may have none. `None` if no start
+/// was skipped.
 pub fn skipped_starts(of: impl IntoIterator<Item = (String, Starts)>) -> Option<String> {
     let told = |(name, starts): (String, Starts)| Some(named(&name, &starts.told()?));
     let told: Vec<String> = of.into_iter().filter_map(told).collect();
@@ -47,7 +47,7 @@ fn missing(runs: &[Loaded], line: &Line) -> Vec<String> {
     let rows = || line.runs.iter().flat_map(|run| &runs[*run].rows).filter(|row| row.counts());
     let told = |(name, latency): (&str, &Option<super::Latency>)| {
         let known = (*latency)?.count as f64 / line.count as f64;
-        // Of many delays that are not known another sentence tells.
+        // If many delays are unknown, a different sentence covers them.
         (known >= NEARLY_ALL || !["upload", "download"].contains(&name)).then_some(())?;
         let lacking = rows().filter(|row| is_missing(*row, name)).count();
         let iterations = format!("{lacking} of {}", counted(line.count, "iteration"));
@@ -56,7 +56,7 @@ fn missing(runs: &[Loaded], line: &Line) -> Vec<String> {
     LATENCIES.into_iter().zip(&line.latencies).filter_map(told).collect()
 }
 
-/// Whether the number is not there although nothing says why.
+/// Returns whether the number is missing without a recorded reason.
 fn is_missing(row: RowRef<'_>, name: &str) -> bool {
     let [up, down] = row.verdicts();
     let unknown = |verdict: Option<Verdict>| {

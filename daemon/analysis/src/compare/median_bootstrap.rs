@@ -1,4 +1,4 @@
-//! How far the difference of two medians is known.
+//! Difference of two medians, with its interval.
 
 use rand::rngs::StdRng;
 use rand::{Rng, SeedableRng};
@@ -9,11 +9,12 @@ use crate::order::Ordered;
 
 /// Resamples: the ends of a 95 % interval are then the 50th from either side.
 const RESAMPLES: usize = 2000;
-/// Most pieces of a run: of a longer one, neighbours stay together from the start. So many tell the width of an interval to
-/// 2 %, as its ends are known of so many resamples, and a draw takes the same time however long the run was.
+/// Maximum number of pieces of a run. Neighbouring values of a longer run are joined before the bootstrap. With this number the width of an
+/// interval is known to 2 %, as precisely as [`RESAMPLES`] resamples determine its ends, and a draw takes the same time for a run of any
+/// length.
 const PIECES: usize = 2000;
 
-/// Values of runs that are taken together, each run's in the order in which they were measured.
+/// Values of pooled runs, each run's in the order in which they were measured.
 pub(super) struct Sample<'a> {
     runs: &'a [Vec<f64>],
     sorted: Ordered,
@@ -36,14 +37,13 @@ impl<'a> Sample<'a> {
     }
 }
 
-/// Returns the difference of the median of `b` to that of `a`; `None` where one has no values.
+/// Returns the difference of the median of `b` to that of `a`; `None` if one has no values.
 ///
-/// The interval's ends are percentiles of the stationary bootstrap (Politis and Romano, JASA 89, 1994): every run is put together
-/// anew from blocks of itself, of random length, as long on average as [`blocks::length`] says. The median depends, to first order,
-/// only on which side of it the values lie (Bahadur, *A note on quantiles in large samples*, Annals of Mathematical Statistics 37,
-/// 1966). So the blocks are as long as *that* series asks for, and the median of a resample is the quantile that is as far from the
-/// middle as the resample has more values on one side. A resample is therefore a sum, which the sums of a run's first values give
-/// without a look at the values.
+/// The interval's ends are percentiles of the stationary bootstrap (Politis and Romano, JASA 89, 1994): every run is resampled from blocks
+/// of itself, of random length with the mean that [`blocks::length`] returns. The median depends, to first order, only on which side of it
+/// the values lie (Bahadur, *A note on quantiles in large samples*, Annals of Mathematical Statistics 37, 1966). So the block length is
+/// computed from *that* series, and the median of a resample is the quantile that is as far from the middle as the resample has more values
+/// on one side. A resample is therefore a sum, and prefix sums of the run give it without reading the values.
 pub(super) fn median_difference(a: &Sample<'_>, b: &Sample<'_>, seed: u64) -> Option<Difference> {
     resampled(a, b, seed, RESAMPLES)
 }
@@ -60,16 +60,16 @@ fn resampled(a: &Sample<'_>, b: &Sample<'_>, seed: u64, resamples: usize) -> Opt
     Some(Difference { value, interval: interval.flatten() })
 }
 
-/// A sample in a form that is quickly drawn from.
+/// Sample in a form from which resamples are drawn quickly.
 struct Group<'a> {
     sorted: &'a Ordered,
     median: f64,
     runs: Vec<Run>,
 }
 
-/// How many more values of a run lie above the median of the group than is usual there.
+/// Run as prefix sums of the number of its values above the group's median, less the number that is expected there.
 struct Run {
-    /// Sums of the first pieces: none, one, two, …
+    /// Sums of the first 0, 1, 2, … pieces.
     sums: Vec<f64>,
     /// Mean length of a block, in pieces.
     block: f64,
@@ -96,7 +96,7 @@ impl<'a> Group<'a> {
         Some(Self { sorted, median, runs })
     }
 
-    /// Returns the median of a group that is put together anew.
+    /// Returns the median of one resample of the group.
     fn draw(&self, random: &mut StdRng) -> f64 {
         let mut sum = 0.0;
         for run in &self.runs {
@@ -107,8 +107,7 @@ impl<'a> Group<'a> {
 }
 
 impl Run {
-    /// Blocks from anywhere, as many pieces in all as the run has. The run is a circle: after its last piece comes its
-    /// first.
+    /// Draws blocks at random places until they have as many pieces as the run. The run is circular: its first piece follows its last.
     fn blocks(&self, random: &mut StdRng, mut take: impl FnMut(usize, usize)) {
         let count = self.sums.len() - 1;
         let ends = -1.0 / self.block;
@@ -118,7 +117,7 @@ impl Run {
             let length = if self.block <= 1.0 {
                 1
             } else {
-                // Geometric, of mean `block`.
+                // The length of a block has the geometric distribution with the mean `block`.
                 let uniform: f64 = random.random_range(f64::MIN_POSITIVE..1.0);
                 (uniform.ln() / ends.ln_1p()) as usize + 1
             };
@@ -140,7 +139,7 @@ mod tests {
         median_difference(&Sample::new(a), &Sample::new(b), seed)
     }
 
-    /// Returns how many of 100 intervals of runs of so many values contain the true difference of 0.5, in percent.
+    /// Returns how many of 100 intervals of runs of `count` values contain the true difference of 0.5, in percent.
     fn coverage(count: usize, keeps: f64) -> usize {
         let contains = |seed: u64| {
             let [a, b] =
@@ -161,8 +160,8 @@ mod tests {
         assert!(in_pieces >= 88, "{in_pieces} % of values in pieces");
     }
 
-    /// Of independent values: 1.96 standard errors of 1 / (2 f √n); the density f of the sum of three uniform values is 3 / 8 in
-    /// the middle.
+    /// The expected interval of independent values is 1.96 standard errors of 1 / (2 f √n); the density f of the sum of three uniform
+    /// values is 3 / 8 in the middle.
     #[test]
     fn long_run_has_interval_of_textbook() {
         let [a, b] = [(0.0, 1), (0.5, 2)].map(|(mean, seed)| [run(0.0, 50_000, mean, seed)]);
@@ -175,13 +174,13 @@ mod tests {
 
     #[test]
     fn median_of_frequent_values_stays_among_them() {
-        // Every fifth is one more, every fifth one less; the rest is the median itself.
+        // Every fifth value is one more, every fifth one less; the rest is the median itself.
         let often = |add: f64| {
             (0..400).map(|n: i32| add + f64::from((n % 5).min(2) - 1).max(-1.0)).collect::<Vec<_>>()
         };
         let found = difference(&[often(0.0)], &[often(3.0)], 1).expect("values");
         assert_eq!((found.value, found.interval), (3.0, Some((3.0, 3.0))));
-        // With one value many times, and with an even count, whatever is drawn.
+        // A sample of equal values and one of an even count have the same median in every resample.
         let same = difference(&[vec![2.0; 40]], &[vec![3.5; 31]], 1).expect("values");
         assert_eq!((same.value, same.interval, same.is_distinct()), (1.5, Some((1.5, 1.5)), Some(true)));
     }

@@ -1,4 +1,4 @@
-//! Runs side by side: the paper's table, and how far differences between them are known.
+//! Comparison of runs: the paper's table, and differences with their confidence intervals.
 //!
 //! ```text
 //! Loaded, Loaded, … ── configuration ── Comparison ─┬─ text, Markdown, CSV, LaTeX
@@ -39,25 +39,24 @@ use crate::rows::{Rows, SKIPPED_STARTS};
 use crate::trust::Starts;
 use configuration::NOTHING;
 
-/// The columns of the paper's table that hold latencies; the last two are the sum of all stages, which the paper calls
-/// Total, and the measured total.
+/// Latency columns of the paper's table; the last two are the sum of all stages, which the paper calls Total, and the measured total.
 pub const LATENCIES: [&str; 6] = ["sensing", "upload", "inference", "download", "stages-total", "total"];
 
-/// The seed of the bootstrap where none is given: the same runs give the same figures.
+/// Default seed of the bootstrap, so that the same runs give the same figures.
 pub const SEED: u64 = 1;
 
-/// Less than this share of iterations with a known delay is told.
+/// Share of iterations with a known delay below which a note is shown.
 const NEARLY_ALL: f64 = 0.95;
 
-/// What becomes of repeats of one configuration.
+/// Treatment of repeats of one configuration.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Repeats<'a> {
-    /// Their iterations are taken together, in one line: the paper's table.
+    /// Repeats are pooled into one line, as in the paper's table.
     #[default]
     Pooled,
-    /// Each has a line of its own.
+    /// Each repeat is a line.
     Apart,
-    /// Pooled, but for these runs, numbers of what is given: they have a line of their own, beside the other repeats of their
+    /// Repeats are pooled, except for the runs with these indices: each of them has a separate line, next to the other repeats of its
     /// configuration.
     Beside(&'a [usize]),
 }
@@ -65,72 +64,70 @@ pub enum Repeats<'a> {
 /// Runs side by side.
 #[derive(Clone, Debug)]
 pub struct Comparison {
-    /// Names of the columns that tell the lines apart.
+    /// Names of the columns that distinguish the lines.
     pub axes: Vec<String>,
-    /// One for each configuration, in the order in which they came.
+    /// One line for each configuration, in the order of the input.
     pub lines: Vec<Line>,
-    /// The line with the smallest mean of [`by`](Self::by); `None` for a single line, or when none was measured.
+    /// Line with the smallest mean of [`by`](Self::by); `None` for a single line, or when none was measured.
     pub best: Option<usize>,
-    /// Lines that, with 95 % confidence, cannot be told from the best.
+    /// Lines that do not differ from the best with 95 % confidence.
     pub ties: Vec<usize>,
-    /// Lines of which nobody can say whether they differ from the best: they, or the best, have too few iterations, or
-    /// none.
+    /// Lines that cannot be compared with the best, because they or the best have no iterations or too few.
     pub untested: Vec<usize>,
     /// Lines that are not ranked, because their model computes nothing.
     pub unranked: Vec<usize>,
-    /// What the best is the best of: `total`, or `stages-total` where not all runs have the former.
+    /// Column that the best line is found by: `total`, or `stages-total` if not all runs have a total.
     pub by: &'static str,
-    /// What else differs among the runs, in sentences.
+    /// Other differences among the runs, in sentences.
     pub rest: Vec<String>,
-    /// What is wrong with the results, in sentences: files that are not whole, numbers that are none.
+    /// Defects of the results, in sentences: incomplete files, invalid numbers.
     pub doubts: Vec<String>,
 }
 
-/// One configuration.
+/// Statistics of one configuration.
 #[derive(Clone, Debug)]
 pub struct Line {
-    /// What distinguishes it: as many labels as there are axes.
+    /// Labels that distinguish the line: as many as there are axes.
     pub labels: Vec<String>,
-    /// The results that are taken together, as numbers of what was given.
+    /// Indices of the results in this line.
     pub runs: Vec<usize>,
-    /// How many runs they are of: those of edges that were measured at once are of one.
+    /// Number of runs. Edges that were measured at the same time belong to one run.
     pub repeats: usize,
-    /// The most edges that were measured at once.
+    /// Maximum number of edges that were measured at the same time.
     pub edges: usize,
-    /// How many iterations count.
+    /// Number of iterations that count.
     pub count: u64,
-    /// How many did not end with an answer, warm-up left out.
+    /// Number of iterations that did not end with an answer, warm-up left out.
     pub unanswered: u64,
-    /// How many of both missed their deadline; `None` without one.
+    /// Number of counted and unanswered iterations that missed their deadline; `None` without a deadline.
     pub misses: Option<Misses>,
-    /// What became of the starts that an open loop ordered; the rate is not asked for.
+    /// Starts that an open loop ordered, by their outcome; the rate is not needed here.
     pub starts: Starts,
-    /// The latencies in the order of [`LATENCIES`]; `None` where no iteration that counts has one.
+    /// Latencies in the order of [`LATENCIES`]; `None` if no iteration that counts has one.
     pub latencies: [Option<Latency>; LATENCIES.len()],
-    /// How often it was right, in the order of [`ACCURACIES`]; `None` where nobody knew the right answers.
+    /// Accuracies in the order of [`ACCURACIES`]; `None` where the right answers are not known.
     pub accuracies: [Option<Accuracy>; ACCURACIES.len()],
-    /// Samples that are neither right nor wrong, because their label is no class of the model.
+    /// Samples that are neither right nor wrong, because their label is not a class of the model.
     pub unknown_labels: Option<UnknownLabels>,
-    /// How much larger its mean of [`by`](Comparison::by) is than the best's; `None` of the best itself, or where there is
-    /// no mean.
+    /// Difference of its mean of [`by`](Comparison::by) to the best's; `None` for the best itself, or without a mean.
     pub beyond_best: Option<Difference>,
-    /// What the best is found by, of each repeat.
+    /// Moments of the column that the best is found by, one for each repeat.
     deciding: Vec<Moments>,
 }
 
-/// A latency of a configuration, seconds.
+/// Latency of a configuration, seconds.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Latency {
     /// Mean over all iterations.
     pub mean: f64,
-    /// Their sample standard deviation; `None` below two.
+    /// Sample standard deviation; `None` below two values.
     pub std: Option<f64>,
-    /// How many iterations have it: less than count when a clock was not related to the other at times.
+    /// Number of iterations that have this value: less than the count of the line when the clocks were not related at times.
     pub count: u64,
 }
 
 impl Comparison {
-    /// Compares runs; repeats are taken together.
+    /// Compares runs; repeats are pooled.
     pub fn of(runs: &[Loaded]) -> Self {
         Self::with(runs, Repeats::Pooled)
     }
@@ -182,7 +179,7 @@ impl Line {
     }
 
     fn fill(&mut self, runs: &[Loaded], by: &str) {
-        // Which repeat each is of, and how many edges each has.
+        // The repeat of each run, and the number of its edges.
         let mut repeats: Vec<(Option<u32>, usize)> = Vec::new();
         for Loaded { record, rows, .. } in self.runs.iter().map(|run| &runs[*run]) {
             self.count += rows.iter().filter(|row| row.counts()).count() as u64;
@@ -216,23 +213,23 @@ impl Line {
         });
     }
 
-    /// An accuracy by its name in [`ACCURACIES`].
+    /// Returns an accuracy by its name in [`ACCURACIES`].
     pub fn accuracy(&self, name: &str) -> Option<Accuracy> {
         ACCURACIES.iter().position(|other| *other == name).and_then(|at| self.accuracies[at])
     }
 
-    /// A latency by its name in [`LATENCIES`].
+    /// Returns a latency by its name in [`LATENCIES`].
     pub fn latency(&self, name: &str) -> Option<Latency> {
         LATENCIES.iter().position(|other| *other == name).and_then(|at| self.latencies[at])
     }
 }
 
-/// A column's finite numbers in the rows that count, in order.
+/// Returns a column's finite numbers in the rows that count, in order.
 fn values(rows: &Rows, column: &str) -> Vec<f64> {
     rows.counted(column).filter(|value| Summary::accepts(*value)).collect()
 }
 
-/// Whether a comparison asks for a column: what `peernet_results::ResultFolder::open_columns` is to read.
+/// Returns whether a comparison needs a column, so that `peernet_results::ResultFolder::open_columns` reads it.
 pub fn is_compared(column: &str) -> bool {
     let bounds = ["upload-lo", "upload-hi", "download-lo", "download-hi"];
     let all = differences::STAGES.iter().chain(&LATENCIES).chain(&ACCURACIES).chain(&bounds);

@@ -1,15 +1,15 @@
-//! The difference of two iterations, one of each of two configurations.
+//! Distribution of the difference between iterations of two configurations.
 
 use peernet_statistics::Summary;
 
-/// Quantiles that stand for the distribution of a configuration.
+/// Number of quantiles that approximate the distribution of a configuration.
 const POINTS: u32 = 100;
 
-/// Distribution of how much longer an iteration of one configuration takes than one of another, each drawn at random: iterations of
-/// different runs have no partner.
+/// Distribution of the difference between an iteration of one configuration and one of another, each drawn at random: iterations of
+/// different runs are not paired.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PairwiseDifference {
-    /// The second less the first: quantiles of both, each with each.
+    /// Second duration minus the first: quantiles of both, all pairs.
     pub differences: Summary,
     /// Share of the pairs in which the second is smaller, from 0 to 1 (the statistic of Mann and Whitney, *On a test of whether one of
     /// two random variables is stochastically larger than the other*, Annals of Mathematical Statistics 18, 1947, over the number of
@@ -18,7 +18,7 @@ pub struct PairwiseDifference {
 }
 
 impl PairwiseDifference {
-    /// Returns the distribution from the distributions of both; `None` where one has no values.
+    /// Returns the distribution from the distributions of both; `None` if one has no values.
     pub fn of(first: &Summary, second: &Summary) -> Option<Self> {
         let points = |values: &Summary| -> Option<Vec<f64>> {
             (0..POINTS).map(|at| values.quantile((f64::from(at) + 0.5) / f64::from(POINTS))).collect()

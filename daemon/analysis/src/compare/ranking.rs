@@ -1,19 +1,19 @@
-//! The configuration with the smallest mean, and how far the others are from it.
+//! Configuration with the smallest mean, and the differences of the others to it.
 
 use super::difference::{Difference, MeanEstimate};
 
-/// Which of several configurations has the smallest mean, and whether that is more than chance.
+/// Ranking of several configurations by their means, and whether the smallest mean is so by more than chance.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Ranking {
     /// Place of the configuration with the smallest mean.
     pub best: usize,
-    /// Place of each other configuration, and how much larger its mean is; `None` where it has no mean.
+    /// Index of each other configuration, and the difference of its mean to the best; `None` if it has no mean.
     pub beyond: Vec<(usize, Option<Difference>)>,
 }
 
 impl Ranking {
-    /// Ranks configurations by their means. Each has a place; one that measured nothing has no estimate. Returns `None` for fewer
-    /// than two configurations, and where none has an estimate.
+    /// Ranks configurations by their means. Each has an index; one without measurements has no estimate. Returns `None` for fewer than two
+    /// configurations, and if none has an estimate.
     pub fn of(configurations: &[(usize, Option<MeanEstimate>)]) -> Option<Self> {
         (configurations.len() > 1).then_some(())?;
         let measured = configurations.iter().filter_map(|(place, one)| Some((*place, one.as_ref()?)));
@@ -30,7 +30,7 @@ impl Ranking {
         self.places(Some(false))
     }
 
-    /// Returns the configurations of which too few values are known to tell.
+    /// Returns the configurations that have too few values for a test.
     pub fn untested(&self) -> Vec<usize> {
         self.places(None)
     }
@@ -45,10 +45,10 @@ impl Ranking {
     }
 }
 
-/// Returns whether a model computes something, by the facts of a run: one that only answers what it was sent is not ranked with those
-/// that do.
+/// Returns whether a model computes something, by the facts of a run: one that only returns its input is not ranked with those that
+/// compute.
 pub fn computes(facts: &[(String, String)]) -> bool {
-    // What the model kind `echo` says of itself.
+    // The model kind `echo` describes itself by one of these facts.
     let is_echo = |fact: &str| fact == "echo" || fact.starts_with("echo, ");
     !facts.iter().any(|(name, fact)| name.eq_ignore_ascii_case("model") && is_echo(fact))
 }
@@ -57,7 +57,7 @@ pub fn computes(facts: &[(String, String)]) -> bool {
 mod tests {
     use super::*;
 
-    /// Values that vary by one about a mean.
+    /// Returns the estimate of values that vary by one about a mean.
     fn estimate(mean: f64, count: usize) -> Option<MeanEstimate> {
         MeanEstimate::of_values(&[(0..count).map(|n| mean + (n as f64).sin()).collect()])
     }

@@ -15,10 +15,10 @@ const HEADINGS: [&str; LATENCIES.len()] =
     ["sensing", "upload", "inference", "download", "total (stages)", "total (measured)"];
 /// Decimals of a number of ms to the microsecond, which no clock of another host is known beyond.
 const MICROSECONDS: usize = 3;
-/// Of an interval.
+/// Explanation of an interval.
 pub(super) const WHAT_IT_SAYS: &str = "The interval says how far the difference would vary if the same minutes were measured again \
      (of means: Welch, from batch means; of medians: stationary bootstrap).";
-/// The same of means alone.
+/// Explanation of an interval of means.
 pub(super) const WHAT_IT_SAYS_OF_MEANS: &str = "The interval says how far the difference would vary if the same minutes were \
      measured again (Welch, from batch means).";
 pub(super) const WHAT_IT_DOES_NOT: &str =
@@ -26,22 +26,22 @@ pub(super) const WHAT_IT_DOES_NOT: &str =
 const ACCURACY_HEADINGS: [&str; ACCURACIES.len()] = ["Top-1 (%)", "Top-5 (%)"];
 
 impl Comparison {
-    /// For the terminal.
+    /// Returns the text for a terminal.
     pub fn text(&self) -> String {
         format!("{}\n\n{}", self.table().text(), self.notes().join("\n"))
     }
 
-    /// For documents.
+    /// Returns Markdown.
     pub fn markdown(&self) -> String {
         format!("{}\n{}\n", self.table().markdown(), self.notes().join("\n"))
     }
 
-    /// For papers, with booktabs.
+    /// Returns LaTeX, with booktabs.
     pub fn latex(&self) -> String {
         self.table().latex(&self.notes().join(" "))
     }
 
-    /// For programs: seconds, every digit.
+    /// Returns CSV for programs: seconds, all digits.
     pub fn csv(&self) -> String {
         let mut header: Vec<String> = self.axes.clone();
         header.extend(["runs", "count", "unanswered", "best", "tie"].map(str::to_owned));
@@ -121,13 +121,13 @@ impl Comparison {
         Table { header, labels: self.axes.len(), rows, marked: self.best.into_iter().collect() }
     }
 
-    /// As many in a whole column, so that its figures compare.
+    /// Returns the number of decimals of a column: one number for all rows, so that its figures are easy to compare.
     fn decimals(&self, at: usize) -> usize {
         let latencies = self.lines.iter().filter_map(|line| line.latencies[at]);
         latencies.map(|latency| column_decimals(latency.std)).max().unwrap_or_default()
     }
 
-    /// What the table means and what it does not show, a sentence or two each.
+    /// Returns the notes below the table: what it means and what it does not show, a sentence or two each.
     fn notes(&self) -> Vec<String> {
         let mut notes = vec![
             "Latencies: mean ± standard deviation in ms over all iterations that count. Total (stages) is the sum of all \
@@ -176,7 +176,7 @@ impl Comparison {
         notes.iter().map(|note| printable_line(note).into_owned()).collect()
     }
 
-    /// Which lines have labels that are no classes of the model: a sentence for each pair of vocabularies.
+    /// Returns notes on the lines that have labels that are not classes of the model: a sentence for each pair of vocabularies.
     fn unknown_labels(&self) -> Vec<String> {
         let mut reasons: Vec<(String, Vec<String>)> = Vec::new();
         for line in &self.lines {
@@ -218,26 +218,26 @@ impl Comparison {
         Some(format!("The smallest mean total ({}) is that of {}; {verdicts}.", self.total(), best.name()))
     }
 
-    /// Which of the totals the best is found by.
+    /// Returns the column of totals by which the best line is found.
     pub(super) fn total(&self) -> &'static str {
         if self.by == "total" { "measured" } else { "stages" }
     }
 }
 
 impl Line {
-    /// Its labels in one.
+    /// Returns its labels as one text.
     pub fn name(&self) -> String {
         let labels: Vec<&str> =
             self.labels.iter().map(String::as_str).filter(|label| *label != NOTHING).collect();
         labels.join(", ")
     }
 
-    /// Something that is said of the line, with its name.
+    /// Returns a sentence about the line that begins with its name.
     pub(super) fn told(&self, text: &str) -> String {
         named(&self.name(), text)
     }
 
-    /// The smallest and the largest mean of its repeats.
+    /// Returns the smallest and the largest mean of its repeats.
     fn spread(&self) -> Option<String> {
         (self.repeats > 1).then_some(())?;
         let means = self.deciding.iter().filter(|moments| moments.count > 0).map(|moments| moments.mean);
@@ -246,7 +246,7 @@ impl Line {
         Some(self.told(&range_ms(ends)))
     }
 
-    /// Where not every iteration was judged right or wrong, although some were, for another reason than its label.
+    /// Returns the note for lines of which some iterations were scored and others were not, for another reason than their label.
     fn unscored(&self) -> Vec<String> {
         let foreign = self.unknown_labels.as_ref().map_or(0, |unknown| unknown.count);
         let part = |(name, accuracy): (&str, &Option<Accuracy>)| {
@@ -266,7 +266,7 @@ impl Line {
     }
 }
 
-/// Something that is said of what has a name, or of the only one there is.
+/// Returns a sentence that begins with a name, or without one if there is only one line.
 pub(super) fn named(name: &str, text: &str) -> String {
     if name.is_empty() { text.to_owned() } else { format!("{name}: {text}") }
 }
@@ -284,7 +284,7 @@ fn cell(latency: Option<Latency>, decimals: usize) -> String {
     }
 }
 
-/// A share in per cent with its interval.
+/// Returns a share in per cent with its interval.
 fn share(accuracy: Option<Accuracy>) -> String {
     let percent = |share: f64| fixed(share * 100.0, 1);
     accuracy.map_or_else(
@@ -296,12 +296,12 @@ fn share(accuracy: Option<Accuracy>) -> String {
 }
 
 impl Differences {
-    /// For people.
+    /// Returns the table for people, with a caption.
     pub fn captioned(&self) -> Captioned {
         Captioned { heading: self.heading(), table: self.table(), notes: self.notes() }
     }
 
-    /// For programs: seconds, every digit; one row for each pair and stage.
+    /// Returns CSV for programs: seconds, all digits; one row for each pair and stage.
     pub fn csv(differences: &[Self]) -> String {
         let rows = differences.iter().flat_map(|this| this.stages.iter().map(|stage| this.csv_row(stage)));
         csv_text(&Self::CSV_HEADER, &rows.collect::<Vec<_>>())
@@ -354,7 +354,7 @@ impl Differences {
         Table { header: header.map(str::to_owned).to_vec(), labels: 1, rows: self.rows(), marked: Vec::new() }
     }
 
-    /// A row for each stage: in each column all numbers have as many decimals.
+    /// Returns a row for each stage; all numbers of a column have the same number of decimals.
     fn rows(&self) -> Vec<Vec<String>> {
         let stages = || self.stages.iter();
         let most = |of: fn(&StageDifference) -> Difference| {
@@ -391,19 +391,19 @@ impl Differences {
     }
 }
 
-/// Milliseconds.
+/// Formats seconds as milliseconds.
 pub(super) fn in_milliseconds(seconds: f64, decimals: usize) -> String {
     fixed(seconds * 1e3, decimals)
 }
 
-/// A difference and its interval in milliseconds.
+/// Returns a difference and its interval in milliseconds.
 pub(super) fn with_interval(difference: Difference, decimals: usize) -> [String; 2] {
     let figure = |seconds: f64| signed(seconds, decimals);
     let ends = difference.interval.map(|(lo, hi)| interval([figure(lo), figure(hi)]));
     [figure(difference.value), ends.unwrap_or_else(|| NOTHING.to_owned())]
 }
 
-/// Milliseconds with a sign on either side of zero.
+/// Formats seconds as milliseconds with a sign, also above zero.
 fn signed(seconds: f64, decimals: usize) -> String {
     let text = in_milliseconds(seconds, decimals);
     let is_zero = !text.bytes().any(|digit| (b'1'..=b'9').contains(&digit));

@@ -8,7 +8,7 @@ pub(super) fn run(keeps: f64, count: usize, mean: f64, seed: u64) -> Vec<f64> {
     let mut random = StdRng::seed_from_u64(seed);
     let mut last = 0.0;
     let next = |_| {
-        // The sum of three is nearly normal.
+        // The sum of three uniform values is nearly normal.
         let noise: f64 = (0..3).map(|_| random.random_range(-1.0..1.0)).sum();
         last = keeps * last + noise;
         mean + last

@@ -8,8 +8,8 @@ use super::*;
 use crate::record::{HostRecord, ModelRecord, Placement, RunRecord};
 use crate::rows::{Outcome, Row, RowRef};
 
-/// A run in which every stage takes what is said, give or take a microsecond, and the total 1 ms more; `None` for what
-/// did not take place. Milliseconds.
+/// Returns a run in which every stage takes the given time within a microsecond, and the total 1 ms more; `None` for a stage that did not
+/// take place. Milliseconds.
 fn run(folder: &str, [sensing, upload, inference, download]: [Option<f64>; 4]) -> Loaded {
     let row = |number: u64| {
         let about = |millis: f64| millis / 1e3 + if number.is_multiple_of(2) { 1e-6 } else { -1e-6 };
@@ -58,7 +58,7 @@ fn placed(pairs: &[(&str, &str)], repeat: u32, run: Loaded) -> Loaded {
     Loaded { record: RunRecord { experiment: Some(place), ..run.record }, ..run }
 }
 
-/// The first lines of the paper's table.
+/// Returns the first lines of the paper's table.
 pub(super) fn paper() -> Vec<Loaded> {
     vec![
         of("policy", "orin", None, run("local", [Some(0.71), None, Some(18.55), None])),
@@ -242,7 +242,7 @@ fn chosen_repeat_has_line_of_its_own() {
     assert_eq!(comparison.lines[0].runs, [0, 1], "measured at once");
 }
 
-/// What a published `data.csv` says of itself: its name.
+/// Returns a run as a published `data.csv` describes it: by its name only.
 fn published(file: &str, run: Loaded) -> Loaded {
     let record = RunRecord { name: file.to_owned(), title: file.to_owned(), ..RunRecord::default() };
     Loaded { folder: PathBuf::from("results"), record, ..run }
@@ -277,7 +277,7 @@ fn what_was_not_tested_is_said_to_be_unknown() {
     assert!(comparison.csv().lines().nth(2).is_some_and(|line| line.starts_with("cuda:0,lan,1,24,1,0,,")));
 }
 
-/// An edge of an experiment's run.
+/// Returns an edge of an experiment's run.
 fn edge(name: &str, repeat: u32, folder: &str) -> Loaded {
     let run = placed(&[], repeat, run(folder, [Some(1.0), Some(2.0), Some(3.0), Some(1.0)]));
     let edge = HostRecord { name: name.to_owned(), ..HostRecord::default() };
@@ -293,7 +293,7 @@ fn edges_of_one_run_are_no_repeats() {
     assert!(text.contains("edges") && !text.contains("Repeats are"), "{text}");
     assert!(text.contains("2 edges."), "{text}");
 
-    // Neither are they split beside runs that are none of theirs.
+    // They are not split either if other runs are compared with them.
     runs.extend([edge("user-1", 1, "e/runs/2/user-1"), edge("user-2", 1, "e/runs/2/user-2")]);
     runs.push(of("s", "cpu", None, run("alone", [Some(1.0), None, Some(2.0), None])));
     let mixed = Comparison::of(&runs);
@@ -330,7 +330,7 @@ fn dissimilar_runs_have_as_few_columns_as_tell_them_apart() {
     for text in [comparison.text(), comparison.markdown(), comparison.latex(), comparison.csv()] {
         assert!(!text.contains("aaaa") && !text.contains("/opt"), "{text}");
     }
-    // Nothing but a hash and a long list tells these apart: their folders' names do.
+    // Only a hash and a long list distinguish these, so the folders' names are used.
     let alike = ["a", "b"].map(|at| {
         let list = ("Model libraries".to_owned(), format!("{}six 1.{at}", "numpy 1.24.2, ".repeat(9)));
         let run = with("s", "cpu", None, [hash(at), list]);
@@ -353,7 +353,7 @@ fn miss_rate_stands_beside_unanswered() {
     });
     let comparison = Comparison::of(&runs);
     let misses = comparison.lines[1].misses.expect("a deadline");
-    // Of the iterations 6 to 106; the one that was lost is the tenth.
+    // The iterations are 6 to 106; the tenth was lost.
     assert_eq!((misses.missed, misses.of, comparison.lines[0].misses), (10, 101, None));
     let text = comparison.text();
     assert!(

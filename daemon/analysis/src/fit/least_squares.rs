@@ -1,15 +1,15 @@
-//! Least squares.
+//! Line fit by least squares.
 
 use statrs::distribution::{ContinuousCDF, StudentsT};
 
 use super::{CONFIDENCE, Estimate, Fit, Point, fits};
 
-/// A point with its weight: one over the square of how well `y` is known, in any unit.
+/// Point with its weight: the reciprocal of the variance of `y`, in any unit.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Weighted {
     /// The point.
     pub point: Point,
-    /// Above 0.
+    /// Weight, above 0.
     pub weight: f64,
 }
 
@@ -19,9 +19,9 @@ impl From<Point> for Weighted {
     }
 }
 
-/// The line with the smallest weighted sum of squared deviations. Intervals follow Student's distribution with n − 2
-/// degrees of freedom; the scale of the errors is estimated from the residuals (Draper and Smith, Applied Regression
-/// Analysis, chapters 1 and 9). `None` when there are fewer than three points or all have one x.
+/// Returns the line with the smallest weighted sum of squared deviations. Intervals follow Student's distribution with n − 2 degrees of
+/// freedom; the scale of the errors is estimated from the residuals (Draper and Smith, Applied Regression Analysis, chapters 1 and 9).
+/// `None` when there are fewer than three points or all have the same x.
 pub fn least_squares(points: &[Weighted]) -> Option<Fit> {
     let usable = points.iter().all(|point| point.weight.is_finite() && point.weight > 0.0);
     if !usable || !fits(points.iter().map(|point| point.point)) {

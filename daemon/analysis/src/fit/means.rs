@@ -1,13 +1,13 @@
-//! A line through means over sizes.
+//! Line fit to means over sizes.
 
 use super::{Fit, Point, Weighted, least_squares};
 
 /// Sizes within this factor are one size.
 pub(crate) const ALIKE: f64 = 1.1;
-/// Fewest sizes that a line is drawn through.
+/// Minimum number of sizes for a line.
 pub const FEWEST_SIZES: usize = 3;
 
-/// The mean of a quantity where something has a size.
+/// Mean of a quantity at one size.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MeanAtSize {
     /// The size.
@@ -16,11 +16,11 @@ pub struct MeanAtSize {
     pub count: u64,
     /// Their mean.
     pub mean: f64,
-    /// Their sample standard deviation; `None` below two.
+    /// Sample standard deviation; `None` below two values.
     pub std: Option<f64>,
 }
 
-/// Returns how many sizes there are that differ by a tenth or more.
+/// Returns the number of sizes that differ by a tenth or more.
 pub fn distinct_sizes(sizes: impl Iterator<Item = f64>) -> usize {
     let mut distinct: Vec<f64> = Vec::new();
     for size in sizes {
@@ -31,8 +31,8 @@ pub fn distinct_sizes(sizes: impl Iterator<Item = f64>) -> usize {
     distinct.len()
 }
 
-/// Returns the line through means, each weighted by how well it is known: by the variance of the mean, or all alike where that is not
-/// known of one. `None` through fewer than three sizes.
+/// Returns the line through means, each weighted by the reciprocal of its variance, or all alike if one variance is not known. `None`
+/// through fewer than three sizes.
 pub fn line_through_means(means: &[MeanAtSize]) -> Option<Fit> {
     (distinct_sizes(means.iter().map(|mean| mean.size)) >= FEWEST_SIZES).then_some(())?;
     let weight = |mean: &MeanAtSize| {

@@ -1,15 +1,15 @@
-//! Straight lines through points, with how well they are known.
+//! Straight lines through points, with confidence intervals.
 //!
-//! Delays have long tails: a message that waited behind others is late by any amount and never early by much. What
-//! that means for a line of best fit:
+//! Delays have long tails: a message that waited behind others is late by any amount and never early by much. This has
+//! consequences for a line of best fit:
 //!
-//! * [`least_squares`] over single delays is pulled by every late one, by its square, and its standard errors hold for
-//!   a bell-shaped error alone. Over *medians*, each weighted by how well it is known, it is sound: medians of many
-//!   samples are nearly normal whatever the tail (the central limit theorem of order statistics), a large message's
-//!   wider scatter gets its smaller weight, and since the scale of the errors is taken from the residuals, a delay that
-//!   is not quite linear in size makes the intervals wider instead of going unseen.
-//! * [`theil_sen`] takes the median of the slopes of all pairs: up to 29 % of the points may be arbitrarily wrong, and
-//!   its intervals ask nothing of the distribution but that deviations from the line are alike.
+//! * [`least_squares`] over single delays depends on every late one by its square, and its standard errors are only valid
+//!   for normal errors. Over *medians*, each weighted by its precision, it is valid: medians of many samples are nearly
+//!   normal with any tail (the central limit theorem of order statistics), and the medians of large messages, which vary
+//!   more, have smaller weights. The scale of the errors is estimated from the residuals, so a delay that is not quite
+//!   linear in size makes the intervals wider.
+//! * [`theil_sen`] computes the median of the slopes of all pairs: up to 29 % of the points may be arbitrarily wrong, and
+//!   its intervals only assume that deviations from the line have the same distribution.
 
 mod least_squares;
 mod means;
@@ -23,68 +23,68 @@ pub use theil_sen::theil_sen;
 /// The confidence of every interval.
 pub const CONFIDENCE: f64 = 0.95;
 
-/// A point: what was set and what was measured.
+/// Point to fit: a value that was set and one that was measured.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Point {
-    /// What was set.
+    /// Value that was set.
     pub x: f64,
-    /// What was measured.
+    /// Value that was measured.
     pub y: f64,
 }
 
-/// A figure with its 95 % confidence interval.
+/// Estimate with its 95 % confidence interval.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Estimate {
     /// The figure.
     pub value: f64,
-    /// Its standard error; `None` where the method has none.
+    /// Standard error; `None` if the method has none.
     pub standard_error: Option<f64>,
-    /// The interval's ends; `None` when there are too few points for one.
+    /// Ends of the interval; `None` when there are too few points for one.
     pub interval: Option<(f64, f64)>,
 }
 
 impl Estimate {
-    /// Half the interval's width, or more where the figure is not in its middle.
+    /// Returns half the interval's width, or more if the figure is not in its middle.
     pub fn margin(&self) -> Option<f64> {
         self.interval.map(|(lo, hi)| (hi - self.value).max(self.value - lo))
     }
 
-    /// The interval, or the figure alone where there is none.
+    /// Returns the interval, or the figure twice if it has no interval.
     pub fn span(&self) -> (f64, f64) {
         self.interval.unwrap_or((self.value, self.value))
     }
 }
 
-/// A line of best fit: `y = intercept + slope · x`.
+/// Line of best fit: `y = intercept + slope · x`.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Fit {
-    /// Where it meets x = 0.
+    /// Value of y at x = 0.
     pub intercept: Estimate,
-    /// How much y grows with x.
+    /// Growth of y with x.
     pub slope: Estimate,
-    /// How many points it was fitted to.
+    /// Number of points that the line was fitted to.
     pub points: usize,
 }
 
 impl Fit {
-    /// The line's value at `x`.
+    /// Returns the line's value at `x`.
     pub fn at(&self, x: f64) -> f64 {
         self.intercept.value + self.slope.value * x
     }
 }
 
-/// An interval of a rate that is wider than this share of it does not tell the rate.
+/// Width of a rate's interval, as a share of the rate, above which no rate is given.
 const TELLING: f64 = 0.5;
 
-/// Bits per second of a slope in seconds per byte, and the margin of its 95 % interval; `None` where the interval reaches
-/// zero or is wider than half the rate.
+/// Returns the bits per second of a slope in seconds per byte, and the margin of its 95 % interval; `None` if the interval reaches zero or
+/// is wider than half the rate.
 pub fn rate(slope: Estimate) -> Option<(f64, f64)> {
     let (flat, steep) = slope.interval.filter(|(flat, _)| *flat > 0.0)?;
     let [rate, low, high] = [slope.value, steep, flat].map(|slope| 8.0 / slope);
     (high - low <= TELLING * rate).then(|| (rate, (high - rate).max(rate - low)))
 }
 
-/// Whether there is a line to fit: three points, two places, all of them numbers.
+/// Returns whether a line can be fitted: at least three points with two different x, all of them numbers.
 fn fits(points: impl IntoIterator<Item = Point>) -> bool {
     let points: Vec<Point> = points.into_iter().collect();
     points.len() >= 3

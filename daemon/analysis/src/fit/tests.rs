@@ -153,7 +153,7 @@ proptest! {
         }
     }
 
-    /// Against the definition: all slopes listed and sorted.
+    /// Compares with the definition: all slopes listed and sorted.
     #[test]
     fn the_median_slope_is_that_of_the_list(ys in prop::collection::vec((0_u8..6, -1e2..1e2_f64), 4..40)) {
         let points: Vec<Point> = ys.iter().map(|&(x, y)| Point { x: f64::from(x), y }).collect();
@@ -167,7 +167,7 @@ proptest! {
         }
     }
 
-    /// A quarter of the points as late as one likes.
+    /// A quarter of the points are late by an arbitrary time.
     #[test]
     fn late_messages_do_not_move_theil_sen(late in 1.0..1e6_f64) {
         let y = |k: usize| 5.0 + 2.0 * k as f64 + if k % 4 == 1 { late * (k as f64).sqrt() } else { 0.0 };

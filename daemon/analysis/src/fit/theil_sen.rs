@@ -8,14 +8,14 @@ use crate::order::Ordered;
 /// Halvings of the range of slopes: more than a double has bits.
 const HALVINGS: usize = 80;
 
-/// The line whose slope is the median of the slopes of all pairs of points with different x (Theil 1950), and whose
-/// intercept is the median of what is left of y. `None` when there are fewer than three points or all have one x.
+/// Returns the line whose slope is the median of the slopes of all pairs of points with different x (Theil 1950), and whose intercept is
+/// the median of the residuals of y. `None` when there are fewer than three points or all have the same x.
 ///
-/// The slope's interval is that of Sen 1968, with his correction for equal x: the pairs' slopes at the ranks that
-/// Kendall's statistic allows. The intercept's interval joins the slope's uncertainty and the median's own (sign test),
-/// each at half the risk (Bonferroni), so that it holds for any common distribution of deviations.
+/// The slope's interval is that of Sen 1968, with his correction for equal x: the pairs' slopes at the ranks that Kendall's statistic
+/// allows. The intercept's interval joins the slope's uncertainty and the median's (sign test), each at half the risk (Bonferroni), so that
+/// it is valid for any common distribution of deviations.
 ///
-/// Takes n log n per look at the pairs and no memory for them: 100,000 samples are no matter.
+/// Each count of the pairs takes O(n log n) time, and the pairs are not stored, so that 100,000 samples are possible.
 pub fn theil_sen(points: &[Point]) -> Option<Fit> {
     if !fits(points.iter().copied()) {
         return None;
@@ -40,11 +40,11 @@ pub fn theil_sen(points: &[Point]) -> Option<Fit> {
     })
 }
 
-/// All pairs of points with different x, without listing them.
+/// All pairs of points with different x, without a list of them.
 struct Pairs {
     /// The points by x; the y of each x in order.
     groups: Vec<(f64, Vec<f64>)>,
-    /// How many pairs.
+    /// Number of pairs.
     count: u64,
     /// The flattest and the steepest slope.
     range: (f64, f64),
@@ -60,7 +60,7 @@ impl Pairs {
             .collect();
         let choose = |n: usize| (n as u64) * (n as u64).saturating_sub(1) / 2;
         let count = choose(points.len()) - groups.iter().map(|(_, group)| choose(group.len())).sum::<u64>();
-        // A slope over several groups is an average of slopes between neighbours: the extremes are among those.
+        // A slope over several groups is an average of slopes between neighbours, so the extremes are among those.
         let slopes = groups.windows(2).flat_map(|pair| {
             let ((x, low), (to, high)) = (&pair[0], &pair[1]);
             let rise =
@@ -71,10 +71,10 @@ impl Pairs {
         Self { groups, count, range }
     }
 
-    /// The slope of rank `rank`, from 0.
+    /// Returns the slope of rank `rank`, from 0.
     ///
-    /// Found by halving the range of slopes: taking a slope off all points turns "how many pairs are no steeper?" into
-    /// "how many pairs do not rise?", which is the counting of inversions in a merge sort.
+    /// Found by bisection of the range of slopes: the number of pairs that are no steeper than a slope is the number of pairs that do not
+    /// rise after subtracting the slope from all points, and a merge sort counts these as inversions.
     fn slope(&self, rank: u64) -> f64 {
         let (mut lo, mut hi) = self.range;
         for _ in 0..HALVINGS {
@@ -101,8 +101,8 @@ impl Pairs {
         count
     }
 
-    /// The interval of the median slope: ranks around the middle, as many as Kendall's statistic may be away from it.
-    /// `None` when that is more than there are.
+    /// Returns the interval of the median slope: ranks around the middle, at the distance that Kendall's statistic allows. `None` when that
+    /// exceeds the number of slopes.
     fn interval(&self, confidence: f64) -> Option<(f64, f64)> {
         let sum = |n: f64| n * (n - 1.0) * (2.0 * n + 5.0);
         let points: usize = self.groups.iter().map(|(_, group)| group.len()).sum();
@@ -118,7 +118,7 @@ impl Pairs {
     }
 }
 
-/// Merges two runs; adds to `count` the pairs of which the right one is no higher than the left one.
+/// Merges two runs; adds to `count` the pairs whose right element is no higher than the left one.
 fn merge(left: &[f64], right: &[f64], count: &mut u64) -> Vec<f64> {
     let mut merged = Vec::with_capacity(left.len() + right.len());
     let mut taken = 0;
@@ -133,12 +133,12 @@ fn merge(left: &[f64], right: &[f64], count: &mut u64) -> Vec<f64> {
     merged
 }
 
-/// The ranks, from 0, of the two of `n` values that hold the median between them with this confidence (sign test);
-/// `None` when all of them would not.
+/// Returns the ranks, from 0, of the two of `n` values that contain the median between them with this confidence (sign test); `None` when
+/// all of them would not suffice.
 fn median_ranks(n: usize, confidence: f64) -> Option<(usize, usize)> {
     let heads = Binomial::new(0.5, n as u64).ok()?;
     let risk = (1.0 - confidence) / 2.0;
-    // Above a thousand the normal distribution is as good and much faster.
+    // Above a thousand values the normal approximation is accurate and much faster.
     let outside = if n > 1000 {
         let away = Normal::standard().inverse_cdf(1.0 - risk) * (n as f64).sqrt() / 2.0;
         (n as f64 / 2.0 - away).floor() as usize

@@ -1,4 +1,4 @@
-//! How far the clocks of a run can be trusted, as its rows say.
+//! Quality of a run's clocks, from its rows.
 
 use std::collections::BTreeMap;
 
@@ -8,7 +8,7 @@ use crate::Passage;
 use crate::order::Ordered;
 use crate::rows::Rows;
 
-/// How far the delays of a run can be trusted, warm-up left out.
+/// Quality of the delays of a run, warm-up left out.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default)]
 pub struct Clocks {
@@ -22,21 +22,21 @@ pub struct Clocks {
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default)]
 pub struct ClockCounts {
-    /// How many had which verdict.
+    /// Number of delays by verdict.
     pub verdicts: BTreeMap<String, u64>,
-    /// How many rest on which source.
+    /// Number of delays by source of their clock relation.
     pub sources: BTreeMap<String, u64>,
-    /// Median width of the bounds, seconds; `None` where there are none.
+    /// Median width of the bounds, seconds; `None` without bounds.
     pub median_width: Option<f64>,
-    /// How far the receiver's wall clock was ahead of the sender's at the first message of which that is known.
+    /// Offset of the receiver's wall clock ahead of the sender's at the first message for which it is known.
     pub first_offset: Option<Bounded>,
-    /// The same at the last one.
+    /// Offset at the last such message.
     pub last_offset: Option<Bounded>,
-    /// How fast that grew between the two on average, seconds per second.
+    /// Average growth of that offset, seconds per second.
     pub skew: Option<Bounded>,
 }
 
-/// A value and the bounds that contain the true one.
+/// Value with the bounds that contain the true one.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default)]
 pub struct Bounded {
@@ -49,7 +49,7 @@ pub struct Bounded {
 }
 
 impl Clocks {
-    /// What the rows say.
+    /// Returns the quality of the delays in these rows.
     pub fn of(rows: &Rows) -> Self {
         let counted = || rows.iter().filter(|row| row.counts());
         Self {
@@ -88,7 +88,7 @@ impl ClockCounts {
     }
 }
 
-/// What was taken from the difference of the stamps, in seconds.
+/// Returns the offset that was subtracted from the difference of the stamps, in seconds.
 fn offset(passage: &Passage) -> Option<Bounded> {
     passage.seconds()?;
     let (delay, seconds) = (&passage.delay, |delay| (passage.delay.raw - delay).seconds());
@@ -99,7 +99,7 @@ fn offset(passage: &Passage) -> Option<Bounded> {
 fn skew((from, first): (f64, Bounded), (to, last): (f64, Bounded)) -> Option<Bounded> {
     let seconds = to - from;
     let over = |change: f64| change / seconds;
-    // Where nobody wrote down when an iteration began it is 0.
+    // The start is 0 if it was not recorded.
     (from > 0.0 && seconds > 0.0).then(|| Bounded {
         value: over(last.value - first.value),
         lo: over(last.lo - first.hi),

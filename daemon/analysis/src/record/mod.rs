@@ -1,4 +1,4 @@
-//! `run.json`: what a run was, whole enough to do it again.
+//! `run.json`: the record of a run, complete enough to repeat it.
 
 mod clocks;
 
@@ -18,25 +18,25 @@ use crate::deadline::Misses;
 use crate::rows::{Outcome, Rows, Units};
 use crate::trust;
 
-/// The form that this program writes.
+/// Format version that this program writes.
 pub const FORMAT: u32 = 1;
 
-/// Everything about a run but its rows. What is not known is `None` or empty, so that results of other programs and of
-/// other versions can be read.
+/// Everything about a run except its rows. Unknown values are `None` or empty, so that results of other programs and of other versions can
+/// be read.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default)]
 pub struct RunRecord {
-    /// [`FORMAT`]; 0 where there was no `run.json`.
+    /// Format of the record, [`FORMAT`]; 0 if there was no `run.json`.
     pub format: u32,
     /// The pipeline's name.
     pub name: String,
-    /// For people: the title of figures and tables.
+    /// Title of figures and tables.
     pub title: String,
     /// The run's id, as in a store.
     pub run: Option<RunId>,
-    /// When it began, on the edge's wall clock.
+    /// Start of the run, on the edge's wall clock.
     pub started: Option<DateTime<Utc>>,
-    /// When it ended.
+    /// End of the run.
     pub ended: Option<DateTime<Utc>>,
     /// Why it ended.
     pub reason: EndReason,
@@ -44,19 +44,19 @@ pub struct RunRecord {
     pub version: String,
     /// The command that was typed.
     pub command: String,
-    /// The folder in which it was typed: relative paths of the command and of the configuration belong to it.
+    /// Folder in which it was typed: relative paths of the command and of the configuration are relative to it.
     pub folder: String,
-    /// The variables of its environment that decide what it finds and how fast it computes, as far as they were set.
+    /// Environment variables that influence which files it finds and how fast it computes, if they were set.
     pub environment: BTreeMap<String, String>,
     /// The file of devices that the command or the experiment names.
     pub network_config: Option<NetworkConfig>,
-    /// Who sensed.
+    /// Host that sensed.
     pub edge: HostRecord,
-    /// Who served; `None` where nobody did, or nobody was reached.
+    /// Host that served; `None` if there was none, or it was not reached.
     pub cloud: Option<HostRecord>,
-    /// Where it computed.
+    /// Place of the computation.
     pub placement: Placement,
-    /// The model; `None` where a sensor ran alone.
+    /// Model; `None` if a sensor ran alone.
     pub model: Option<ModelRecord>,
     /// Sensor, transforms, load and so on, as pairs for people.
     pub facts: Vec<(String, String)>,
@@ -64,82 +64,82 @@ pub struct RunRecord {
     pub pipeline: Value,
     /// The agent's other tables.
     pub agent: Value,
-    /// Its place in an experiment, if it belongs to one.
+    /// Position in an experiment, if it belongs to one.
     pub experiment: Option<ExperimentPlace>,
-    /// Which edge it was, where several asked at once.
+    /// Number of this edge, if several edges used the cloud at the same time.
     pub user: Option<User>,
-    /// How long a peer that is away was to be waited for, before the run and during it; seconds.
+    /// Time that a missing peer was to be waited for, before the run and during it; seconds.
     pub patience_s: Option<f64>,
-    /// Seeds of whatever was random, by what it is for.
+    /// Seeds of random quantities, by their purpose.
     pub seeds: BTreeMap<String, u64>,
-    /// Which iterations are warm-up, in words.
+    /// Iterations that are warm-up, in words.
     pub warm_up: String,
-    /// How the iterations ended.
+    /// Number of iterations by how they ended.
     pub counts: Counts,
-    /// How long an iteration might take, seconds; `None` without a deadline.
+    /// Deadline of an iteration, seconds; `None` without a deadline.
     pub deadline_s: Option<f64>,
-    /// How many iterations missed it.
+    /// Number of iterations that missed the deadline.
     pub misses: Option<Misses>,
-    /// How far the delays can be trusted.
+    /// Quality of the delays.
     pub clocks: Clocks,
-    /// How often the model was right, by column: `top-1`, `top-5`; empty where nobody knew.
+    /// Accuracy of the model, by column: `top-1`, `top-5`; empty if the right answers are not known.
     pub accuracy: BTreeMap<String, Accuracy>,
-    /// In what the columns are measured that the run logged beside the standard ones.
+    /// Units of the columns that the run logged in addition to the standard ones.
     pub units: Units,
-    /// Whether the run can be published; `None` where nobody judged.
+    /// Judgement on whether the run can be published; `None` if it was not judged.
     pub trust: Option<trust::Report>,
 }
 
 impl RunRecord {
-    /// Whether nothing was computed: a sensor alone.
+    /// Returns whether nothing was computed: a sensor ran alone.
     pub fn is_sensor_alone(&self) -> bool {
         self.placement.is(PlacementKind::None)
     }
 }
 
-/// A file of devices, as it was when the command was typed.
+/// File of devices, as it was when the command was typed.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(default)]
 pub struct NetworkConfig {
-    /// Its path, as it was typed.
+    /// Path of the file, as it was typed.
     pub file: String,
-    /// All of it.
+    /// Content of the file.
     pub text: String,
 }
 
-/// One of several edges that ask one cloud at once.
+/// Number of an edge among several that use one cloud at the same time.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(default)]
 pub struct User {
-    /// From 1.
+    /// Number, from 1.
     pub number: u32,
-    /// How many they are.
+    /// Number of users.
     pub of: u32,
 }
 
-/// A host that took part.
+/// Host that took part in a run.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default)]
 pub struct HostRecord {
-    /// For people.
+    /// Name for people.
     pub name: String,
     /// Decides.
     pub id: Option<HostId>,
     /// Version of its program.
     pub version: String,
-    /// What it is made of.
+    /// Hardware of the host.
     pub hardware: Option<Hardware>,
-    /// What disciplines its clock, in words: `chrony, stratum 2, to 10.0.0.1`; empty where nobody asked.
+    /// Discipline of its clock, in words: `chrony, stratum 2, to 10.0.0.1`; empty if it was not asked for.
     pub clock: String,
-    /// What was found of it before the run.
+    /// Conditions of the host that were found before the run.
     pub conditions: Vec<Condition>,
 }
 
-/// Where a run computed.
+/// Place at which a run computed.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default)]
 pub struct Placement {
-    /// `local`, `remote` or `none`; empty, or another word, in results of other programs.
+    /// Kind of placement: `local`, `remote` or `none`; empty, or another word, in results of other programs.
     pub kind: String,
     /// Kind of network, such as `zmq-tcp`, for a remote one.
     pub network: Option<String>,
@@ -158,19 +158,19 @@ impl Placement {
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(default)]
 pub struct ModelRecord {
-    /// Its name in the bank.
+    /// Name in the model bank.
     pub name: String,
-    /// What it ran on.
+    /// Device that it ran on.
     pub device: Option<String>,
     /// SHA-256 of its file, hexadecimal.
     pub sha256: Option<String>,
 }
 
-/// How the iterations ended. Warm-up counts apart, whatever its outcome.
+/// Number of iterations by how they ended. Warm-up is counted separately, whatever its outcome.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(default)]
 pub struct Counts {
-    /// Answered: what the statistics rest on.
+    /// Answered iterations, the input of statistics.
     pub ok: u64,
     /// The sample or the model failed.
     pub failed: u64,
@@ -180,11 +180,11 @@ pub struct Counts {
     pub timeout: u64,
     /// Warm-up.
     pub warm_up: u64,
-    /// Measured, but seen by nobody: this program was too busy to take them.
+    /// Iterations that were measured but not received by this program, because it was too busy.
     pub unseen: u64,
 }
 
-/// A wall time as it stands in `run.json`.
+/// Returns a wall time in the form that `run.json` has.
 pub fn instant(at: WallTime) -> DateTime<Utc> {
     DateTime::from_timestamp_nanos(at.unix_nanos())
 }

@@ -1,4 +1,4 @@
-//! What is told of two clocks.
+//! Tests of the record's statements about two clocks.
 
 use peernet_clock::{OneWayDelay, Span, Verdict};
 
@@ -19,7 +19,7 @@ fn offset_and_skew_are_what_was_taken_from_the_stamps() {
     for row in &mut rows {
         row.at = 1000.0 + row.iteration as f64;
     }
-    // Warm-up says nothing, nor does a message between contradicting sources.
+    // Warm-up is not counted, nor is a message between contradicting sources.
     let upload = |row: &mut Row, of: fn(&mut OneWayDelay)| row.upload.as_mut().map(|way| of(&mut way.delay));
     upload(&mut rows[0], |delay| delay.raw = Span::from_seconds(9)).expect("was sent");
     upload(&mut rows[2], |delay| delay.verdict = Verdict::Inconsistent).expect("was sent");

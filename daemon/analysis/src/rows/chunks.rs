@@ -1,12 +1,12 @@
-//! A list that grows without being moved.
+//! List that grows without being moved.
 
 use std::ops::Index;
 
-/// How many stand together.
+/// Number of elements in one chunk.
 const CHUNK: usize = 4096;
 
-/// A list that only grows. Unlike a vector it takes no more room than what is in it, and leaves no holes behind: a run has
-/// dozens of columns, and vectors that grow side by side take twice what they hold.
+/// List that only grows. Unlike a vector it needs no more memory than its elements, and it leaves no freed blocks behind: a run has dozens
+/// of columns, and vectors that grow at the same time take twice their size.
 #[derive(Clone, Debug)]
 pub(super) struct Chunks<T>(Vec<Vec<T>>);
 

@@ -1,4 +1,4 @@
-//! The columns of `data.csv`, and where in the tree their numbers stand.
+//! Columns of `data.csv`, and the places of their numbers in the tree.
 
 use std::collections::HashMap;
 
@@ -8,25 +8,24 @@ use super::Column;
 
 /// Starts of an open loop that were skipped before an iteration, because the pipeline was too far behind.
 pub const SKIPPED_STARTS: &str = "skipped-starts";
-/// From the start that was ordered to the real one, in an open loop: a part of `unattributed`.
+/// Column of the time from the ordered start to the real one, in an open loop: a part of `unattributed`.
 pub const LATENESS: &str = "lateness";
 
-/// What the cells of a column say.
+/// Kind of the cells of a column.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ColumnKind {
-    /// The iteration's place in the run, or how it ended.
+    /// Position of the iteration in the run, or its outcome.
     Place,
-    /// A node of the tree.
+    /// Value of a node of the tree.
     Node,
-    /// What is known of a delay beside its value.
+    /// Property of a delay other than its value.
     Delay,
 }
 
-/// How many of the columns are the published ones.
+/// Number of columns that the published program has.
 pub const PUBLISHED: usize = 13;
 
-/// The columns that every file has: the published ones in their order, then ours. Whatever else a run measures stands
-/// behind them.
+/// Columns that every file has: the published ones in their order, then those of this program. Further measurements of a run follow them.
 pub const FIXED_COLUMNS: [(&str, ColumnKind); 47] = [
     ("iteration", ColumnKind::Place),
     ("sensing", ColumnKind::Node),
@@ -77,36 +76,36 @@ pub const FIXED_COLUMNS: [(&str, ColumnKind); 47] = [
     ("reason", ColumnKind::Place),
 ];
 
-/// The names of the published columns, in their order.
+/// Returns the names of the published columns, in their order.
 pub fn published() -> impl Iterator<Item = &'static str> {
     FIXED_COLUMNS[..PUBLISHED].iter().map(|(name, _)| *name)
 }
 
-/// Position of a column that every file has.
+/// Returns the position of a column that every file has.
 fn fixed(name: &str) -> Option<usize> {
     FIXED_COLUMNS.iter().position(|(fixed, _)| *fixed == name)
 }
 
-/// The name of a column, without a copy where every file has it.
+/// Returns the name of a column, without allocation if every file has it.
 pub fn column(name: &str) -> Column {
     fixed(name).map_or_else(|| Column::Owned(name.to_owned()), |at| Column::Borrowed(FIXED_COLUMNS[at].0))
 }
 
-/// Every number of a tree under the name of its column: those that every file has first, in its order, then the others
-/// as they were logged.
+/// Returns every number of a tree under the name of its column: the columns that every file has first, in their order, then the others in
+/// the order of logging.
 ///
-/// What lies below a node joins the names with `_`, and a node that has both a value and children gets `_val`: the
-/// published rules. Excepted are the columns that every file has: their names never change, so that `sensing` is
-/// `sensing` whatever lies below it, and its parts are `capture` and `transform`.
+/// Names of nested nodes are joined with `_`, and a node that has both a value and children gets `_val`: the published rules. The columns
+/// that every file has are excepted: their names never change, so that `sensing` is `sensing` with any children, and its parts are
+/// `capture` and `transform`.
 pub(super) fn values(tree: &Tree) -> Vec<(Column, f64)> {
     Found::of(tree).values()
 }
 
-/// What is measured in a tree.
+/// Measurements of a tree.
 pub(super) struct Found<'a> {
     fixed: [Option<f64>; FIXED_COLUMNS.len()],
     further: Vec<(Column, f64, Unit)>,
-    /// How often a parent had a child of that name.
+    /// Number of times that a parent had a child of that name.
     siblings: HashMap<(NodeId, &'a str), usize>,
 }
 
@@ -127,17 +126,17 @@ impl<'a> Found<'a> {
         fixed.chain(self.further.into_iter().map(|(name, value, _)| (name, value))).collect()
     }
 
-    /// Those of the columns that not every file has.
+    /// Returns the units of the columns that not every file has.
     pub(super) fn units(&self) -> impl Iterator<Item = (&str, &Unit)> {
         self.further.iter().map(|(name, _, unit)| (name.as_ref(), unit))
     }
 
-    /// Takes a node's value; returns the label that its children's names begin with.
+    /// Adds a node's value; returns the label that its children's names begin with.
     fn take(&mut self, tree: &Tree, id: NodeId, node: &'a Node, labels: &[Column]) -> Column {
         let parent = node.parent.unwrap_or(NodeId::ROOT);
         let value = node.measure.value().filter(|value| !value.is_nan());
         if let Some(at) = place(tree, parent, &node.name) {
-            // Of several, the sum, as in `stages-total`.
+            // Several nodes of one name are added up, as in `stages-total`.
             if let Some(value) = value {
                 self.fixed[at] = Some(self.fixed[at].unwrap_or_default() + value);
             }
@@ -173,7 +172,7 @@ impl<'a> Found<'a> {
         }
     }
 
-    /// The name, or with a number behind it where another column of the row has it.
+    /// Returns the name, with a number behind it if another column of the row has it.
     fn free(&self, name: String) -> String {
         let taken =
             |name: &str| fixed(name).is_some() || self.further.iter().any(|(other, ..)| other == name);
@@ -185,7 +184,7 @@ impl<'a> Found<'a> {
     }
 }
 
-/// The column that every file has for a node of that name in that place.
+/// Returns the column that every file has for a node of that name in that place.
 fn place(tree: &Tree, parent: NodeId, name: &str) -> Option<usize> {
     let below_sensing =
         tree.get(parent).is_some_and(|node| node.name == stage::SENSING && node.parent == Some(NodeId::ROOT));

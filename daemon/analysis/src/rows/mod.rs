@@ -27,43 +27,43 @@ use peernet_clock::{DelaySource, Verdict};
 use chunks::Chunks;
 use numbers::Numbers;
 
-/// The iterations of a run, in order: about 150 bytes for each, where a [`Row`] takes more than a thousand.
+/// Iterations of a run, in order: about 150 bytes for each, whereas a [`Row`] takes more than a thousand.
 ///
-/// Nothing is rounded: every row comes back as it was put in.
+/// Nothing is rounded: every row is read back exactly.
 #[derive(Clone)]
 pub struct Rows {
     names: Vec<Column>,
     places: HashMap<Column, usize>,
-    /// As long as `names`, each as long as `ends`.
+    /// Columns of numbers, one for each of `names`, each as long as `ends`.
     numbers: Vec<Numbers>,
-    /// How each ended, and whether it is warm-up.
+    /// Outcome of each iteration, and whether it is warm-up.
     ends: Chunks<(Outcome, bool)>,
-    /// What the delays were judged to be, upload and download.
+    /// Verdicts on the delays, upload and download.
     judged: [Chunks<Option<JudgedDelay>>; 2],
-    /// Of the rows that have one, in order. Those that follow upon one another are mostly the same.
+    /// Reasons by row, in order, of the rows that have one. Consecutive ones are mostly the same.
     reasons: Vec<(usize, Arc<str>)>,
-    /// The row that is put in.
+    /// Row that is being appended.
     line: RowBuilder,
 }
 
-/// The column of a flag that is kept apart: every statistic asks for it.
+/// Column of a flag that is stored separately, because every statistic reads it.
 const WARM_UP: &str = "warm-up";
 
-/// The verdict on a delay, and what it rests on.
+/// Verdict on a delay, and the source of its clock relation.
 pub type JudgedDelay = (Verdict, DelaySource);
 
-/// A row that is being put together, cell by cell: its numbers by the place of their column, and what is no number.
+/// Row that is built cell by cell: its numbers by the place of their column, and its other values.
 #[derive(Clone, Debug, Default)]
 pub struct RowBuilder {
-    /// The numbers, by [`RowBuilder::place`]; `None` where there is none.
+    /// Numbers, by [`RowBuilder::place`]; `None` for a missing number.
     pub numbers: Vec<Option<f64>>,
-    /// How it ended; `None` is an answer.
+    /// Outcome of the iteration; `None` means an answer.
     pub outcome: Option<Outcome>,
     /// Kept, but left out of statistics.
     pub warm_up: bool,
-    /// Why there was no answer, where somebody said so.
+    /// Reason for a missing answer, if one was reported.
     pub reason: Option<String>,
-    /// What the delays were judged to be, upload and download.
+    /// Verdicts on the delays, upload and download.
     pub judged: [Option<JudgedDelay>; 2],
 }
 
@@ -86,17 +86,17 @@ impl Default for Rows {
 }
 
 impl Rows {
-    /// How many.
+    /// Returns the number of rows.
     pub fn len(&self) -> usize {
         self.ends.len()
     }
 
-    /// Whether there are none.
+    /// Returns whether there are no rows.
     pub fn is_empty(&self) -> bool {
         self.len() == 0
     }
 
-    /// Puts a row behind the others.
+    /// Appends a row.
     pub fn push(&mut self, row: &Row) {
         let mut line = self.build_row();
         for (name, kind) in FIXED_COLUMNS {
@@ -105,7 +105,7 @@ impl Rows {
             }
         }
         for (name, value) in &row.values {
-            // Of two of one name, the first.
+            // Of two values with one name, the first one counts.
             let place = line.place(self, name);
             line.numbers[place] = line.numbers[place].or(Some(*value));
         }
@@ -116,7 +116,7 @@ impl Rows {
         self.push_built(line);
     }
 
-    /// A row with nothing in it, to be filled and given to [`Self::push_built`].
+    /// Returns an empty row, to be filled and given to [`Self::push_built`].
     pub fn build_row(&mut self) -> RowBuilder {
         let mut line = std::mem::take(&mut self.line);
         line.numbers.clear();
@@ -124,7 +124,7 @@ impl Rows {
         RowBuilder { numbers: line.numbers, ..RowBuilder::default() }
     }
 
-    /// Puts a row behind the others.
+    /// Appends a row that was built.
     pub fn push_built(&mut self, mut line: RowBuilder) {
         for (numbers, number) in self.numbers.iter_mut().zip(&line.numbers) {
             numbers.push(*number);
@@ -139,7 +139,7 @@ impl Rows {
         self.line = line;
     }
 
-    /// The place of a column, which is put behind the others where there is none of that name.
+    /// Returns the place of a column, which is appended if no column has that name.
     fn place(&mut self, name: &Column) -> usize {
         if let Some(place) = self.places.get(name) {
             return *place;
@@ -150,27 +150,27 @@ impl Rows {
         self.names.len() - 1
     }
 
-    /// The columns: those that every file has, then what this run has beside them.
+    /// Returns the names of the columns: those that every file has, then the further ones of this run.
     pub fn names(&self) -> &[Column] {
         &self.names
     }
 
-    /// The rows, in order.
+    /// Returns the rows, in order.
     pub fn iter(&self) -> Iter<'_> {
         Iter { rows: self, places: 0..self.len() }
     }
 
-    /// A row by its place, from 0.
+    /// Returns a row by its place, from 0.
     pub fn get(&self, at: usize) -> Option<RowRef<'_>> {
         (at < self.len()).then(|| RowRef::new(self, at))
     }
 
-    /// The last row.
+    /// Returns the last row.
     pub fn last(&self) -> Option<RowRef<'_>> {
         self.iter().next_back()
     }
 
-    /// The numbers of a column in the rows that count, in order: what statistics are of.
+    /// Returns the numbers of a column in the rows that count, in order: the input of statistics.
     pub fn counted(&self, column: &str) -> impl Iterator<Item = f64> + Clone {
         let place = self.places.get(column);
         let numbers = place.map(|place| &self.numbers[*place]);
@@ -195,7 +195,7 @@ impl Rows {
 }
 
 impl RowBuilder {
-    /// The place of a column of the rows that this is to be one of.
+    /// Returns the place of a column in the rows that this row will be added to.
     pub fn place(&mut self, rows: &mut Rows, name: &Column) -> usize {
         let place = rows.place(name);
         self.numbers.resize(rows.names.len(), None);
@@ -254,7 +254,7 @@ impl FromIterator<Row> for Rows {
 }
 
 impl PartialEq for Rows {
-    /// Whether they hold the same rows, in whatever form.
+    /// Returns whether they hold the same rows, in any form.
     fn eq(&self, other: &Self) -> bool {
         self.len() == other.len() && self.iter().zip(other.iter()).all(|(a, b)| a.to_row() == b.to_row())
     }

@@ -1,29 +1,29 @@
-//! A column of numbers in as little room as gives each of them back exactly.
+//! Column of numbers in the least memory that returns each of them exactly.
 
 use super::chunks::Chunks;
 
-/// What stands in [`Numbers::Parts`] where there is no number.
+/// Element of [`Numbers::Parts`] that stands for a missing number.
 const MISSING: i32 = i32::MIN;
 /// Parts of a whole that are tried: whole numbers, and durations, which are counted in nanoseconds.
 const PARTS: [f64; 2] = [1.0, 1e9];
 
 /// Numbers, one for each row, any of which may be missing.
 ///
-/// Most columns of a run need no eight bytes for a number: sizes and flags stay the same, iterations count upwards, and
-/// durations of up to two seconds are whole nanoseconds in 32 bits. Which form it is follows from the numbers: each that is
-/// put in is read back at once, and what the form cannot hold moves all of them into the next wider one.
+/// Most columns of a run do not need eight bytes for a number: sizes and flags stay the same, iterations count upwards, and durations of up
+/// to two seconds are whole nanoseconds in 32 bits. The numbers determine the form: each number is read back when it is appended, and one
+/// that the form cannot represent moves all of them into the next wider form.
 #[derive(Clone, Debug)]
 pub(super) enum Numbers {
-    /// Each is as much more than the one before, or all of them are missing.
+    /// Numbers with a constant difference, or all of them missing.
     Even { first: Option<f64>, step: f64, count: usize },
-    /// Each is a whole number of parts: seconds of nanoseconds.
+    /// Multiples of a fraction of the unit: seconds as whole nanoseconds.
     Parts { per: f64, counts: Chunks<i32> },
-    /// As they are; not a number where it is missing.
+    /// Unchanged numbers; NaN stands for a missing one.
     Full(Chunks<f64>),
 }
 
 impl Numbers {
-    /// As many as are given, all of them missing.
+    /// Returns `count` numbers, all of them missing.
     pub(super) const fn missing(count: usize) -> Self {
         Self::Even { first: None, step: 0.0, count }
     }
@@ -36,7 +36,7 @@ impl Numbers {
         }
     }
 
-    /// The number of a row that there is; `None` where it is missing.
+    /// Returns the number of a row; `None` if it is missing.
     pub(super) fn get(&self, at: usize) -> Option<f64> {
         match self {
             Self::Even { first, step, .. } => first.map(|first| first + step * at as f64),
@@ -47,7 +47,7 @@ impl Numbers {
         }
     }
 
-    /// Puts one behind the others. What is not a number is missing.
+    /// Appends a number. NaN is stored as missing.
     pub(super) fn push(&mut self, number: Option<f64>) {
         let number = number.filter(|number| !number.is_nan());
         if !self.takes(number) {
@@ -55,7 +55,7 @@ impl Numbers {
         }
     }
 
-    /// Puts one behind the others if it comes back as it was; otherwise nothing changes.
+    /// Appends a number if it can be read back exactly; otherwise changes nothing.
     fn takes(&mut self, number: Option<f64>) -> bool {
         match self {
             Self::Even { first, step, count } => {
@@ -85,7 +85,7 @@ impl Numbers {
         }
     }
 
-    /// The narrowest form with a place for each that holds these.
+    /// Returns the narrowest form that can represent these numbers.
     fn wide_enough(numbers: impl Iterator<Item = Option<f64>> + Clone) -> Self {
         let fits = |per: &f64| numbers.clone().all(|number| part(number, *per).is_some());
         match PARTS.into_iter().find(fits) {
@@ -97,15 +97,15 @@ impl Numbers {
     }
 }
 
-/// So many parts of a whole; `None` where the number is none of them, or there are too many.
+/// Returns the number as a multiple of 1 / `per`; `None` if it is not such a multiple, or the multiple is too large.
 fn part(number: Option<f64>, per: f64) -> Option<i32> {
     let Some(number) = number else { return Some(MISSING) };
-    // Too many become the most that there are, which are not the same number.
+    // A number that is too large saturates, and then differs from the original.
     let count = (number * per).round() as i32;
     (count != MISSING && is_same(Some(f64::from(count) / per), Some(number))).then_some(count)
 }
 
-/// To the last bit, so that the sign of a zero counts.
+/// Compares bit by bit, so that the sign of a zero counts.
 fn is_same(a: Option<f64>, b: Option<f64>) -> bool {
     a.map(f64::to_bits) == b.map(f64::to_bits)
 }

@@ -1,4 +1,4 @@
-//! One iteration as a row of `data.csv`.
+//! Row of `data.csv`: one iteration.
 
 use std::borrow::Cow;
 
@@ -9,15 +9,15 @@ use serde::{Deserialize, Serialize};
 use super::columns;
 use crate::Passage;
 
-/// The name of a column: free of cost where it is a standard one.
+/// Name of a column: not allocated if it is a standard one.
 pub type Column = Cow<'static, str>;
 
 /// One iteration. Seconds, bytes, bits per second.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Row {
-    /// Its number in the run, from 1.
+    /// Number in the run, from 1.
     pub iteration: u64,
-    /// When it was meant to begin, seconds of the edge's wall clock since the Unix epoch; 0 where nobody wrote it down.
+    /// Planned start, seconds of the edge's wall clock since the Unix epoch; 0 if it was not recorded.
     pub at: f64,
     /// Episode, from 0.
     pub episode: u32,
@@ -25,24 +25,24 @@ pub struct Row {
     pub step: u32,
     /// Kept, but left out of statistics.
     pub warm_up: bool,
-    /// How it ended.
+    /// Outcome of the iteration.
     pub outcome: Outcome,
-    /// Why there was no answer, where somebody said so.
+    /// Reason for a missing answer, if one was reported.
     pub reason: Option<String>,
-    /// Column and value: the published names first, what lies deeper joined with `_`. No value is not a number; a bound
-    /// of a throughput may be infinite.
+    /// Columns and values: the published names first, names of nested nodes joined with `_`. No value is NaN; a bound of a throughput may
+    /// be infinite.
     pub values: Vec<(Column, f64)>,
-    /// Edge to cloud; `None` when it was never sent or never judged.
+    /// Message from edge to cloud; `None` when it was never sent or never judged.
     pub upload: Option<Passage>,
     /// Cloud to edge.
     pub download: Option<Passage>,
 }
 
-/// How an iteration ended.
+/// Outcome of an iteration.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Outcome {
-    /// With an answer.
+    /// Ended with an answer.
     Ok,
     /// The sample or the model failed.
     Failed,
@@ -56,7 +56,7 @@ impl Outcome {
     /// Every value, in the order of declaration.
     pub const ALL: [Self; 4] = [Self::Ok, Self::Failed, Self::Lost, Self::Timeout];
 
-    /// `ok`, `failed`, `lost` or `timeout`.
+    /// Returns `ok`, `failed`, `lost` or `timeout`.
     pub const fn name(self) -> &'static str {
         match self {
             Self::Ok => "ok",
@@ -66,7 +66,7 @@ impl Outcome {
         }
     }
 
-    /// The value of that name, if there is one.
+    /// Returns the value of that name, if there is one.
     pub fn from_name(name: &str) -> Option<Self> {
         Self::ALL.into_iter().find(|outcome| outcome.name() == name)
     }
@@ -84,7 +84,7 @@ impl From<&stream::Outcome> for Outcome {
 }
 
 impl Row {
-    /// What an iteration measured.
+    /// Returns the measurements of an iteration.
     pub fn of(iteration: &stream::Iteration) -> Self {
         Self::with(iteration, columns::values(&iteration.tree))
     }
@@ -105,7 +105,7 @@ impl Row {
         }
     }
 
-    /// The number in a column of `data.csv`; `None` where the cell is empty, is text, or there is no such column.
+    /// Returns the number in a column of `data.csv`; `None` if the cell is empty or text, or there is no such column.
     pub fn value(&self, column: &str) -> Option<f64> {
         let bound = |passage: Option<&Passage>, of: fn(&Passage) -> Option<Span>| {
             passage.and_then(of).map(Span::seconds)
@@ -127,7 +127,7 @@ impl Row {
         }
     }
 
-    /// Whether statistics rest on it: answered, and no warm-up.
+    /// Returns whether statistics include it: answered, and not warm-up.
     pub fn counts(&self) -> bool {
         self.outcome == Outcome::Ok && !self.warm_up
     }

@@ -1,4 +1,4 @@
-//! One of many rows.
+//! Reference to one of many rows.
 
 use peernet_clock::{Interval, OneWayDelay, Span, Verdict};
 
@@ -6,13 +6,13 @@ use super::columns::{ColumnKind, FIXED_COLUMNS};
 use super::{Column, Outcome, Row, Rows, WARM_UP};
 use crate::Passage;
 
-/// The columns that a passage is put together of: its delay, payload and metadata, then what is known of the delay.
+/// Columns that a passage is built from: its delay, payload and metadata, then the properties of the delay.
 const UPLOAD: [&str; 6] =
     ["upload", "upload-bytes", "upload-logger-bytes", "upload-raw", "upload-lo", "upload-hi"];
 const DOWNLOAD: [&str; 6] =
     ["download", "download-bytes", "download-logger-bytes", "download-raw", "download-lo", "download-hi"];
 
-/// A row where it stands among the others: what [`Row`] has, without a copy of it.
+/// Reference to a row of [`Rows`](super::Rows): the content of a [`Row`], without a copy.
 #[derive(Clone, Copy)]
 pub struct RowRef<'a> {
     rows: &'a Rows,
@@ -28,7 +28,7 @@ impl<'a> RowRef<'a> {
         self.place
     }
 
-    /// The number in a column of `data.csv`; `None` where the cell is empty, is text, or there is no such column.
+    /// Returns the number in a column of `data.csv`; `None` if the cell is empty or text, or there is no such column.
     pub fn value(&self, column: &str) -> Option<f64> {
         if column == WARM_UP {
             return Some(f64::from(u8::from(self.warm_up())));
@@ -37,49 +37,49 @@ impl<'a> RowRef<'a> {
         self.rows.numbers[place].get(self.place)
     }
 
-    /// Its number in the run, from 1.
+    /// Returns its number in the run, from 1.
     pub fn iteration(&self) -> u64 {
         self.value("iteration").unwrap_or_default() as u64
     }
 
-    /// When it was meant to begin, seconds of the edge's wall clock since the Unix epoch; 0 where nobody wrote it down.
+    /// Returns the planned start, seconds of the edge's wall clock since the Unix epoch; 0 if it was not recorded.
     pub fn at(&self) -> f64 {
         self.value("at").unwrap_or_default()
     }
 
-    /// Episode, from 0.
+    /// Returns the episode, from 0.
     pub fn episode(&self) -> u32 {
         self.value("episode").unwrap_or_default() as u32
     }
 
-    /// Step within the episode, from 0.
+    /// Returns the step within the episode, from 0.
     pub fn step(&self) -> u32 {
         self.value("step").unwrap_or_default() as u32
     }
 
-    /// Kept, but left out of statistics.
+    /// Returns whether it is warm-up: kept, but left out of statistics.
     pub fn warm_up(&self) -> bool {
         self.rows.ends[self.place].1
     }
 
-    /// How it ended.
+    /// Returns the outcome of the iteration.
     pub fn outcome(&self) -> Outcome {
         self.rows.ends[self.place].0
     }
 
-    /// Whether statistics rest on it: answered, and no warm-up.
+    /// Returns whether statistics include it: answered, and not warm-up.
     pub fn counts(&self) -> bool {
         self.outcome() == Outcome::Ok && !self.warm_up()
     }
 
-    /// Why there was no answer, where somebody said so.
+    /// Returns the reason for a missing answer, if one was reported.
     pub fn reason(&self) -> Option<&'a str> {
         let reasons = &self.rows.reasons;
         let found = reasons.binary_search_by_key(&self.place, |(place, _)| *place).ok()?;
         Some(&reasons[found].1)
     }
 
-    /// Column and value of what was measured: the columns that every file has first.
+    /// Returns columns and values of the measurements: the columns that every file has first.
     pub fn values(&self) -> impl Iterator<Item = (&'a Column, f64)> {
         let Self { rows, place } = *self;
         let measured = FIXED_COLUMNS.iter().map(|(_, kind)| *kind);
@@ -90,17 +90,17 @@ impl<'a> RowRef<'a> {
             .filter_map(move |((name, numbers), _)| Some((name, numbers.get(place)?)))
     }
 
-    /// Edge to cloud; `None` when it was never sent or never judged.
+    /// Returns the message from edge to cloud; `None` when it was never sent or never judged.
     pub fn upload(&self) -> Option<Passage> {
         self.passage(0, UPLOAD)
     }
 
-    /// Cloud to edge.
+    /// Returns the message from cloud to edge.
     pub fn download(&self) -> Option<Passage> {
         self.passage(1, DOWNLOAD)
     }
 
-    /// The verdicts on both delays, upload and download.
+    /// Returns the verdicts on both delays, upload and download.
     pub fn verdicts(&self) -> [Option<Verdict>; 2] {
         [0, 1].map(|way: usize| self.rows.judged[way][self.place].map(|(verdict, _)| verdict))
     }
@@ -125,7 +125,7 @@ impl<'a> RowRef<'a> {
         })
     }
 
-    /// A copy that stands alone.
+    /// Returns a copy that does not refer to the other rows.
     pub fn to_row(self) -> Row {
         Row {
             iteration: self.iteration(),

@@ -1,4 +1,4 @@
-//! In what the columns are measured that a run logged beside the standard ones.
+//! Units of the columns that a run logged in addition to the standard ones.
 
 use std::collections::BTreeMap;
 
@@ -7,13 +7,13 @@ use serde::{Deserialize, Serialize};
 
 use super::{Row, columns};
 
-/// The units of a run's own columns: `s`, `B`, `W`, whatever it declared. What is a plain number is not in it.
+/// Units of a run's further columns: `s`, `B`, `W`, or any other that it declared. Columns of plain numbers are not included.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(transparent)]
 pub struct Units(BTreeMap<String, String>);
 
 impl Units {
-    /// An iteration as a row; the units of its columns are remembered.
+    /// Returns an iteration as a row, and stores the units of its columns.
     pub fn row(&mut self, iteration: &Iteration) -> Row {
         let found = columns::Found::of(&iteration.tree);
         for (column, unit) in found.units() {
@@ -27,7 +27,7 @@ impl Units {
         Row::with(iteration, found.values())
     }
 
-    /// A column's unit; `None` for a plain number, and where iterations did not agree or nobody knows.
+    /// Returns a column's unit; `None` for a plain number, and if iterations did not agree or the unit is not known.
     pub fn of(&self, column: &str) -> Option<&str> {
         self.0.get(column).map(String::as_str).filter(|unit| !unit.is_empty())
     }

@@ -8,7 +8,7 @@ use crate::rows::Rows;
 use crate::trust::{EndedEarly, Limits, Load, Missing, Progress, Starts, TrustInput, lasted};
 
 impl TrustInput {
-    /// Collects the input from the rows of a run and its record: conditions of both hosts, how it ended, what was not seen.
+    /// Collects the input from the rows of a run and its record: conditions of both hosts, the end of the run, and missing measurements.
     pub fn of_run(record: &RunRecord, rows: &Rows) -> Self {
         let hosts = [Some(&record.edge), record.cloud.as_ref()].into_iter().flatten();
         let conditions: Vec<Condition> = hosts.flat_map(|host| host.conditions.iter().cloned()).collect();
@@ -28,12 +28,12 @@ impl TrustInput {
     }
 }
 
-/// What a run was asked for; nothing where its record was written by a program that has other limits.
+/// Returns the limits that a run was asked to keep; none if a program with other limits wrote its record.
 fn limits(record: &RunRecord) -> Limits {
     record.pipeline.get("limit").and_then(|limit| Limits::deserialize(limit).ok()).unwrap_or_default()
 }
 
-/// How often a run was to begin an iteration; nothing where its record was written by a program that has another load.
+/// Returns the load that a run was asked to generate; none if a program with another kind of load wrote its record.
 fn load(record: &RunRecord) -> Load {
     record.pipeline.get("load").and_then(|load| Load::deserialize(load).ok()).unwrap_or_default()
 }
@@ -49,8 +49,8 @@ fn ended_early(record: &RunRecord, rows: &Rows) -> Option<EndedEarly> {
     EndedEarly::of(&limits(record), &progress, &record.reason)
 }
 
-/// Describes the end of a run that somebody ended early or that broke off: `was interrupted after 57 of 120 iterations`. `None` of
-/// one that came to its end, or of which that is not known.
+/// Describes the end of a run that was ended early or broke off: `was interrupted after 57 of 120 iterations`. `None` for one that was
+/// complete, or whose end is not known.
 pub(crate) fn cut_short(record: &RunRecord, rows: &Rows) -> Option<String> {
     match (record.reason.failure(), ended_early(record, rows)) {
         (Some(reason), Some(early)) => Some(format!("broke off {}: {reason}", early.how_far())),

@@ -1,4 +1,4 @@
-//! What a record adds to the rows.
+//! Tests of the trust input that a record adds to the rows.
 
 use peernet_stream::Grade;
 
@@ -12,7 +12,7 @@ fn starts_that_were_skipped_are_told_and_weighed() {
     let judged = |load: serde_json::Value, skipped: u64| {
         let record = RunRecord { pipeline: serde_json::json!({ "load": load }), ..RunRecord::default() };
         let mut rows = rows(quiet(1005));
-        // In the warm-up, before an answer and before none.
+        // One start in the warm-up, one before an answer and one before a missing answer.
         rows.change(|row| match row.iteration {
             3 => row.values.push(("skipped-starts".into(), 70.0)),
             10 => row.values.push(("skipped-starts".into(), skipped as f64 - 1.0)),
@@ -71,7 +71,7 @@ fn a_run_that_is_not_what_was_ordered_says_so_first() {
             pipeline: serde_json::json!({ "limit": limit }),
             ..RunRecord::default()
         };
-        // 5 of warm-up, 200 measured, one each second.
+        // 5 iterations of warm-up and 200 measured ones, one each second.
         let report = Report::of(&TrustInput::of_run(&record, &rows(quiet(205))));
         (report.verdict, report.sentences[0].text.clone())
     };

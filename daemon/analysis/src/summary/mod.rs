@@ -1,4 +1,4 @@
-//! The Tabulated Metrics: what a run's columns come to.
+//! Summary of a run's columns: the Tabulated Metrics.
 
 mod scale;
 
@@ -13,61 +13,61 @@ use crate::record::{Clocks, Counts, RunRecord};
 use crate::rows::{Column, ColumnKind, FIXED_COLUMNS, Rows, Units};
 use crate::trust::Starts;
 
-/// What the columns of a run come to, warm-up and iterations without an answer left out.
+/// Summary of the columns of a run, without warm-up and iterations without an answer.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Summary {
-    /// For people.
+    /// Title for people.
     pub title: String,
-    /// One for each column that has a number in some row that counts, in the order of the file.
+    /// Summaries of the columns that have a number in some row that counts, in the order of the file.
     pub quantities: Vec<Quantity>,
-    /// How the iterations ended.
+    /// Number of iterations by how they ended.
     pub counts: Counts,
     /// The deadline, seconds.
     pub deadline_s: Option<f64>,
-    /// How many iterations missed it; `None` without a deadline.
+    /// Number of iterations that missed the deadline; `None` without a deadline.
     pub misses: Option<Misses>,
-    /// What became of the starts that an open loop ordered.
+    /// Starts that an open loop ordered, by their outcome.
     pub starts: Starts,
-    /// How far the delays can be trusted.
+    /// Quality of the delays.
     pub clocks: Clocks,
-    /// Samples that are neither right nor wrong, because their label is no class of the model.
+    /// Samples that are neither right nor wrong, because their label is not a class of the model.
     pub unknown_labels: Option<UnknownLabels>,
-    /// In what the columns are measured that the run logged beside the standard ones.
+    /// Units of the columns that the run logged in addition to the standard ones.
     pub units: Units,
 }
 
-/// What one column comes to, in the column's unit.
+/// Summary of one column, in the column's unit.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Quantity {
-    /// Which column.
+    /// Name of the column.
     pub column: Column,
-    /// How many numbers.
+    /// Number of values.
     pub count: u64,
     /// Their mean.
     pub mean: f64,
-    /// Sample standard deviation; `None` below two.
+    /// Sample standard deviation; `None` below two numbers.
     pub std: Option<f64>,
     /// The median, as all quantiles by linear interpolation between neighbours (definition 7 of Hyndman and Fan 1996,
     /// numpy's default).
     pub median: f64,
-    /// `None` below 60 numbers.
+    /// 95th percentile; `None` below 60 numbers.
     pub p95: Option<f64>,
-    /// `None` below 300 numbers.
+    /// 99th percentile; `None` below 300 numbers.
     pub p99: Option<f64>,
     /// The largest.
     pub max: f64,
-    /// Contain the median of the true values; the upper one may be infinite. `None` where the column has no bounds.
+    /// Bounds that contain the median of the true values; the upper one may be infinite. `None` if the column has no bounds.
     pub bounds: Option<(f64, f64)>,
 }
 
 impl Summary {
-    /// What these rows come to.
+    /// Returns the summary of these rows.
     pub fn of(rows: &Rows) -> Self {
         let measured = rows.names().iter().enumerate().filter(|(place, name)| {
             FIXED_COLUMNS.get(*place).is_none_or(|(_, kind)| *kind == ColumnKind::Node) && !is_bound(name)
         });
         let quantity = |(_, name): (usize, &Column)| {
-            // Of all iterations, so that the mean is the miss rate.
+            // This column includes unanswered iterations, so that its mean is the miss rate.
             if *name == DEADLINE_MISSED {
                 let all = rows.iter().filter(|row| !row.warm_up());
                 return Quantity::of(name.clone(), all.filter_map(|row| row.value(name)));
@@ -88,7 +88,7 @@ impl Summary {
         }
     }
 
-    /// With the run's title, the units of its own columns, the words of its labels and classes, and what is known of
+    /// Adds facts from the run's record: its title, the units of its further columns, the words of its labels and classes, and the facts about
     /// iterations that have no row.
     #[must_use]
     pub fn about(mut self, record: &RunRecord) -> Self {
@@ -101,19 +101,19 @@ impl Summary {
         self
     }
 
-    /// One column's; `None` where no row that counts has a number in it.
+    /// Returns the summary of one column; `None` if no row that counts has a number in it.
     pub fn quantity(&self, column: &str) -> Option<&Quantity> {
         self.quantities.iter().find(|quantity| quantity.column == column)
     }
 }
 
-/// Whether a column holds ends of another one's intervals.
+/// Returns whether a column contains ends of the intervals of another column.
 fn is_bound(column: &str) -> bool {
     column.ends_with("-throughput-lo") || column.ends_with("-throughput-hi")
 }
 
-/// The median of the lower ends and that of the upper ends: when each value lies between its ends, so does the median of
-/// the values between these two. `None` unless every value has ends.
+/// Returns the median of the lower ends and that of the upper ends: when each value lies between its ends, the median of the values lies
+/// between these two. `None` unless every value has ends.
 fn bounds(rows: &Rows, column: &str) -> Option<(f64, f64)> {
     let bounded = ["upload", "download", "upload-throughput", "download-throughput"];
     bounded.contains(&column).then_some(())?;
@@ -127,7 +127,8 @@ fn bounds(rows: &Rows, column: &str) -> Option<(f64, f64)> {
 }
 
 impl Quantity {
-    /// What these numbers come to; `None` when there are none. What is not finite, or as good as infinite, is left out.
+    /// Returns the summary of these numbers; `None` if there are none. Numbers that are not finite, or too large for statistics, are left
+    /// out.
     pub fn of(column: Column, values: impl IntoIterator<Item = f64>) -> Option<Self> {
         let mut moments = Moments::default();
         let values = values.into_iter().filter(|value| statistics::Summary::accepts(*value));

@@ -1,8 +1,8 @@
-//! In what the numbers of a column are shown.
+//! Scale in which the numbers of a column are shown.
 
 use peernet_logger::Unit;
 
-/// Columns that are times, wherever in the tree they are logged and whoever wrote the file.
+/// Columns that are times, at any place in the tree and in the files of any program.
 const TIMES: [&str; 17] = [
     "sensing",
     "upload",
@@ -23,10 +23,10 @@ const TIMES: [&str; 17] = [
     "actuation",
 ];
 
-/// What is behind the name of a further column that is one's own value, not the sum of its parts.
+/// Suffix of a further column that holds a node's own value and not the sum of its children.
 const OWN_VALUE: &str = "_val";
 
-/// How numbers of a column are shown.
+/// Form in which numbers of a column are shown.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Scale {
     /// Seconds, shown as milliseconds.
@@ -35,12 +35,12 @@ pub enum Scale {
     MegabytesPerSecond,
     /// Whole bytes.
     Bytes,
-    /// In the unit of the column, whatever that is.
+    /// Numbers in the unit of the column.
     AsMeasured,
 }
 
 impl Scale {
-    /// By a standard column's name; for another one by the unit that it was logged with.
+    /// Returns the scale of a standard column by its name, and of another one by the unit that it was logged with.
     pub fn of(column: &str, unit: Option<&str>) -> Self {
         let total = ["lateness", "total", "stages-total", "unattributed"].contains(&column);
         let logged_in = |known: &Unit| unit == Some(known.symbol());
@@ -56,7 +56,7 @@ impl Scale {
     }
 }
 
-/// The name of the node that a column is of: without those above it, and without a number behind it.
+/// Returns the name of the node that a column belongs to, without the names of its parents and without an appended number.
 fn last_part(column: &str) -> &str {
     let column = column.strip_suffix(OWN_VALUE).unwrap_or(column);
     let number = |last: &str| last.bytes().all(|byte| byte.is_ascii_digit());

@@ -1,4 +1,4 @@
-//! What the columns come to.
+//! Tests of the summaries of columns.
 
 use super::*;
 use crate::testing::{kept, rows};

@@ -18,10 +18,10 @@ pub(crate) fn csv(
     file.flush().map_err(WriteError::at(path))
 }
 
-/// Comma-separated values as text: a header and rows of as many cells.
+/// Returns comma-separated values as text: a header and rows with the same number of cells.
 ///
 /// # Panics
-/// When a row has more or fewer cells than the header.
+/// If a row has more or fewer cells than the header.
 pub fn csv_text(header: &[&str], rows: &[Vec<String>]) -> String {
     let mut writer = csv::Writer::from_writer(Vec::new());
     let written =

@@ -2,7 +2,7 @@
 
 use super::Table;
 
-/// Letters of which text fonts have none.
+/// Letters that the text fonts lack, with their commands.
 const GREEK: [(char, &str); 34] = [
     ('α', "alpha"),
     ('β', "beta"),
@@ -40,7 +40,7 @@ const GREEK: [(char, &str); 34] = [
     ('Ω', "Omega"),
 ];
 
-/// As wide as its columns, or as the page where that is less: names of any length fit.
+/// Scales a table down to the width of the page if it is wider, so that names of any length fit.
 const FIT: &str = "\\resizebox{\\ifdim\\width>\\linewidth \\linewidth\\else\\width\\fi}{!}{%";
 
 pub(super) fn table(table: &Table, caption: &str) -> String {
@@ -64,7 +64,7 @@ pub(super) fn table(table: &Table, caption: &str) -> String {
     )
 }
 
-/// What letters ask for beside the packages, a line each; nothing where all are ASCII.
+/// Returns the lines that the preamble needs for these letters beside the packages; empty if all are ASCII.
 fn fonts(chars: impl Iterator<Item = char>) -> String {
     let (mut latin, mut foreign) = (false, Vec::new());
     for char in chars.filter(|char| !char.is_ascii()) {
@@ -79,23 +79,23 @@ fn fonts(chars: impl Iterator<Item = char>) -> String {
     format!("% needs LuaLaTeX or XeLaTeX, and a font that has {foreign}\n")
 }
 
-/// What pdfLaTeX sets as it stands with fonts in T1: Latin-1 and Latin Extended-A but for a few letters, punctuation.
+/// Returns whether pdfLaTeX prints the letter with fonts in T1: Latin-1 and Latin Extended-A with few exceptions, and punctuation.
 const fn is_latin(char: char) -> bool {
     !matches!(char, 'Ħ' | 'ħ' | 'ĸ' | 'Ŀ' | 'ŀ' | 'ŉ' | 'Ŧ' | 'ŧ') && char <= 'ž'
         || matches!(char, '‘' | '’' | '‚' | '“' | '”' | '„' | '†' | '‡' | '•' | '…' | '‰' | '€' | '™')
 }
 
-/// Text as LaTeX sets it, whatever is in it: it reads as it is, and cannot be taken for a command, the argument of the
-/// one before it, or a ligature. What is not seen, such as control characters, becomes a blank or is left out.
+/// Escapes any text for LaTeX: it is printed as it is, and cannot act as a command, as the argument of the one before it, or as a ligature.
+/// Invisible characters, such as control characters, become a blank or are left out.
 pub fn escape(text: &str) -> String {
     let mut out = String::with_capacity(text.len());
     let mut before = ' ';
     for char in text.chars() {
         match char {
             '&' | '%' | '$' | '#' | '_' | '{' | '}' => out.extend(['\\', char]),
-            // After the end of a row these would be its arguments.
+            // After the end of a row LaTeX would read these as its arguments.
             '[' | ']' | '*' => out.extend(['{', char, '}']),
-            // Two of them would be one dash, or one quotation mark.
+            // Two of them would become one dash, or one quotation mark.
             '-' | '\'' | ',' | '`' if before == char => out.extend(['{', '}', char]),
             '`' if matches!(before, '?' | '!') => out.push_str("{}`"),
             '\\' => out.push_str("\\textbackslash{}"),

@@ -21,7 +21,7 @@ pub(super) fn table(table: &Table) -> String {
     text
 }
 
-/// What Markdown would take for something else.
+/// Escapes characters that have a meaning in Markdown.
 fn escape(cell: &str) -> String {
     let mut text = String::with_capacity(cell.len());
     for char in printable_line(cell).chars() {

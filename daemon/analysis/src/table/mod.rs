@@ -12,7 +12,7 @@ pub use text::text;
 
 use peernet_statistics::number::decimals;
 
-/// An interval between two numbers as written. One number where both ends read the same.
+/// Formats an interval between two numbers; a single number if both ends have the same text.
 pub fn interval([lo, hi]: [String; 2]) -> String {
     let is_signed = |end: &str| end.starts_with(['\u{2212}', '+']);
     match (lo == hi, is_signed(&lo) || is_signed(&hi)) {
@@ -36,9 +36,9 @@ pub fn decimals_of(values: impl Iterator<Item = f64>) -> usize {
 /// Cells under a header.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Table {
-    /// What the columns are.
+    /// Titles of the columns.
     pub header: Vec<String>,
-    /// How many columns from the left are text and stand to the left; the others are figures and stand to the right.
+    /// Number of columns from the left that are text and aligned left; the others are figures and aligned right.
     pub labels: usize,
     /// Rows of as many cells as the header has.
     pub rows: Vec<Vec<String>>,
@@ -47,23 +47,23 @@ pub struct Table {
 }
 
 impl Table {
-    /// For the terminal: columns as wide as their longest cell; marked rows end with an asterisk.
+    /// Returns the text for a terminal: columns as wide as their longest cell; marked rows end with an asterisk.
     pub fn text(&self) -> String {
         text::table(self)
     }
 
-    /// As GitHub and most others read it; marked rows are bold.
+    /// Returns Markdown as GitHub and most other programs read it; marked rows are bold.
     pub fn markdown(&self) -> String {
         markdown::table(self)
     }
 
-    /// For the package `booktabs`, everything escaped; marked rows are bold.
+    /// Returns LaTeX for the package `booktabs`, with everything escaped; marked rows are bold.
     pub fn latex(&self, caption: &str) -> String {
         latex::table(self, caption)
     }
 }
 
-/// A table between what it is and what it means.
+/// Table with a title above it and explanations below it.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Captioned {
     pub(crate) heading: String,
@@ -72,17 +72,17 @@ pub struct Captioned {
 }
 
 impl Captioned {
-    /// For the terminal.
+    /// Returns the text for a terminal.
     pub fn text(&self) -> String {
         format!("{}\n\n{}\n\n{}", self.heading, self.table.text(), self.notes)
     }
 
-    /// For documents.
+    /// Returns Markdown.
     pub fn markdown(&self) -> String {
         format!("{}\n\n{}\n{}\n", self.heading, self.table.markdown(), self.notes)
     }
 
-    /// For papers, with booktabs.
+    /// Returns LaTeX, with booktabs.
     pub fn latex(&self) -> String {
         self.table.latex(&format!("{} {}", self.heading, self.notes))
     }

@@ -4,7 +4,7 @@ use peernet_sample::printable_line;
 
 use super::Table;
 
-/// Rows of cells under a header; the first column is text, the others are figures and stand to the right.
+/// Returns rows of cells under a header; the first column is text, the others are figures and aligned right.
 pub fn text(header: &[&str], rows: &[Vec<String>]) -> String {
     lines(&header.iter().map(|&cell| cell.to_owned()).collect::<Vec<_>>(), rows, 1)
 }

@@ -7,7 +7,7 @@ use peernet_stream::{Iteration, Outcome};
 /// 2026-11-20 12:54:53 UTC.
 pub(crate) const BEGUN: i64 = 1_795_179_293_000_000_000;
 
-/// A tree of the root alone.
+/// Returns a tree that has only a root.
 pub(crate) fn tree() -> Tree {
     let anchor = Anchor { host: HostId::from_bytes([7; 16]), wall: WallTime::from_unix_nanos(BEGUN) };
     Tree::new(stage::ITERATION, anchor)
@@ -23,7 +23,7 @@ pub(crate) fn timer(micros: i64) -> Measure {
     Measure::Timer(Some(Span::from_micros(micros)))
 }
 
-/// A message whose delay is known to 10 µs.
+/// Returns a message whose delay is known to 10 µs.
 pub(crate) fn transit(micros: i64) -> Measure {
     let (value, half) = (Span::from_micros(micros), Span::from_micros(10));
     let delay = OneWayDelay {
@@ -42,7 +42,7 @@ pub(crate) fn transit(micros: i64) -> Measure {
     }))
 }
 
-/// What an offloaded iteration with an ordinary model logs.
+/// Returns the tree that an offloaded iteration with an ordinary model logs.
 pub(crate) fn offloaded(upload: i64, inference: i64) -> Tree {
     let mut tree = tree();
     let bytes = |bytes: f64| Measure::Value(bytes, Unit::BYTES);
@@ -82,7 +82,7 @@ pub(crate) fn iteration(number: u64, outcome: Outcome, tree: Tree) -> Iteration 
     }
 }
 
-/// So many iterations, the first two of them warm-up, the sixth lost.
+/// Returns `count` iterations, the first two of them warm-up, the sixth lost.
 pub(crate) fn iterations(count: u64) -> Vec<Iteration> {
     let of = |number: u64| match number {
         6 => iteration(number, Outcome::Lost("the connection broke, \"reset\"".to_owned()), tree()),

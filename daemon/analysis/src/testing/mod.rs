@@ -1,4 +1,4 @@
-//! What tests of several modules begin with.
+//! Inputs that the tests of several modules share.
 
 mod iterations;
 
@@ -6,12 +6,12 @@ pub(crate) use iterations::*;
 
 use crate::rows::{Row, Rows};
 
-/// [`iterations`] as rows.
+/// Returns [`iterations`] as rows.
 pub(crate) fn rows(count: u64) -> Vec<Row> {
     iterations(count).iter().map(Row::of).collect()
 }
 
-/// As they are kept.
+/// Returns the rows in the form in which they are stored.
 pub(crate) fn kept(rows: &[Row]) -> Rows {
     rows.iter().cloned().collect()
 }

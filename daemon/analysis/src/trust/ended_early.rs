@@ -6,7 +6,7 @@ use serde::Deserialize;
 
 use crate::rows::Rows;
 
-/// Limits of a run: its pipeline's `limit`. A field that is `None` is no limit.
+/// Limits of a run: its pipeline's `limit`. A field that is `None` sets no limit.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Deserialize)]
 #[serde(default)]
 pub struct Limits {
@@ -14,22 +14,22 @@ pub struct Limits {
     pub iterations: Option<f64>,
     /// Iterations with those of the warm-up.
     pub total: Option<f64>,
-    /// Seconds from the first iteration that is no warm-up.
+    /// Seconds from the first iteration that is not warm-up.
     pub duration_s: Option<f64>,
 }
 
-/// How much of a run there is.
+/// Part of a run that was measured.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Progress {
     /// Iterations, answered or not, warm-up left out; with those that were measured and not seen.
     pub measured: u64,
     /// Iterations of the warm-up.
     pub warm_up: u64,
-    /// From the first iteration that is no warm-up to the last, seconds.
+    /// Duration from the first iteration that is not warm-up to the last, seconds.
     pub seconds: f64,
 }
 
-/// Result of a run that ended before its limit: how far it came.
+/// Progress of a run that ended before its limit.
 #[derive(Clone, Debug, PartialEq)]
 pub struct EndedEarly {
     /// Amount that was reached, in `unit`.
@@ -38,7 +38,7 @@ pub struct EndedEarly {
     pub ordered: f64,
     /// Unit of both amounts.
     pub unit: Unit,
-    /// Whether somebody ended the run.
+    /// `true` if the run was interrupted.
     pub interrupted: bool,
 }
 
@@ -66,17 +66,17 @@ impl EndedEarly {
         });
         // The run ends at the first limit that it reaches, so the nearest one counts.
         let early = amounts.max_by(|a, b| a.share().total_cmp(&b.share()))?;
-        // The last iteration ends shortly before a limit of time: its reason tells whether such a run is complete.
+        // The last iteration ends shortly before a limit of time, so the reason for the end decides whether such a run is complete.
         let whole = early.share() >= 1.0 || (*reason == EndReason::Finished && limits.duration_s.is_some());
         (!whole).then_some(early)
     }
 
-    /// Returns the reached share of what was ordered, from 0 on.
+    /// Returns the reached share of the limit, from 0 on.
     pub fn share(&self) -> f64 {
         self.reached / self.ordered
     }
 
-    /// Describes how far the run came: `after 57 of 120 iterations`.
+    /// Describes the progress of the run: `after 57 of 120 iterations`.
     pub(crate) fn how_far(&self) -> String {
         let Self { reached, ordered, unit, .. } = self;
         match unit {
@@ -88,7 +88,7 @@ impl EndedEarly {
     }
 }
 
-/// Returns the time from the first to the last iteration that is no warm-up, seconds.
+/// Returns the time from the first to the last iteration that is not warm-up, seconds.
 pub(crate) fn lasted(rows: &Rows) -> f64 {
     let at = || rows.iter().filter(|row| !row.warm_up() && row.at() > 0.0).map(|row| row.at());
     at().next_back().zip(at().next()).map_or(0.0, |(last, first)| (last - first).max(0.0))

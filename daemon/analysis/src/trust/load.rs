@@ -1,34 +1,33 @@
-//! Whether the starts that an open loop ordered took place.
+//! Judgement of the starts that an open loop ordered.
 
 use peernet_statistics::number::{counted, fixed};
 use serde::Deserialize;
 
 use crate::rows::{Rows, SKIPPED_STARTS};
 
-/// How often a run was to begin an iteration: its pipeline's `load`.
+/// Rate at which a run was to begin iterations: its pipeline's `load`.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Deserialize)]
 #[serde(default)]
 pub struct Load {
-    /// Starts per second, on average where they come at random; `None` in a closed loop, which waits for each answer.
+    /// Starts per second, on average if they are random; `None` in a closed loop, which waits for each answer.
     pub hz: Option<f64>,
 }
 
-/// What became of the ordered starts, warm-up left out.
+/// Ordered starts by their outcome, warm-up left out.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Starts {
-    /// Starts per second that were ordered; `None` in a closed loop, and where it is not known.
+    /// Ordered starts per second; `None` in a closed loop, and if they are not known.
     pub hz: Option<f64>,
     /// Iterations that began.
     pub kept: u64,
     /// Starts that were skipped because the pipeline was too far behind.
     pub skipped: u64,
-    /// Starts that were made per second, from the first to the last, answered or not; `None` where their times are not
-    /// known.
+    /// Actual starts per second, from the first to the last, answered or not; `None` if their times are not known.
     pub made_hz: Option<f64>,
 }
 
 impl Starts {
-    /// What rows say, which do not know what was ordered.
+    /// Returns the starts of rows, which do not contain the number of ordered starts.
     pub fn of_rows(rows: &Rows) -> Self {
         let begun = || rows.iter().filter(|row| !row.warm_up());
         let skipped = begun().filter_map(|row| row.value(SKIPPED_STARTS)).filter(|value| *value > 0.0);
@@ -40,12 +39,12 @@ impl Starts {
         }
     }
 
-    /// All that came due.
+    /// Returns the number of all ordered starts.
     pub const fn all(&self) -> u64 {
         self.kept + self.skipped
     }
 
-    /// How many of all were skipped, in words; `None` where none were.
+    /// Returns how many of all starts were skipped, in words; `None` if none were.
     pub fn told(&self) -> Option<String> {
         let percent = fixed(self.skipped_share() * 100.0, 1);
         let told =
@@ -53,13 +52,13 @@ impl Starts {
         (self.skipped > 0).then_some(told)
     }
 
-    /// The share that was skipped, 0 to 1.
+    /// Returns the share that was skipped, 0 to 1.
     pub fn skipped_share(&self) -> f64 {
         if self.all() == 0 { 0.0 } else { self.skipped as f64 / self.all() as f64 }
     }
 }
 
-/// Starts per second. They stand in the order in which they ended, of which a later one may be first.
+/// Returns the starts per second. The starts are in the order in which their iterations ended, so an earlier start can follow a later one.
 fn made_hz(starts: impl Iterator<Item = f64>) -> Option<f64> {
     let (count, first, last) = starts
         .fold((0_u64, f64::INFINITY, 0.0), |(count, first, last): (u64, f64, f64), at| {

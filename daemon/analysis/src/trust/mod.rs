@@ -1,11 +1,11 @@
-//! "Can I publish this run?": what was seen before, during and after a run, in plain sentences.
+//! Answer to "can I publish this run?", with findings from before, during and after the run, in plain sentences.
 //!
 //! ```text
 //! rows (crate::rows) ──┐
 //! roll-ups of a store ─┴─ TrustInput ── Report: a verdict, sentences ── text, JSON, page
 //! ```
 //!
-//! No I/O. The thresholds and methods, with their sources, are beside each judgement and in `docs/trust.md`.
+//! The module does no I/O. The thresholds and methods, with their sources, are in the comments on each judgement and in `docs/trust.md`.
 
 mod ended_early;
 mod judge;
@@ -31,20 +31,20 @@ use std::cmp::Reverse;
 use peernet_stream::Grade;
 use serde::{Deserialize, Serialize};
 
-/// Whether figures of a run can stand in a publication.
+/// Judgement on whether figures of a run can be published.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Publish {
-    /// As they are.
+    /// The figures can be published as they are.
     Yes,
-    /// With what the sentences say beside them.
+    /// The figures can be published together with the remarks of the findings.
     WithRemarks,
-    /// Not before something was changed and the run repeated.
+    /// The figures cannot be published before something is changed and the run is repeated.
     No,
 }
 
 impl Publish {
-    /// `yes`, `with-remarks`, `no`: as in storage and in the API.
+    /// Returns `yes`, `with-remarks` or `no`: the name in storage and in the API.
     pub const fn name(self) -> &'static str {
         match self {
             Self::Yes => "yes",
@@ -57,17 +57,17 @@ impl Publish {
 /// Result of one judgement, in words.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Finding {
-    /// What was looked at, in two or three words.
+    /// Subject of the finding, in two or three words.
     pub about: String,
-    /// What it means for the figures.
+    /// Meaning of the finding for the figures.
     pub grade: Grade,
-    /// What was found, a plain sentence with figures.
+    /// Text of the finding: a plain sentence with figures.
     pub text: String,
-    /// What to do about it; empty when there is nothing to do.
+    /// Advice; empty when there is nothing to do.
     pub advice: String,
 }
 
-/// The answer to "can I publish this run?".
+/// Answer to "can I publish this run?", with its reasons.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Report {
     /// The answer.
@@ -77,10 +77,10 @@ pub struct Report {
 }
 
 impl Report {
-    /// Judges a run by what is known of it.
+    /// Judges a run.
     pub fn of(input: &TrustInput) -> Self {
         let mut sentences = judge::sentences(input);
-        // Stable: what is as harmful stays in the order in which it is looked at.
+        // The sort is stable: findings of the same grade keep the order of the judgements.
         sentences.sort_by_key(|sentence| (sentence.about != judge::END, Reverse(sentence.grade)));
         let verdict = match sentences.iter().map(|sentence| sentence.grade).max() {
             None | Some(Grade::Good | Grade::Unknown) => Publish::Yes,
@@ -90,7 +90,7 @@ impl Report {
         Self { verdict, sentences }
     }
 
-    /// The answer in a sentence, with how much speaks against it.
+    /// Returns the answer in a sentence, with the number of findings against publication.
     pub fn answer(&self) -> String {
         let count = |grade| self.sentences.iter().filter(|sentence| sentence.grade == grade).count();
         let things = |count| format!("{count} thing{}", if count == 1 { "" } else { "s" });
@@ -108,7 +108,7 @@ impl Report {
         }
     }
 
-    /// As the terminal shows it: the answer, then a line for each sentence, a sign before it and the advice below.
+    /// Returns the text for a terminal: the answer, then a line for each finding, with a sign before it and the advice below.
     pub fn text(&self) -> String {
         let mut lines = vec![format!("Can this run be published? {}", self.answer()), String::new()];
         for sentence in &self.sentences {
@@ -121,7 +121,7 @@ impl Report {
     }
 }
 
-/// The sign of a grade; the word that goes with it is the grade's name.
+/// Returns the sign of a grade; the corresponding word is the grade's name.
 const fn sign(grade: Grade) -> char {
     match grade {
         Grade::Good => '✓',

@@ -1,31 +1,31 @@
-//! What starting worker processes anew held of a run's iterations.
+//! Time that restarts of worker processes took from a run's iterations.
 
 use peernet_logger::{Name, stage};
 
 use crate::rows::Rows;
 
-/// Iterations that waited for a process that was started anew.
+/// Iterations that waited for a process that was restarted.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Restarts {
-    /// Whose process: `model`, `sensor`, `actuator`.
+    /// Owner of the process: `model`, `sensor`, `actuator`.
     pub whose: &'static str,
-    /// How many of the iterations that statistics are of.
+    /// Number of affected iterations among those that statistics include.
     pub count: u64,
-    /// What it held of them, together.
+    /// Total time that the restarts took from them.
     pub seconds: f64,
-    /// Their numbers; empty where they are not known.
+    /// Numbers of the iterations; empty if they are not known.
     pub iterations: Vec<u64>,
 }
 
 impl Restarts {
-    /// Whose process, the node that holds the time, and its column in `data.csv`.
+    /// Owner of the process, the node that holds the time, and its column in `data.csv`.
     pub const NODES: [(&'static str, Name, &'static str); 3] = [
         ("sensor", stage::CAPTURE_RESTART, "capture_capture-restart"),
         ("model", stage::RESTART, "restart"),
         ("actuator", stage::ACTUATION_RESTART, "actuation_actuation-restart"),
     ];
 
-    /// Whether the time is a part of `unattributed`: a model's is, the others' belongs to the stage that waited.
+    /// Returns whether the time is a part of `unattributed`: a model's is, the others' is part of the stage that waited.
     pub(super) fn is_beside_stages(&self) -> bool {
         self.whose == "model"
     }

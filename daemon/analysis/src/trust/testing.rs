@@ -1,4 +1,4 @@
-//! Runs for tests: noise that is the same each time, rows of it, and what a report says of them.
+//! Runs for tests: reproducible noise, rows of it, and the findings of a report on them.
 
 use peernet_statistics::SplitMix64;
 use peernet_stream::{Condition, Grade};
@@ -6,7 +6,7 @@ use peernet_stream::{Condition, Grade};
 use super::Report;
 use crate::rows::{Outcome, Row, Rows};
 
-/// A row whose total is mostly inference.
+/// Returns a row whose total is mostly inference.
 pub(crate) fn row(iteration: u64, seconds: f64) -> Row {
     let values = [("inference", seconds * 0.99), ("total", seconds), ("unattributed", seconds * 0.01)];
     Row {
@@ -27,7 +27,7 @@ pub(crate) fn rows(totals: impl IntoIterator<Item = f64>) -> Rows {
     (1..).zip(totals).map(|(iteration, seconds)| row(iteration, seconds)).collect()
 }
 
-/// 10 ms, give or take a per cent, none slow.
+/// Returns totals of 10 ms within a per cent, without slow ones.
 pub(crate) fn quiet(count: usize) -> Vec<f64> {
     let mut noise = SplitMix64::new(7);
     (0..count).map(|_| 0.010 * (1.0 + 0.01 * noise.normal())).collect()
@@ -43,7 +43,7 @@ pub(crate) fn governor(grade: Grade) -> Condition {
     }
 }
 
-/// The grade and the text of what is said about a subject.
+/// Returns the grade and the text of the finding about a subject.
 pub(crate) fn about<'a>(report: &'a Report, subject: &str) -> (Grade, &'a str) {
     let mut found = report.sentences.iter().filter(|sentence| sentence.about == subject);
     let sentence = found.next().unwrap_or_else(|| panic!("nothing about {subject}: {report:#?}"));

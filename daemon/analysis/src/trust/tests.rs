@@ -1,4 +1,4 @@
-//! What is said of runs whose course is known.
+//! Tests of the findings about runs with known properties.
 
 use peernet_clock::{DelaySource, Interval, OneWayDelay, Span, Verdict};
 use peernet_statistics::SplitMix64;
@@ -31,7 +31,7 @@ fn a_run_that_gets_slower_says_by_how_much_and_where() {
         assert_eq!(text.contains("most of it in `inference`"), grade > Grade::Good, "{text}");
         assert!(text.contains("higher"), "{text}");
     }
-    // A step down in the middle is a drift as well.
+    // A step down in the middle is a trend as well.
     let totals =
         quiet(1005).into_iter().enumerate().map(|(at, total)| if at < 500 { total * 1.5 } else { total });
     let (grade, text) = {
@@ -41,7 +41,7 @@ fn a_run_that_gets_slower_says_by_how_much_and_where() {
     assert!(grade == Publish::No && text.contains("33\u{202f}% lower"), "{text}");
 }
 
-/// Latency that wanders slowly about its mean, as with other traffic on a link: the halves differ, the process does not.
+/// Latency that varies slowly about its mean, as with other traffic on a link: the halves differ, the process does not.
 #[test]
 fn autocorrelation_is_not_taken_for_a_drift() {
     let mut noise = SplitMix64::new(11);
@@ -57,7 +57,7 @@ fn autocorrelation_is_not_taken_for_a_drift() {
             about(&judged(&rows(totals)), "stationarity").0 > Grade::Good
         })
         .count();
-    // A test of the values themselves would call nearly every one of these a drift.
+    // A test that ignores the correlation would report a trend for nearly every one of these.
     assert!(alarms <= 9, "15 % of 60 at most: {alarms}");
 }
 
@@ -72,7 +72,7 @@ fn a_short_run_is_not_judged_where_it_cannot_be() {
     assert_eq!(nothing.verdict, Publish::No, "{}", nothing.text());
 }
 
-/// As a dashboard has it of a run whose clock was set right: two seconds of samples, months apart.
+/// Buckets of a dashboard for a run whose clock was corrected: two seconds of samples, months apart.
 #[test]
 fn a_long_run_in_two_pieces_is_not_called_short() {
     let totals = quiet(894);
@@ -102,7 +102,7 @@ fn a_cold_beginning_is_told_from_noise() {
     let (grade, text) = about(&report, "warm-up");
     assert!(grade == Grade::Doubtful && text.contains("The first 20 measured iterations"), "{text}");
     assert_eq!(about(&judged(&rows(quiet(1005))), "warm-up").0, Grade::Good);
-    // A run whose blocks differ by more than that anyway.
+    // The blocks of this run differ by more than the slow beginning.
     let wild = (0..1005).map(|at| if (at / 20) % 3 == 0 { 0.016 } else { 0.010 });
     let report = judged(&rows(wild));
     let (grade, text) = about(&report, "warm-up");
@@ -225,7 +225,7 @@ fn the_wait_for_a_models_new_process_is_told_once() {
     assert!(grade == Grade::Good && text.contains("restarts aside"), "{text}");
 }
 
-/// Gives a row a message of 6 ms.
+/// Adds a message of 6 ms to a row.
 fn send(row: &mut Row, verdict: Verdict) {
     let value = Span::from_millis(6);
     let half = Span::from_micros(650);

@@ -1,4 +1,4 @@
-//! A duration over the time of a run.
+//! Statistics of a duration over the time of a run.
 
 use std::ops::Range;
 
@@ -9,21 +9,21 @@ use crate::order::Ordered;
 
 /// Iterations that count as a run's beginning, at least.
 const BEGINNING: u64 = 20;
-/// Most blocks that a run is cut into, of which the first is its beginning.
+/// Maximum number of blocks that a run is cut into; the first block is its beginning.
 const MOST_BLOCKS: u64 = 200;
 /// Change of the median between the halves, as a share of the first, that is mentioned.
 const DRIFT: f64 = 0.05;
-/// What makes the median of the distances from the median the standard deviation of a normal distribution.
+/// Factor from the median distance from the median to the standard deviation of a normal distribution.
 const NORMAL: f64 = 1.4826;
 /// Distances above the median, in such deviations, from which on a value is an outlier (Iglewicz and Hoaglin 1993).
 const OUTLIER: f64 = 3.5;
-/// The deviation is at least this share of the median: the resolution of the stored quantiles.
+/// Minimum deviation, as a share of the median: the resolution of the stored quantiles.
 const FINEST: f64 = 0.01;
 
-/// A duration over the time of a run; seconds; successful iterations only, warm-up left out.
+/// Statistics of a duration over the time of a run; seconds; successful iterations only, warm-up left out.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct TimeSeries {
-    /// How many values there are.
+    /// Number of values.
     pub count: u64,
     /// Median of all.
     pub median: f64,
@@ -33,7 +33,7 @@ pub struct TimeSeries {
     pub batches: Vec<f64>,
     /// Median of the first half of the values and of the second.
     pub halves: Option<(f64, f64)>,
-    /// The first values against the rest.
+    /// Comparison of the first values with the rest.
     pub beginning: Option<Beginning>,
     /// Values far above the others.
     pub outliers: Outliers,
@@ -42,7 +42,7 @@ pub struct TimeSeries {
 /// The first values of a run.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Beginning {
-    /// How many.
+    /// Number of values.
     pub count: u64,
     /// Their median, seconds.
     pub median: f64,
@@ -50,24 +50,24 @@ pub struct Beginning {
     pub rest: f64,
     /// Share of the later blocks of as many values whose median is at least as high, 0 to 1.
     pub as_high: f64,
-    /// How many later blocks there are.
+    /// Number of later blocks.
     pub blocks: usize,
 }
 
 /// Values far above the others.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Outliers {
-    /// From where on a value counts as one, seconds.
+    /// Limit above which a value counts as an outlier, seconds.
     pub limit: f64,
-    /// How many do.
+    /// Number of outliers.
     pub count: u64,
     /// The greatest value, seconds.
     pub max: f64,
-    /// What they add to the mean: their distances from the median, over the count of all values; seconds.
+    /// Contribution of the outliers to the mean: the sum of their distances from the median, divided by the count of all values; seconds.
     pub influence: f64,
 }
 
-/// A series with medians of its parts.
+/// Series with medians of its parts.
 trait Medians: Series {
     fn median(&self, range: Range<usize>) -> Option<f64>;
 }
@@ -85,10 +85,10 @@ impl Medians for [Summary] {
 }
 
 impl TimeSeries {
-    /// Of values in order of time. `None` without any.
+    /// Returns the statistics of values in order of time; `None` without any.
     pub fn of_values(values: &[f64]) -> Option<Self> {
         let finite = || values.iter().copied().filter(|value| value.is_finite());
-        // Sorted one after the other, so that a long run needs the room of one.
+        // Sorted one after the other, so that a long run needs memory for only one of them.
         let median = finite().collect::<Ordered>().median()?;
         let deviation = finite().map(|value| (value - median).abs()).collect::<Ordered>().median()?;
         let limit = limit(median, deviation);
@@ -109,7 +109,7 @@ impl TimeSeries {
         Some(Self { count, median, mean, outliers, ..over_time })
     }
 
-    /// Of the summaries of buckets in order of time, quantiles within 1 %. `None` without any value.
+    /// Returns the statistics of the summaries of buckets in order of time, quantiles within 1 %; `None` without any value.
     pub fn of_summaries(buckets: &[Summary]) -> Option<Self> {
         let all = merged(buckets);
         let (median, max) = (all.quantile(0.5)?, all.moments.max);
@@ -131,13 +131,13 @@ impl TimeSeries {
         Some(Self { count, median, mean, outliers, ..Self::over_time(buckets) })
     }
 
-    /// The change of the median from the first half to the second, as a share of the first.
+    /// Returns the change of the median from the first half to the second, as a share of the first.
     pub fn change(&self) -> Option<f64> {
         let (first, second) = self.halves?;
         Some(if first > 0.0 { second / first - 1.0 } else { 0.0 })
     }
 
-    /// Whether that change is large enough to be mentioned, if it is more than chance: 5 %.
+    /// Returns whether that change is large enough to be mentioned, if it is more than chance: 5 %.
     pub fn has_moved(&self) -> bool {
         self.change().is_some_and(|share| share.abs() >= DRIFT)
     }
@@ -192,7 +192,7 @@ mod tests {
 
     #[test]
     fn values_and_their_summaries_tell_the_same() {
-        // A saw tooth with a tenth that is slow, and a slow beginning.
+        // The values are a saw tooth with a tenth of slow values, and a slow beginning.
         let value = |n: u32| {
             let slow = if n % 10 == 9 { 0.04 } else { 0.0 };
             let cold = if n < 30 { 0.02 } else { 0.0 };

@@ -1,4 +1,4 @@
-//! Everything by which a run is judged, from whatever source.
+//! Input of a run's judgement, from any source.
 
 use std::collections::BTreeMap;
 
@@ -12,59 +12,59 @@ use crate::accuracy::{Accuracy, UnknownLabels};
 use crate::order::Ordered;
 use crate::rows::{LATENESS, Outcome, RowRef, Rows};
 
-/// How the fact of a run begins that says of a host's clock that it was made wrong on purpose.
+/// Prefix of the fact of a run that says that a host's clock was made wrong on purpose.
 const REHEARSAL: &str = "Rehearsal";
 
-/// A row's message in one direction.
+/// Function that returns a row's message in one direction.
 type Way = fn(&RowRef<'_>) -> Option<Passage>;
 
-/// Everything by which a run is judged. A field whose value is unknown is empty.
+/// Input of a run's judgement. A field whose value is unknown is empty.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct TrustInput {
-    /// What was found of the hosts before it began.
+    /// Conditions of the hosts that were found before the run.
     pub conditions: Vec<Condition>,
-    /// How the iterations ended.
+    /// Number of iterations by how they ended.
     pub counts: Counts,
-    /// What became of the starts that an open loop ordered.
+    /// Starts that an open loop ordered, by their outcome.
     pub starts: Starts,
-    /// What was measured but is not there.
+    /// Measurements that are missing.
     pub missing: Vec<Missing>,
     /// Reason that the run broke off: it neither finished nor was stopped.
     pub broken: Option<String>,
-    /// Whether it has no end yet.
+    /// `true` if it has no end yet.
     pub open: bool,
-    /// How far the run came, if it ended before its limit.
+    /// Progress of the run, if it ended before its limit.
     pub ended_early: Option<EndedEarly>,
-    /// Whether the clock of a host was made wrong on purpose.
+    /// `true` if the clock of a host was made wrong on purpose.
     pub rehearsed: bool,
-    /// The whole of each iteration; a sensor's alone where nothing else is there. `None` without any.
+    /// Total of each iteration; that of the sensor if there is nothing else. `None` without any.
     pub total: Option<TimeSeries>,
     /// The stages, by name.
     pub stages: Vec<(String, TimeSeries)>,
-    /// What the totals hold beyond their stages, on average; seconds. Negative where stages overlap.
+    /// Average of the total less its stages; seconds. Negative where stages overlap.
     pub unattributed: Option<f64>,
-    /// What of that is known to be lateness, on average; seconds. `None` in a closed loop.
+    /// Average part of that time that is known to be lateness; seconds. `None` in a closed loop.
     pub lateness: Option<f64>,
-    /// Processes that were started anew while iterations waited for them.
+    /// Processes that were restarted while iterations waited for them.
     pub restarts: Vec<Restarts>,
     /// The judged one-way delays, by stage.
     pub clocks: Vec<Clocks>,
-    /// How often the model was right, by column; empty where nobody knew.
+    /// Accuracy of the model, by column; empty if the right answers are not known.
     pub accuracy: BTreeMap<String, Accuracy>,
-    /// Samples that are neither, because their label is no class of the model.
+    /// Samples that are neither right nor wrong, because their label is not a class of the model.
     pub unknown_labels: Option<UnknownLabels>,
 }
 
-/// How the iterations of a run ended.
+/// Number of iterations of a run by how they ended.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Counts {
-    /// With an answer, warm-up left out, as all below but `warm_up`.
+    /// Iterations with an answer. Warm-up is left out of all counts but `warm_up`.
     pub ok: u64,
     /// Sample or model failed.
     pub failed: u64,
     /// Will never be answered.
     pub lost: u64,
-    /// Not answered in time.
+    /// Iterations not answered in time.
     pub timeout: u64,
     /// Left out of statistics.
     pub warm_up: u64,
@@ -73,18 +73,18 @@ pub struct Counts {
 /// Events that were dropped or never arrived.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Missing {
-    /// How many; 0 when that is not known.
+    /// Number of them; 0 if it is not known.
     pub count: u64,
     /// Why.
     pub reason: String,
 }
 
-/// What is known of the one-way delays of a stage.
+/// Quality of the one-way delays of a stage.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Clocks {
     /// `upload` or `download`.
     pub stage: String,
-    /// How often each verdict was given.
+    /// Number of delays by verdict.
     pub verdicts: Vec<(Verdict, u64)>,
     /// The median delay, seconds.
     pub delay: Option<f64>,
@@ -93,11 +93,11 @@ pub struct Clocks {
 }
 
 impl TrustInput {
-    /// What the rows of a run say, and what was found of its hosts before it.
+    /// Returns the input from the rows of a run and the conditions of its hosts that were found before it.
     pub fn of_rows(rows: &Rows, conditions: &[Condition]) -> Self {
         let measured = || rows.iter().filter(|row| row.counts());
         let course = |column: &str| TimeSeries::of_values(&rows.counted(column).collect::<Vec<f64>>());
-        // Both of the same iterations: where a delay is not known neither is what is unattributed.
+        // Both sums cover the same iterations: if a delay is not known, the unattributed time is not known either.
         let explained = || measured().filter(|row| row.value(&stage::UNATTRIBUTED).is_some());
         let mean = |column: &str| {
             let values = || explained().filter_map(|row| row.value(column));
@@ -135,13 +135,13 @@ impl TrustInput {
         }
     }
 
-    /// With the reason for its end.
+    /// Adds the reason for the run's end.
     #[must_use]
     pub fn ended(self, reason: Option<&EndReason>) -> Self {
         Self { broken: reason.and_then(EndReason::failure).map(str::to_owned), ..self }
     }
 
-    /// With what the run's description says of rehearsals, labels and classes.
+    /// Adds the facts of the run's description about rehearsals, labels and classes.
     #[must_use]
     pub fn with_facts(self, facts: &[(String, String)]) -> Self {
         let rehearsed = facts.iter().any(|(fact, _)| {
@@ -153,12 +153,12 @@ impl TrustInput {
 }
 
 impl Counts {
-    /// Iterations that should be in the statistics.
+    /// Returns the number of iterations that should be in the statistics.
     pub const fn measured(&self) -> u64 {
         self.ok + self.unanswered()
     }
 
-    /// Those that are not, because they had no answer.
+    /// Returns the number of iterations that have no answer.
     pub const fn unanswered(&self) -> u64 {
         self.failed + self.lost + self.timeout
     }

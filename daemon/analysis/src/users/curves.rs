@@ -2,18 +2,18 @@
 
 use super::{Users, UsersLine};
 
-/// One configuration with different numbers of edges.
+/// Configuration with different numbers of edges.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Curve<'a> {
-    /// What distinguishes it from the others, such as `s, cuda:0`; empty where there is one alone.
+    /// Name that distinguishes the curve from the others, such as `s, cuda:0`; empty if there is only one.
     pub name: String,
-    /// Its points, the fewest edges first.
+    /// Points of the curve, the fewest edges first.
     pub points: Vec<&'a UsersLine>,
 }
 
 impl<'a> Curve<'a> {
-    /// Returns the lines as curves: those that differ in their number of edges alone are one. Which axis stands for that number is
-    /// seen by its labels, which name it; where none does, every label is a curve of its own.
+    /// Returns the lines as curves. Lines that differ only in their number of edges form one curve. The axis that holds that number is
+    /// found by its labels, which contain it; if no axis does, every label is a curve.
     pub fn all(users: &'a Users) -> Vec<Self> {
         let Users { axes: names, lines } = users;
         let counted = axis_of_edges(users);

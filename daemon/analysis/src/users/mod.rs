@@ -1,4 +1,4 @@
-//! Many users of one cloud at once: latency against their number, and how evenly they are served.
+//! Statistics of many users of one cloud at the same time: latency against their number, and fairness.
 //!
 //! ```text
 //! Loaded ── together ── of ──┐
@@ -15,69 +15,68 @@ pub use curves::Curve;
 use crate::loaded::Loaded;
 use crate::order::Ordered;
 
-/// Jain's index of fairness, (Σx)² / (n Σx²): from 1/n, where one gets everything, to 1, where all get the same (Jain,
-/// Chiu and Hawe 1984, *A Quantitative Measure of Fairness and Discrimination for Resource Allocation in Shared Computer
-/// Systems*, DEC-TR-301). `None` where nobody gets anything.
+/// Returns Jain's index of fairness, (Σx)² / (n Σx²): from 1/n, where one gets everything, to 1, where all get the same; `None` if all
+/// shares are 0 (Jain, Chiu and Hawe 1984, *A Quantitative Measure of Fairness and Discrimination for Resource Allocation in Shared
+/// Computer Systems*, DEC-TR-301).
 pub fn jain(shares: &[f64]) -> Option<f64> {
     let (sum, squares) = shares.iter().fold((0.0, 0.0), |(sum, squares), x| (sum + x, squares + x * x));
     // Equal shares may be rounded to a little more than 1.
     (squares > 0.0).then(|| (sum * sum / (shares.len() as f64 * squares)).min(1.0))
 }
 
-/// How configurations with one or many users fared.
+/// Results of configurations with one or many users.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Users {
-    /// Names of the columns that tell the lines apart.
+    /// Names of the columns that distinguish the lines.
     pub axes: Vec<String>,
-    /// One for each configuration, in the order in which they came.
+    /// One line for each configuration, in the order of the input.
     pub lines: Vec<UsersLine>,
 }
 
-/// One configuration. Seconds, answers per second.
+/// Results of one configuration. Seconds, answers per second.
 #[derive(Clone, Debug, PartialEq)]
 pub struct UsersLine {
-    /// What distinguishes it: as many labels as there are axes.
+    /// Labels that distinguish the configuration: as many as there are axes.
     pub labels: Vec<String>,
     /// Edges at once.
     pub edges: usize,
-    /// Answers per second of all edges together, on average over the repeats; `None` where they never measured at the
-    /// same time.
+    /// Answers per second of all edges together, on average over the repeats; `None` if they never measured at the same time.
     pub rate: Option<f64>,
     /// [`jain`] of the edges' rates, on average over the repeats.
     pub fairness: Option<f64>,
-    /// Of each edge in each repeat.
+    /// Share of each edge in each repeat.
     pub shares: Vec<Share>,
     /// The totals of all edges.
     pub totals: Totals,
 }
 
-/// What one edge got while all were measuring.
+/// Share of one edge while all edges were measuring.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Share {
     /// Answers per second.
     pub rate: f64,
-    /// Median of its totals, seconds; `None` where none was measured.
+    /// Median of its totals, seconds; `None` if none was measured.
     pub median: Option<f64>,
 }
 
-/// What totals come to, seconds.
+/// Summary of totals, seconds.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Totals {
-    /// How many.
+    /// Number of totals.
     pub count: usize,
     /// Their mean.
     pub mean: Option<f64>,
     /// The median.
     pub median: Option<f64>,
-    /// `None` below 60.
+    /// 95th percentile; `None` below 60 totals.
     pub p95: Option<f64>,
-    /// `None` below 300.
+    /// 99th percentile; `None` below 300 totals.
     pub p99: Option<f64>,
 }
 
 impl Users {
-    /// What runs show, each edge's by itself; edges that were measured at once are found by their records. `None` where every
-    /// edge was alone.
+    /// Returns the users of runs, one run for each edge. Edges that were measured at the same time are found by their records. `None` if
+    /// every edge was alone.
     pub fn of(runs: &[Loaded]) -> Option<Self> {
         let runs = together::runs(runs);
         runs.iter().any(|edges| edges.len() > 1).then_some(())?;
@@ -115,7 +114,7 @@ impl Users {
 }
 
 impl UsersLine {
-    /// A configuration with so many edges, of what each of them got in each repeat.
+    /// Returns a configuration with `edges` edges, from the share of each of them in each repeat.
     pub fn new(labels: Vec<String>, edges: usize, repeats: &[Vec<Share>], totals: Totals) -> Self {
         let rates = |shares: &Vec<Share>| shares.iter().map(|share| share.rate).collect::<Vec<f64>>();
         let rates: Vec<Vec<f64>> = repeats.iter().map(rates).collect();
@@ -129,8 +128,7 @@ impl UsersLine {
         }
     }
 
-    /// Returns a configuration from whole runs, each given by its repeat and what its edge got. Repeats that lack an edge are left
-    /// out.
+    /// Returns a configuration from whole runs, each given by its repeat and its edge's share. Repeats that lack an edge are left out.
     pub fn of_whole_runs(labels: Vec<String>, runs: &[(u32, Option<Share>)], totals: Totals) -> Self {
         let mut repeats: Vec<(u32, Vec<Option<Share>>)> = Vec::new();
         for (repeat, share) in runs {
@@ -146,7 +144,7 @@ impl UsersLine {
         Self::new(labels, edges, &shares, totals)
     }
 
-    /// The rates of the edge that got the fewest and of the one that got the most, over all repeats.
+    /// Returns the lowest and the highest rate of an edge over all repeats.
     pub fn extremes(&self) -> Option<(f64, f64)> {
         let rates = self.shares.iter().map(|share| (share.rate, share.rate));
         rates.reduce(|(lo, hi), (a, b)| (lo.min(a), hi.max(b)))
@@ -154,7 +152,7 @@ impl UsersLine {
 }
 
 impl Share {
-    /// Returns what an edge got over the whole length of its run, warm-up and all; `None` of a run without length.
+    /// Returns the share of an edge over the whole length of its run, including warm-up; `None` for a run without length.
     pub fn of_run(answers: u64, seconds: f64, median: Option<f64>) -> Option<Self> {
         (seconds > 0.0).then(|| Self { rate: answers as f64 / seconds, median })
     }

@@ -1,4 +1,4 @@
-//! What edges that measured at once show.
+//! Tests of edges that were measured at the same time.
 
 use peernet_stream::ExperimentPlace;
 
@@ -15,7 +15,7 @@ fn the_index_goes_from_one_nth_to_one() {
     assert_eq!((jain(&[]), jain(&[0.0])), (None, None));
 }
 
-/// An edge that asks `count` times from `from` on, every `each` seconds.
+/// Returns an edge that makes `count` requests from `from` on, one every `each` seconds.
 fn edge(labels: &[(&str, &str)], (name, from): (&str, f64), each: f64, count: u32, total: f64) -> Loaded {
     let row = |at: u32| Row {
         iteration: u64::from(at) + 1,
@@ -44,7 +44,7 @@ fn edge(labels: &[(&str, &str)], (name, from): (&str, f64), each: f64, count: u3
 #[test]
 fn only_the_time_in_which_all_measure_counts() {
     let one = edge(&[("N", "1")], ("a", 0.0), 0.5, 21, 0.25);
-    // The second begins 2 s late and ends with the first; it gets half as much.
+    // The second edge begins 2 s late and ends with the first; it gets half as many answers.
     let [first, second] =
         [edge(&[("N", "2")], ("a", 0.0), 0.5, 21, 0.5), edge(&[("N", "2")], ("b", 2.0), 1.0, 9, 1.0)];
     let users = Users::of(&[first.clone(), one.clone(), second]).expect("several edges");
@@ -54,7 +54,7 @@ fn only_the_time_in_which_all_measure_counts() {
     assert_eq!((both.edges, both.rate, both.extremes()), (2, Some(3.0), Some((1.0, 2.0))));
     assert_eq!(both.fairness, Some(0.9));
     assert_eq!(alone.totals.count, 21, "an edge alone: all of them, as in the table");
-    // 16 of the first and 8 of the second.
+    // 16 answers of the first edge and 8 of the second.
     assert_eq!((both.totals.count, both.totals.median), (24, Some(0.5)));
     assert_eq!(both.shares.iter().map(|share| share.median).collect::<Vec<_>>(), [Some(0.5), Some(1.0)]);
     assert!(users.text().contains("0.900"), "{}", users.text());
@@ -79,7 +79,7 @@ fn repeats_are_averaged() {
     assert_eq!((line.rate, line.fairness, line.extremes()), (Some(3.0), Some(0.75), Some((0.0, 4.0))));
 }
 
-/// The curves of configurations: name and numbers of edges.
+/// Returns the curves of configurations: name and numbers of edges.
 fn curves(axes: &[&str], lines: &[(&[&str], usize)]) -> Vec<(String, Vec<usize>)> {
     let owned = |all: &[&str]| all.iter().map(|one| (*one).to_owned()).collect::<Vec<_>>();
     let line =

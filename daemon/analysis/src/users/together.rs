@@ -1,17 +1,17 @@
-//! Edges that measured at once, and what each of them got.
+//! Edges that were measured at the same time, and the share of each of them.
 
 use super::Share;
 use crate::loaded::Loaded;
 use crate::order::Ordered;
 use crate::rows::RowRef;
 
-/// The edges of each run, in the order in which they came: those of one repeat of one configuration of an experiment.
+/// Returns the edges of each run, in the order of the input: those of one repeat of one configuration of an experiment.
 pub(super) fn runs(edges: &[Loaded]) -> Vec<Vec<&Loaded>> {
     let mut runs: Vec<Vec<&Loaded>> = Vec::new();
     for edge in edges {
         let belongs = |run: &&mut Vec<&Loaded>| {
             let same = edge.record.experiment.is_some() && edge.record.experiment == run[0].record.experiment;
-            // A copy of an edge's results is no further edge.
+            // A copy of an edge's results is not a further edge.
             same && run.iter().all(|other| other.record.edge.name != edge.record.edge.name)
         };
         match runs.iter_mut().find(belongs) {
@@ -22,8 +22,8 @@ pub(super) fn runs(edges: &[Loaded]) -> Vec<Vec<&Loaded>> {
     runs
 }
 
-/// Each edge's share and all totals, of the time in which all were measuring; `None` where there is none. An edge alone was
-/// measuring all the time: all its totals count.
+/// Returns each edge's share and all totals, from the time in which all edges were measuring; `None` if there is no such time. For an edge
+/// alone this is its whole run: all its totals count.
 pub(super) fn shared(edges: &[&Loaded]) -> Option<(Vec<Share>, Vec<f64>)> {
     let rows: Vec<Vec<RowRef<'_>>> =
         edges.iter().map(|edge| edge.rows.iter().filter(|row| row.counts()).collect()).collect();
@@ -33,7 +33,7 @@ pub(super) fn shared(edges: &[&Loaded]) -> Option<(Vec<Share>, Vec<f64>)> {
     let to = rows.iter().map(last).collect::<Option<Vec<f64>>>()?.into_iter().reduce(f64::min)?;
     (to > from).then_some(())?;
     let is_alone = edges.len() == 1;
-    // One interval fewer than there are starts: the window begins with one and ends with one.
+    // The number of intervals is one less than the number of starts: the window begins with a start and ends with one.
     let within = |row: &RowRef<'_>| (from..to).contains(&row.at());
     let of = |rows: &Vec<RowRef<'_>>| {
         let totals = rows.iter().filter(|row| is_alone || within(row)).filter_map(|row| row.value("total"));

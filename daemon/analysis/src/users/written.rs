@@ -1,32 +1,32 @@
-//! The table of many users.
+//! Table of many users.
 
 use peernet_statistics::number::{fixed, milliseconds, significant};
 
 use super::{Users, UsersLine};
 use crate::table::{Table, csv_text};
 
-/// What stands where nothing is known.
+/// Cell of an unknown value.
 pub(super) const NOTHING: &str = "—";
 const NOTE: &str = "Counted while all edges of a run were measuring. Fairness is Jain's index of the edges' rates: 1 when all \
                     are served alike, 1/n when one of n gets everything.";
 
 impl Users {
-    /// For the terminal.
+    /// Returns the text for a terminal.
     pub fn text(&self) -> String {
         format!("{}\n\n{NOTE}", self.table().text())
     }
 
-    /// For documents.
+    /// Returns Markdown.
     pub fn markdown(&self) -> String {
         format!("{}\n{NOTE}\n", self.table().markdown())
     }
 
-    /// For papers, with booktabs.
+    /// Returns LaTeX, with booktabs.
     pub fn latex(&self) -> String {
         self.table().latex(NOTE)
     }
 
-    /// For programs: seconds and answers per second, every digit.
+    /// Returns CSV for programs: seconds and answers per second, all digits.
     pub fn csv(&self) -> String {
         let mut header: Vec<&str> = self.axes.iter().map(String::as_str).collect();
         header.extend(["edges", "rate", "rate-least", "rate-most", "fairness", "count"]);

@@ -19,7 +19,7 @@ pub(crate) struct Collected {
     pub(crate) runs: Vec<Loaded>,
     /// Which of them are the baseline, if one was named.
     pub(crate) baseline: Vec<usize>,
-    /// What is not among them, because it is not done or a copy, and what is not known of them, in sentences.
+    /// Notes, in sentences, on the runs that are left out because they are not done or a copy, and on facts about them that are not known.
     pub(crate) left_out: Vec<String>,
 }
 
@@ -83,7 +83,7 @@ fn sentence(remark: &str) -> String {
     first.chain(letters).chain(['.']).collect()
 }
 
-/// What results that are read lack of a whole run.
+/// Returns the reason why results that were read are not those of a whole run.
 fn doubt(run: &Loaded, experiments: &Experiments) -> Option<String> {
     let folder = run.folder.display();
     if let Some(damage) = run.damage() {
@@ -128,7 +128,7 @@ fn find(place: &Path) -> Result<Vec<PathBuf>, Failure> {
     Ok(found)
 }
 
-/// What a file of rows is opened as: that of a folder of results is the folder.
+/// Returns the path that a file of rows is opened as: its folder if it belongs to a folder of results.
 fn folder_of(file: &Path) -> &Path {
     let folder = file.parent().filter(|folder| file.ends_with("data.csv") && *folder != Path::new(""));
     folder.unwrap_or(file)

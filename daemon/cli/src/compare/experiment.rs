@@ -12,7 +12,7 @@ use serde::Deserialize;
 
 use crate::experiment::{FORMAT, LARGEST_RECORD, RECORD, RUNS, Stage};
 
-/// How many folders above its results an experiment's is looked for: `runs`, the run's, a user's.
+/// Number of parent folders of results in which their experiment is searched: `runs`, the run's folder, a folder of the user's.
 const HIGHEST: usize = 4;
 
 /// Experiments by their folders, or why their records cannot be read: then their runs are compared as others are.
@@ -31,7 +31,7 @@ enum RecordError {
     Lengths { runs: usize, states: usize },
 }
 
-/// What is needed of `experiment.json`.
+/// Part of `experiment.json` that a comparison needs.
 #[derive(Deserialize)]
 pub(super) struct Experiment {
     format: u32,
@@ -41,7 +41,7 @@ pub(super) struct Experiment {
     /// The file that declares it, as it was typed.
     #[serde(default)]
     file: String,
-    /// How the runs fare, in their order.
+    /// States of the runs, in their order.
     #[serde(default)]
     states: Vec<State>,
     pub(super) plan: Plan,
@@ -73,7 +73,7 @@ struct State {
 /// A run of an experiment.
 #[derive(Clone, Copy)]
 pub(super) struct RunOf<'a> {
-    /// Where the experiment is.
+    /// Folder of the experiment.
     pub(super) home: &'a Path,
     pub(super) experiment: &'a Experiment,
     run: &'a Run,
@@ -90,7 +90,7 @@ impl Experiments {
         Self(read.into_iter().filter_map(|(folder, read)| Some((folder, read.transpose()?))).collect())
     }
 
-    /// What is not known of these results, because the records of their experiments cannot be read.
+    /// Returns notes on these results for which the record of the experiment cannot be read.
     pub(super) fn unknown<'a>(&self, results: impl Iterator<Item = &'a Path>) -> Vec<String> {
         let results: Vec<PathBuf> = results.filter_map(|path| path.canonicalize().ok()).collect();
         let unread = self.0.iter().filter_map(|(home, read)| Some((home, read.as_ref().err()?)));
@@ -131,7 +131,7 @@ impl Experiment {
         self.plan.runs.iter().zip(&self.states).map(|(run, state)| (&*run.folder, state.stage))
     }
 
-    /// What is to be typed, so that all of them are done.
+    /// Returns the command that completes all of its runs.
     pub(super) fn remedy(&self) -> String {
         format!("`peernet run {}` again, with the options that it had,", printable_line(&self.file))
     }
@@ -143,7 +143,7 @@ impl RunOf<'_> {
         self.home.join(RUNS).join(&self.run.folder)
     }
 
-    /// How far it came.
+    /// Returns the state of the run.
     pub(super) fn state(&self) -> RunState {
         let State { stage, reason } = self.state;
         stage.state(reason.as_deref().map(printable_line).as_deref())

@@ -45,7 +45,7 @@ pub(crate) struct Arguments {
     seed: u64,
 }
 
-/// How tables are written.
+/// Format of the tables.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 enum Format {
     /// For the terminal, milliseconds.
@@ -123,7 +123,7 @@ fn line_of(comparison: &Comparison, baseline: &[usize]) -> Result<usize, Failure
     }
 }
 
-/// How many runs the baseline is of.
+/// Returns the sentence that says how many runs the baseline consists of.
 fn baseline_sentence(line: &Line) -> String {
     let runs = match line.repeats {
         1 => "one run".to_owned(),
@@ -142,7 +142,7 @@ fn alone(comparison: &Comparison) -> Option<String> {
     Some(format!("nothing is compared with the baseline: {why}"))
 }
 
-/// The line that the other one is compared with where nobody said which.
+/// Returns the line that is the default baseline of a comparison of two lines.
 pub(crate) fn first_of_two(comparison: &Comparison) -> Option<usize> {
     (comparison.lines.len() == 2).then_some(0)
 }

@@ -7,11 +7,11 @@ use super::collect::is_same;
 use super::experiment::{Experiment, Experiments};
 use crate::experiment::{RUNS, left_out};
 
-/// What was found, without the runs of experiments that are not done.
+/// Results that are compared: those found, without runs of experiments that are not done.
 pub(super) struct Chosen {
     /// The results, each once.
     pub(super) paths: Vec<PathBuf>,
-    /// What is not among them, of each experiment.
+    /// Runs that are left out, of each experiment.
     pub(super) left_out: Vec<LeftOut>,
 }
 

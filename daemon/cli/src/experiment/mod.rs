@@ -10,14 +10,14 @@ use serde::{Deserialize, Serialize};
 /// The form that this program writes.
 pub(crate) const FORMAT: u32 = 1;
 
-/// How far an experiment is.
+/// File with the progress of an experiment.
 pub(crate) const RECORD: &str = "experiment.json";
-/// Bytes of the largest record that is read: most runs, each of a configuration of its own, have less.
+/// Maximum size of a record that is read, bytes. A record with the maximum number of runs, each of a different configuration, is smaller.
 pub(crate) const LARGEST_RECORD: u64 = 256 << 20;
 /// The folder in an experiment's that has those of its runs.
 pub(crate) const RUNS: &str = "runs";
 
-/// What became of a run.
+/// Progress of a run.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub(crate) enum Stage {
@@ -35,7 +35,7 @@ pub(crate) enum Stage {
 }
 
 impl Stage {
-    /// What decides whether its results count, in tables and figures, and nobody does it again.
+    /// Returns the state that decides whether its results count in tables and figures, and whether the run is repeated.
     pub(crate) fn state(self, reason: Option<&str>) -> RunState {
         match self {
             Self::Pending => RunState::Pending,

@@ -5,7 +5,7 @@ use super::Stage;
 /// Most runs that are named.
 const MOST: usize = 8;
 
-/// What tables and figures of an experiment do without: the folders of runs, and how they fare. `None` where all are done.
+/// Returns the note on the runs that tables and figures of an experiment lack: their folders and states. `None` if all are done.
 pub(crate) fn left_out<'a>(
     experiment: &str,
     runs: impl IntoIterator<Item = (&'a str, Stage)>,

@@ -129,7 +129,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
     Ok(())
 }
 
-/// Describes why nothing was drawn: each reason once, with the number of runs. `None` if there is none.
+/// Describes the reasons why nothing was drawn, each once with its number of runs. `None` if there is none.
 fn reasons(lacking: &[(PathBuf, PlotError)]) -> Option<String> {
     let mut reasons: Vec<(String, usize)> = Vec::new();
     for (_, error) in lacking {

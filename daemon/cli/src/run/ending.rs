@@ -48,7 +48,7 @@ impl Ending {
         }
     }
 
-    /// Waits until the deadline; for ever if there is none.
+    /// Waits until the deadline; does not return if there is none.
     pub(super) async fn expired(&self) {
         match self.until {
             Some(until) => tokio::time::sleep_until(until).await,

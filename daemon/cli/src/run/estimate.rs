@@ -37,8 +37,8 @@ impl Estimates {
         }
     }
 
-    /// Returns the estimate for a run of a configuration: the mean of its own finished runs, or the expected duration, corrected by
-    /// the ratio of measured and expected durations so far. `None` while unknown.
+    /// Returns the estimate for a run of a configuration: the mean of its finished runs, or the expected duration, corrected by the ratio
+    /// of measured and expected durations so far. `None` if it is not known.
     pub(super) fn of(&self, configuration: usize) -> Option<f64> {
         let (sum, count) = self.measured.get(configuration).copied().unwrap_or_default();
         if count > 0 {

@@ -1,6 +1,5 @@
-//! What figures cost: those of a run of 10,005 iterations, as in the paper, of one of 100,000, and of an experiment.
-//! Prints seconds, the most memory that was held so far, and how large the files are. The files stay in a folder that is
-//! named on the command line.
+//! Benchmark of drawing figures: those of a run of 10,005 iterations, as in the paper, of a run of 100,000, and of an experiment. Prints
+//! seconds, the peak memory so far, and the sizes of the files. The files stay in a folder that is named on the command line.
 #![expect(clippy::print_stdout, reason = "a benchmark prints its table")]
 
 mod rows;
@@ -61,7 +60,7 @@ fn timed(what: &str, folder: &Path, work: &dyn Fn(&Path) -> Vec<PathBuf>) {
     println!("{what:28}  {seconds:>8.3}  {:>9.1}  {largest:>9.1}", peak_kib() as f64 / 1024.0);
 }
 
-/// The most memory that this process held so far, KiB.
+/// Returns the peak memory of this process so far, KiB.
 fn peak_kib() -> u64 {
     let status = std::fs::read_to_string("/proc/self/status").expect("Linux");
     let line = status.lines().find_map(|line| line.strip_prefix("VmHWM:")).expect("a peak");

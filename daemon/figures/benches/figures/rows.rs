@@ -6,7 +6,7 @@ use peernet_analysis::rows::{Column, Outcome, Row, Rows};
 use peernet_statistics::SplitMix64;
 use peernet_stream::ExperimentPlace;
 
-/// The same numbers every time.
+/// Random numbers with a fixed seed, so that every run has the same.
 pub(crate) struct Dice(SplitMix64);
 
 impl Dice {
@@ -23,7 +23,7 @@ impl Dice {
         radius * (std::f64::consts::TAU * angle).cos()
     }
 
-    /// A latency around `mean` that is seldom much longer.
+    /// Returns a latency around `mean` that is seldom much longer.
     fn late(&mut self, mean: f64, spread: f64) -> f64 {
         let tail = if self.even() < 0.004 { mean * 8.0 * self.even() } else { 0.0 };
         mean * (spread * self.normal()).exp() + tail
@@ -50,7 +50,7 @@ fn loaded(title: &str, rows: Rows) -> Loaded {
     Loaded { folder: title.replace([' ', ','], "-").into(), record, rows }
 }
 
-/// Stages in seconds, and what follows from them.
+/// Returns the columns of a row from its stages in seconds.
 fn values(stages: &[(&'static str, f64)]) -> Vec<(Column, f64)> {
     let sum: f64 = stages.iter().map(|(_, value)| value).sum();
     let mut values: Vec<(Column, f64)> =
@@ -63,7 +63,7 @@ fn values(stages: &[(&'static str, f64)]) -> Vec<(Column, f64)> {
     values
 }
 
-/// A run with a model in the cloud.
+/// Returns a run with a model in the cloud.
 pub(crate) fn remote(model: &str, network: &str, count: u64) -> Loaded {
     let mut dice = Dice::new(7);
     let mut at = 0.0;
@@ -112,7 +112,7 @@ fn place(run: &mut Loaded, model: &str, kind: &str, device: &str, network: Optio
     run.record.edge = HostRecord { name: "robot".to_owned(), ..HostRecord::default() };
 }
 
-/// Three models here and there: the paper's first experiment.
+/// Returns runs of three models on the robot and in the cloud: the paper's first experiment.
 pub(crate) fn experiment() -> Vec<Loaded> {
     let mut dice = Dice::new(3);
     let mut runs = Vec::new();
@@ -149,7 +149,7 @@ pub(crate) fn experiment() -> Vec<Loaded> {
     runs
 }
 
-/// The paper's third experiment: means and standard deviations of its table.
+/// Returns the paper's third experiment: means and standard deviations of its table.
 pub(crate) fn teleoperation() -> Vec<Loaded> {
     let lines = [
         ("no", "Jetson Orin", "none", [0.71, 0.0, 18.55, 0.0], [0.26, 0.0, 3.34, 0.0]),
@@ -180,7 +180,7 @@ pub(crate) fn teleoperation() -> Vec<Loaded> {
     lines.into_iter().map(run).collect()
 }
 
-/// Payloads of seven sizes.
+/// Returns a run with payloads of seven sizes.
 pub(crate) fn payload() -> Loaded {
     let mut dice = Dice::new(9);
     let sizes = [1e3, 3e3, 1e4, 3e4, 1e5, 3e5, 1e6];
@@ -202,7 +202,7 @@ pub(crate) fn payload() -> Loaded {
     run
 }
 
-/// One model of 40 ms and another of 12 ms with one worker each, asked by up to sixteen edges at once.
+/// Returns runs of one model of 40 ms and another of 12 ms with one worker each, used by up to sixteen edges at the same time.
 pub(crate) fn users() -> Vec<Loaded> {
     let mut dice = Dice::new(11);
     let mut runs = Vec::new();

@@ -10,11 +10,11 @@ use peernet_analysis::order::Ordered;
 
 /// Points of a curve.
 const POINTS: usize = 240;
-/// From this ratio of the largest to the smallest median on, the axis is logarithmic.
+/// Ratio of the largest to the smallest median from which on the axis is logarithmic.
 const WIDE: f64 = 12.0;
 /// Room beyond the values at each end of a logarithmic axis, as a power of their ratio.
 const ROOM: f64 = 0.02;
-/// An axis begins at zero unless the smallest value is above this share of the largest.
+/// Share of the largest value: an axis begins at zero unless the smallest value is above it.
 const CLOSE: f64 = 0.5;
 /// Height of the first mark of a curve and the distance to the next curve's, so that none hides another.
 const FIRST_MARK: f64 = 0.12;
@@ -28,27 +28,27 @@ pub struct Cumulative {
     pub title: String,
     /// Horizontal axis.
     pub unit: Unit,
-    /// From the one that is listed first.
+    /// Curves in the order of the legend.
     pub curves: Vec<CumulativeCurve>,
-    /// Numbers of values, what is left out and so on.
+    /// Notes below the figure, such as numbers of values and what is left out.
     pub notes: Vec<String>,
 }
 
-/// One quantity.
+/// Curve of one quantity.
 #[derive(Clone, Debug, PartialEq)]
 pub struct CumulativeCurve {
-    /// Its name.
+    /// Name of the quantity.
     pub name: String,
     /// Look of its line.
     pub line: Style,
-    /// Its mark and the look of that.
+    /// Mark with its look.
     pub mark: (Mark, Style),
     /// The values, SI units.
     pub values: Ordered,
 }
 
 impl CumulativeCurve {
-    /// Its name and how many of its values are larger than one, if any are.
+    /// Returns its name and the number of its values above `most`, if there are any.
     fn beyond(&self, most: f64) -> Option<(&str, String)> {
         let count = self.values.values().iter().filter(|value| **value > most).count();
         (count > 0).then(|| (self.name.as_str(), fixed(count as f64, 0)))

@@ -1,5 +1,4 @@
-//! Two quantities of each iteration against each other, with the distribution of each beside: response length and
-//! latency.
+//! Figure of two quantities of each iteration against each other, with the distribution of each at the side: response length and latency.
 
 use std::collections::BTreeMap;
 
@@ -11,37 +10,37 @@ use crate::plot::{At, Axis, Figure, Item, Path, Plot, Strip, Unit};
 use crate::scale::Scale;
 use peernet_analysis::order::Ordered;
 
-/// From how many points on they are counted into cells.
+/// Number of points from which on they are counted into cells.
 const MANY: usize = 1500;
 /// Cells across and upwards: a cell is about 1.8 points wide and high in a file.
 const CELLS: (f64, f64) = (108.0, 60.0);
 /// Shades of cells.
 const SHADES: f64 = 14.0;
-/// Room for a distribution beside the plot, points.
+/// Width of a distribution at the side of the plot, points.
 const MARGIN: f64 = 26.0;
-/// Least width and height of a bar, points.
+/// Minimum width and height of a bar, points.
 const SEEN: f64 = 0.45;
 /// Diameter of a point, points.
 const DOT: f64 = 2.4;
-/// An axis begins at zero unless the smallest value is above this share of the largest.
+/// Share of the largest value: an axis begins at zero unless the smallest value is above it.
 const CLOSE: f64 = 0.75;
-/// Room on both sides of values that lie far from zero, of their range.
+/// Space on both sides of values that are far from zero, as a share of their range.
 const ROOM: f64 = 0.05;
 
 /// Points with both marginal histograms.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Lengths {
-    /// What is shown.
+    /// Title of the figure.
     pub title: String,
-    /// The horizontal axis.
+    /// Unit of the horizontal axis.
     pub x: Unit,
-    /// The vertical axis.
+    /// Unit of the vertical axis.
     pub y: Unit,
-    /// The stage whose colour the points have: that of the vertical axis; ink for what is no stage.
+    /// Stage that determines the colour of the points: that of the vertical axis. Quantities that are no stage are drawn in ink.
     pub stage: String,
-    /// One for each iteration, SI units; what is not finite is left out.
+    /// One point for each iteration, SI units; points that are not finite are left out.
     pub points: Vec<(f64, f64)>,
-    /// How many there are, what is left out and so on.
+    /// Notes below the figure, such as the number of points and what is left out.
     pub notes: Vec<String>,
 }
 
@@ -51,7 +50,7 @@ impl Lengths {
         finite.map(of).collect()
     }
 
-    /// The places of the points that the axes hold.
+    /// Returns the places of the points within the axes.
     fn inside<'a>(&'a self, plot: &'a Plot) -> impl Iterator<Item = (f64, f64)> + 'a {
         let shown = |(x, y): &(f64, f64)| (x * self.x.per_si, y * self.y.per_si);
         let inside =
@@ -104,8 +103,8 @@ fn known(name: &str) -> Option<Stage> {
     Some(stage(name)).filter(Stage::has_colour)
 }
 
-/// Points counted into cells: one path of rectangles for each shade from 0 to 1, the lightest first. One point is seen, and ten times
-/// as many are a step darker, however many there are.
+/// Counts points into cells. Returns one path of rectangles for each shade from 0 to 1, the lightest first. The scale is logarithmic: a
+/// single point is visible, and ten times as many are a step darker.
 pub fn cells(points: impl Iterator<Item = (f64, f64)>) -> Vec<(f64, Path)> {
     let (columns, rows) = CELLS;
     let mut counts: BTreeMap<(u32, u32), u32> = BTreeMap::new();
@@ -124,7 +123,7 @@ pub fn cells(points: impl Iterator<Item = (f64, f64)>) -> Vec<(f64, Path)> {
     shades.into_iter().map(|(step, cells)| (shade(step), Path::rects(cells))).collect()
 }
 
-/// Bars of the values along one axis; `place` makes corners of where a bin begins and ends and how high it is.
+/// Returns bars of the values along one axis; `place` makes corners from the two ends of a bin and its height.
 fn margin(values: &Ordered, place: impl Fn(f64, f64, f64) -> [At; 2]) -> Strip {
     let style = Style::total().bin();
     let bar = |bins: &Bins, number: usize| {
@@ -140,7 +139,7 @@ fn margin(values: &Ordered, place: impl Fn(f64, f64, f64) -> [At; 2]) -> Strip {
     Strip { items: Bins::of(values).map(bars).unwrap_or_default(), size: MARGIN }
 }
 
-/// Whether an axis from zero would squeeze all values between these into a corner.
+/// Returns whether an axis from zero would squeeze all values between these into a corner.
 pub fn would_squeeze(lo: f64, hi: f64) -> bool {
     hi > lo && lo > hi * CLOSE
 }

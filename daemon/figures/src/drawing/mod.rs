@@ -1,8 +1,8 @@
-//! Kinds of figures: how each lays out what the analysis found.
+//! Kinds of figures: the layout of the results of the analysis.
 //!
 //! Every kind is a value with a method `figure` (or `plot`, or `items`) that makes a layout of `crate::plot`; both sheets draw it.
-//! What differs by colour differs by mark, dash or hatch as well. [`Distribution`], [`Stack`], [`cells`] and [`scaling_line`] are for
-//! pages too.
+//! Everything that differs by colour differs by mark, dash or hatch as well. [`Distribution`], [`Stack`], [`cells`] and [`scaling_line`]
+//! are for pages too.
 
 mod accuracy;
 mod course;

@@ -1,4 +1,4 @@
-//! How something grows with size: logarithmic axes, a point per size with what is known of it, a line per series.
+//! Growth of a quantity with size: logarithmic axes, a point with its spread per size, a line per series.
 
 use peernet_statistics::number::bytes;
 
@@ -22,69 +22,69 @@ const WHISKER: f64 = 0.45;
 const STEPS: u32 = 60;
 /// Room beyond the values at each end: this power of the range, but at least so much.
 const ROOM: (f64, f64) = (0.06, 1.15);
-/// The same on both sides of the sizes.
+/// Space on both sides of the sizes, as a factor.
 const SIDES: f64 = 1.4;
-/// A level line so many times above or below all values would squeeze them: it is left out, and a note says so.
+/// Factor between a level line and all values from which on the line would squeeze them: it is left out, and a note says so.
 const FAR: f64 = 20.0;
 
-/// What is known at one size, in SI units.
+/// Statistics at one size, in SI units.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Value {
     /// Bytes.
     pub bytes: f64,
     /// The point.
     pub value: f64,
-    /// The bar: where most values lie.
+    /// Range of most values, drawn as a bar.
     pub spread: Option<(f64, f64)>,
-    /// The whisker: where the truth lies. Without an upper end it leaves the plot.
+    /// Bounds of the true value, drawn as a whisker. Without an upper end it leaves the plot.
     pub bounds: Option<(f64, Option<f64>)>,
 }
 
-/// One series.
+/// Series of values over size.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Series {
-    /// Its name in the legend.
+    /// Name in the legend.
     pub name: String,
-    /// The stage whose colour it has: `upload` or `download`.
+    /// Stage that determines its colour: `upload` or `download`.
     pub stage: &'static str,
-    /// Its mark.
+    /// Mark of the series.
     pub mark: Mark,
-    /// A point per size.
+    /// Values, one per size.
     pub values: Vec<Value>,
-    /// Its line: intercept and slope, in SI units and per byte.
+    /// Line of the series: intercept and slope, in SI units and per byte.
     pub line: Option<(f64, f64)>,
 }
 
 impl Value {
-    /// The whisker; none where both ends read one clock.
+    /// Returns the bounds of the whisker; `None` if one clock measured both ends.
     fn whisker(&self) -> Option<(f64, Option<f64>)> {
         self.bounds.filter(|(lo, hi)| hi.is_none_or(|hi| hi > *lo))
     }
 }
 
-/// What the parts of a figure are, in a few words each; what is not drawn is not explained.
+/// Explanations of the parts of a figure, in a few words each; parts that are not drawn are not explained.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Parts {
-    /// The points.
+    /// Explanation of the points.
     pub point: &'static str,
-    /// The whiskers.
+    /// Explanation of the whiskers.
     pub whisker: &'static str,
-    /// The lines.
+    /// Explanation of the lines.
     pub line: &'static str,
 }
 
-/// A figure of series over size.
+/// Figure of series over size.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Scaling {
-    /// What is shown.
+    /// Title of the figure.
     pub title: String,
-    /// What stands along the vertical axis.
+    /// Unit of the vertical axis.
     pub unit: Unit,
-    /// What its parts are; bars are always from the 5th to the 95th percentile.
+    /// Explanations of its parts; bars are always from the 5th to the 95th percentile.
     pub parts: Parts,
-    /// What else is to be said of the values.
+    /// Further notes on the values.
     pub notes: Vec<String>,
-    /// At most two.
+    /// Series: at most two.
     pub series: Vec<Series>,
 }
 
@@ -93,20 +93,20 @@ impl Scaling {
         self.series.iter().flat_map(|series| &series.values).filter(|value| value.value > 0.0)
     }
 
-    /// From the lowest to the highest of all that is known of the values.
+    /// Returns the lowest and the highest of all values, bars and bounds.
     fn heights(&self) -> Option<(f64, f64)> {
         let of = |value: &Value| {
             let (lo, hi) = value.spread.unwrap_or((value.value, value.value));
             let whisker = value.whisker();
             let most = whisker.and_then(|bounds| bounds.1).map_or(hi, |bound| bound.min(value.value * 10.0));
-            // A lower bound near nothing would squeeze all the rest.
+            // A lower bound near zero would squeeze all the rest.
             let least = whisker.map_or(lo, |bounds| bounds.0.max(value.value / 4.0));
             (least.min(lo).max(value.value / 100.0), most.max(hi))
         };
         self.values().map(of).reduce(|(lo, hi), (a, b)| (lo.min(a), hi.max(b)))
     }
 
-    /// The height of a series' level line, and whether it is near enough to be drawn.
+    /// Returns the height of a series' level line, and whether it is near enough to be drawn.
     fn level(&self, series: &Series) -> Option<(f64, bool)> {
         let (height, _) = series.line.filter(|(height, slope)| *slope == 0.0 && *height > 0.0)?;
         let (low, high) = self.heights()?;
@@ -117,7 +117,7 @@ impl Scaling {
         self.level(series).is_some_and(|(_, is_near)| !is_near)
     }
 
-    /// What is seen in the picture, and what is not.
+    /// Returns the explanations of the parts that are drawn, and notes on those that are not.
     fn explained(&self) -> Vec<String> {
         let mut parts = vec![format!("point: {}", self.parts.point)];
         if self.values().any(|value| value.spread.is_some()) {
@@ -143,7 +143,7 @@ impl Scaling {
         notes
     }
 
-    /// Axes that hold all values and level lines; `None` when there is no value above zero.
+    /// Returns axes that contain all values and level lines; `None` when there is no value above zero.
     fn axes(&self) -> Option<Plot> {
         let sizes = self.values().map(|value| (value.bytes, value.bytes));
         let (small, large) = sizes.reduce(|(lo, hi), (a, b)| (lo.min(a), hi.max(b)))?;
@@ -185,7 +185,7 @@ impl Scaling {
         let mut items = Vec::new();
         if let Some((intercept, slope)) = series.line.filter(|_| !self.is_far(series)) {
             let line = line(plot, |bytes| show(intercept + slope * bytes));
-            // Aside like its points, so that they lie on it where they should.
+            // The line is shifted like its points, so that they lie on it if they fit.
             let aside = if slope == 0.0 { 0.0 } else { aside };
             items.push(Item::path(line.within(aside / ACROSS).aside(aside), line_style));
         }
@@ -209,14 +209,14 @@ impl Scaling {
     }
 }
 
-/// A function of the horizontal axis as far as it lies in the plot.
+/// Returns a function of the horizontal axis as a path, as far as it lies in the plot.
 pub fn line(plot: &Plot, of: impl Fn(f64) -> f64) -> Path {
     let values = plot.x.scale.along(STEPS).map(|x| (x, of(x)));
     let inside = values.map(|(x, y)| plot.y.scale.has(y).then(|| (plot.x.scale.at(x), plot.up(y))));
     Path::line(inside)
 }
 
-/// Style of the line and of the points.
+/// Returns the styles of the line and of the points.
 fn look(series: &Series) -> (Style, Style) {
     let stage = stage(series.stage);
     (stage.line(LINE).dashed(series.mark.dash()).with("fit"), stage.mark())

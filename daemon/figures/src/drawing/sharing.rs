@@ -1,4 +1,4 @@
-//! How latency grows with the number of edges that share one cloud, and how evenly they are served.
+//! Growth of latency with the number of edges that share one cloud, and fairness among these edges.
 
 use peernet_statistics::number::fixed;
 
@@ -6,7 +6,7 @@ use crate::look::{Style, series};
 use crate::plot::{Axis, Figure, Height, Item, Key, Marks, Path, Plot, Swatch, Unit};
 use crate::scale::{Scale, Tick};
 
-/// Most curves that can be told apart.
+/// Maximum number of curves that a reader can distinguish.
 pub const MOST_CURVES: usize = 4;
 /// Half the distance between two curves at one number of edges, points.
 const APART: f64 = 2.0;
@@ -19,7 +19,7 @@ const LINE: f64 = 0.75;
 const WHISKER: f64 = 0.45;
 /// Height of the plot of fairness, points.
 const FAIRNESS: f64 = 28.5;
-/// From this ratio of the most to the fewest edges on, their axis is logarithmic; from that of latencies theirs.
+/// Ratios of the largest to the smallest value, of edges and of latencies, from which on the axis is logarithmic.
 const WIDE_EDGES: f64 = 8.0;
 const WIDE: f64 = 12.0;
 /// Room beyond the values at each end, as a share of their range.
@@ -28,35 +28,35 @@ const ROOM: f64 = 0.06;
 /// Latency and fairness against the number of edges.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Sharing {
-    /// What is shown.
+    /// Title of the figure.
     pub title: String,
-    /// The vertical axis: a latency.
+    /// Unit of the vertical axis: a latency.
     pub unit: Unit,
-    /// At most four.
+    /// Curves: at most four.
     pub curves: Vec<SharingCurve>,
-    /// What is left out and so on.
+    /// Notes below the figure, such as what is left out.
     pub notes: Vec<String>,
 }
 
-/// One configuration.
+/// Curve of one configuration.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SharingCurve {
-    /// For the legend; nothing where it is empty.
+    /// Name for the legend; if it is empty, there is no entry.
     pub name: String,
-    /// The fewest edges first.
+    /// Points of the curve, the fewest edges first.
     pub points: Vec<SharingPoint>,
 }
 
-/// What some edges at once were given. Seconds.
+/// Latency and fairness of a number of edges at the same time. Seconds.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SharingPoint {
-    /// How many.
+    /// Number of edges.
     pub edges: usize,
     /// Median of all of them.
     pub median: f64,
-    /// The 95th percentile of all of them; `None` of few values.
+    /// 95th percentile of all totals; `None` for few values.
     pub p95: Option<f64>,
-    /// The median of each.
+    /// Median of each edge.
     pub each: Vec<f64>,
     /// Jain's index of their rates, from 0 to 1.
     pub fairness: Option<f64>,
@@ -67,7 +67,7 @@ impl Sharing {
         self.curves.iter().flat_map(|curve| &curve.points).filter(|point| point.median.is_finite())
     }
 
-    /// The numbers of edges, each once.
+    /// Returns the different numbers of edges.
     fn edges(&self) -> Vec<usize> {
         let mut edges: Vec<usize> = self.points().map(|point| point.edges).collect();
         edges.sort_unstable();
@@ -99,7 +99,7 @@ impl Sharing {
         std::iter::once(parts.join(" · ")).chain(self.notes.iter().cloned()).collect()
     }
 
-    /// Whole edges, marked where they were measured.
+    /// Returns the axis of whole numbers of edges, with marks at the measured ones.
     fn across(&self) -> Option<Axis> {
         let edges = self.edges();
         let (few, many) = (*edges.first()? as f64, *edges.last()? as f64);
@@ -117,7 +117,7 @@ impl Sharing {
         Some(Axis::new(scale, "Edges at once", "").marked(Marks::At(edges.into_iter().map(tick).collect())))
     }
 
-    /// From the lowest to the highest that is known, as shown.
+    /// Returns the lowest and the highest latency, in the unit shown.
     fn latencies(&self) -> Option<(f64, f64)> {
         let ends = |point: &SharingPoint| {
             let all = point.each.iter().copied().chain([point.median]).chain(point.p95);
@@ -165,7 +165,7 @@ impl Sharing {
             let items = self.line(&fairness, number, known.collect());
             fairness.items.extend(items);
         }
-        // The numbers of edges stand below both.
+        // The numbers of edges are below the lower plot.
         latency.x.title.clear();
         if let Marks::At(ticks) = &mut latency.x.marks {
             ticks.iter_mut().for_each(|tick| tick.text.clear());
@@ -199,7 +199,7 @@ impl Sharing {
         items
     }
 
-    /// A curve through some values, with its marks.
+    /// Returns a curve through some values, with its marks.
     fn line(&self, plot: &Plot, number: usize, values: Vec<(f64, f64)>) -> Vec<Item> {
         let (look, aside) = (series(number), self.aside(number));
         let places: Vec<_> = values.into_iter().map(|(x, y)| plot.at(x, y)).collect();

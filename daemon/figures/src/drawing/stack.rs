@@ -4,7 +4,7 @@ use crate::look::{Style, stage};
 use crate::plot::{At, Item};
 use crate::scale::Scale;
 
-/// Least length of a part in a file, points: it is seen however short it is.
+/// Minimum length of a part in a file, points, so that a short part is visible.
 const THIN: f64 = 0.6;
 /// Parts of less than this share of the scale have no line between them.
 const PARTED: f64 = 0.006;
@@ -12,7 +12,7 @@ const PARTED: f64 = 0.006;
 /// Direction of a bar.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Direction {
-    /// From below to above.
+    /// From bottom to top.
     Upright,
     /// From left to right.
     Level,
@@ -27,7 +27,7 @@ impl Direction {
         }
     }
 
-    /// Returns a whisker along the scale with caps of so many points to each side.
+    /// Returns a whisker along the scale, with caps of `cap` points to each side.
     pub fn whisker(self, ends: [At; 2], caps: [bool; 2], cap: f64, style: &Style) -> Vec<Item> {
         if self == Self::Upright {
             return Item::whisker(ends, caps, cap, style);
@@ -43,15 +43,15 @@ impl Direction {
 /// The parts of one bar.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Stack<'a> {
-    /// Stage and value of each, in the unit of the scale, from the first to the last. Where clocks were not corrected a value may
-    /// be negative: such parts lie on the other side of zero.
+    /// Stage and value of each part, in the unit of the scale, from the first to the last. A value may be negative if clocks were not
+    /// corrected: such parts lie on the other side of zero.
     pub parts: Vec<(&'a str, f64)>,
     /// Scale of the values.
     pub scale: Scale,
 }
 
 impl Stack<'_> {
-    /// Sum of the parts above zero.
+    /// Returns the sum of the parts above zero.
     pub fn end(&self) -> f64 {
         self.parts.iter().map(|(_, value)| value.max(0.0)).sum()
     }
@@ -77,7 +77,7 @@ impl Stack<'_> {
             let [begin, end] = [from, to].map(|value| self.scale.at(value));
             let corners = [direction.at(begin, near), direction.at(end, far)];
             items.push(Item::Rect { from: corners[0], to: corners[1], least, style: stage(name).area() });
-            // Parts are parted, so that neighbours of one grey do not run together.
+            // A line between parts separates neighbours of the same grey.
             if from != 0.0 && (end - begin).abs() > PARTED {
                 items.push(Item::line(direction.at(begin, near), direction.at(begin, far), Style::cut()));
             }

@@ -1,4 +1,4 @@
-//! What the stages of several configurations add up to: a bar each, with how much their sum varies.
+//! Sums of the stages of several configurations: a bar for each, with the spread of its sum.
 
 use peernet_statistics::number::fixed;
 
@@ -11,21 +11,21 @@ use crate::text::width;
 
 /// Height of a lying bar with its room, points.
 const ROW: f64 = 14.4;
-/// The same where there are many: sixty are a page.
+/// Height of a bar's place if there are many bars, points: sixty fill a page.
 const CLOSE: f64 = 10.0;
-/// From how many bars on they stand closer.
+/// Number of bars from which on they are closer to each other.
 const MANY: usize = 16;
-/// Most bars that stand upright: their labels stand below.
+/// Maximum number of upright bars: their labels are below them.
 const MOST_UPRIGHT: usize = 6;
-/// Points beside the bars of an upright plot.
+/// Space at the sides of the bars of an upright plot, points.
 const MARGIN: f64 = 39.0;
-/// Points beside lying bars and their names, and between a bar and its sum.
+/// Space between horizontal bars and their names, and between a bar and its sum, points.
 const BESIDE: f64 = 16.0;
 const AFTER: f64 = 4.5;
-/// Share of a bar's room that the bar takes, and its largest share of the plot.
+/// Share of a bar's place that the bar fills, and its maximum share of the plot.
 const THICK: f64 = 0.6;
 const WIDEST: f64 = 0.19;
-/// Share of the plot's height that the words above the tallest bar take.
+/// Share of the plot's height for the words above the tallest bar.
 const WORDS: f64 = 0.12;
 /// Half the width of an error bar's cap, points.
 const CAP: f64 = 1.8;
@@ -33,40 +33,40 @@ const CAP: f64 = 1.8;
 /// Bars of stages.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Stacked {
-    /// What is shown.
+    /// Title of the figure.
     pub title: String,
-    /// What stands along the axis of values.
+    /// Unit of the axis of values.
     pub unit: Unit,
-    /// The stages from the first to the last; every bar has a value for each, 0 where it has no such stage.
+    /// Stages from the first to the last; every bar has a value for each, 0 for a stage that it does not have.
     pub stages: Vec<String>,
-    /// One for each configuration.
+    /// One bar for each configuration.
     pub bars: Vec<Bar>,
-    /// How the parts are to be read.
+    /// Notes on how to read the parts.
     pub notes: Vec<String>,
 }
 
-/// A configuration's bar, SI units.
+/// Bar of a configuration, SI units.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Bar {
-    /// What distinguishes it.
+    /// Label of the configuration.
     pub label: String,
-    /// The mean of each stage. Where clocks were not corrected it may be negative.
+    /// Mean of each stage. It may be negative if clocks were not corrected.
     pub means: Vec<f64>,
     /// Mean of the total, which the parts add up to as far as all of them are known.
     pub total: f64,
-    /// Standard deviation of the total; `None` where it is not known.
+    /// Standard deviation of the total; `None` if it is not known.
     pub std: Option<f64>,
 }
 
 impl Bar {
-    /// From where to where it reaches, its error bar included.
+    /// Returns the two ends of the bar, including its error bar.
     fn range(&self) -> (f64, f64) {
         let part = |of: fn(f64) -> bool| self.means.iter().filter(|mean| of(**mean)).sum::<f64>();
         let (below, above) = (part(|mean| mean < 0.0), part(|mean| mean > 0.0));
         (below.min(self.total), above.max(self.total + self.std.unwrap_or_default()))
     }
 
-    /// `22.4 ± 2.1`
+    /// Returns the sum with its deviation: `22.4 ± 2.1`.
     fn words(&self, unit: &Unit) -> String {
         let decimals = peernet_statistics::number::decimals(self.total * unit.per_si, 3).min(3);
         let total = fixed(self.total * unit.per_si, decimals);
@@ -78,7 +78,7 @@ impl Bar {
 }
 
 impl Stacked {
-    /// Few bars with short labels stand upright.
+    /// Returns whether the bars are upright: a few bars with short labels.
     fn is_upright(&self) -> bool {
         let room = (WIDTH - MARGIN) / self.bars.len().max(1) as f64 - 3.0;
         let fits = |words: &str, size: f64| width(words, size) <= room;
@@ -153,7 +153,7 @@ impl Stacked {
         plot
     }
 
-    /// Points at the right of lying bars that their sums need: as few as every bar leaves room for.
+    /// Returns the space at the right of horizontal bars that their sums need, points. Sums of shorter bars use the space that these leave.
     fn free(&self, values: Scale) -> f64 {
         let names = self.bars.iter().map(|bar| width(&bar.label, TEXT)).fold(0.0, f64::max);
         let across = WIDTH - BESIDE - names.min(MOST_NAME);
@@ -164,7 +164,7 @@ impl Stacked {
         across - self.bars.iter().map(plot).fold(across, f64::min)
     }
 
-    /// A bar with its error bar, about a place across; and where it ends, as shown.
+    /// Returns a bar with its error bar, centred at a place; and its end, in the unit shown.
     fn bar(
         &self,
         bar: &Bar,

@@ -7,19 +7,19 @@ use std::fmt;
 pub struct Rgb(pub u8, pub u8, pub u8);
 
 impl Rgb {
-    /// From `0xrrggbb`.
+    /// Returns the colour of `0xrrggbb`.
     pub const fn hex(value: u32) -> Self {
         Self((value >> 16) as u8, (value >> 8) as u8, value as u8)
     }
 
-    /// The colour with a share of it on white, as if it were transparent: files need no transparency where nothing lies below.
+    /// Returns the colour with a share of it on white, as if it were transparent: files need no transparency if nothing lies below.
     #[must_use]
     pub fn tint(self, share: f64) -> Self {
         let part = |part: u8| (f64::from(part) * share + 255.0 * (1.0 - share)).round() as u8;
         Self(part(self.0), part(self.1), part(self.2))
     }
 
-    /// Contrast with another colour, from 1 to 21 (WCAG 2.1, relative luminance).
+    /// Returns the contrast with another colour, from 1 to 21 (WCAG 2.1, relative luminance).
     pub fn contrast(self, other: Self) -> f64 {
         let linear = |part: u8| {
             let share = f64::from(part) / 255.0;
@@ -39,25 +39,25 @@ impl fmt::Display for Rgb {
     }
 }
 
-/// A colour of the dashboard in both themes. Files take the light one.
+/// Colour of the dashboard in both themes. Files use the light one.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Token {
     /// Name of the custom property without its dashes.
     pub name: &'static str,
-    /// On paper.
+    /// Colour on paper.
     pub light: Rgb,
-    /// In the dark theme.
+    /// Colour in the dark theme.
     pub dark: Rgb,
 }
 
 impl Token {
-    /// From `0xrrggbb` for both themes.
+    /// Returns a token from `0xrrggbb` for both themes.
     pub const fn new(name: &'static str, light: u32, dark: u32) -> Self {
         Self { name, light: Rgb::hex(light), dark: Rgb::hex(dark) }
     }
 }
 
-/// Text, and whatever is no stage.
+/// Colour of text, and of everything that is not a stage.
 pub const INK: Token = Token::new("ink", 0x14_181f, 0xe8_ecf1);
 /// Secondary text.
 pub const INK_2: Token = Token::new("ink-2", 0x45_4d59, 0xb6_bec9);
@@ -72,7 +72,7 @@ pub const SURFACE: Token = Token::new("surface", 0xff_ffff, 0x14_181e);
 /// Iterations without an answer, and errors.
 pub const BAD: Token = Token::new("bad", 0x9b_1620, 0xff_9f98);
 
-/// The tokens that are no stage's.
+/// Tokens that belong to no stage.
 pub const TOKENS: [Token; 7] = [INK, INK_2, INK_3, LINE, LINE_STRONG, SURFACE, BAD];
 
 /// Ground of a file.

@@ -2,13 +2,13 @@
 
 /// Distance between two lines of a hatch, points.
 const STEP: f64 = 3.9;
-/// Least distance of a line from an edge, points: one that only touches a corner or runs along an edge is left out.
+/// Minimum distance of a line from an edge, points: one that only touches a corner or runs along an edge is left out.
 const EDGE: f64 = 0.2;
 
 /// Lines over an area.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Hatch {
-    /// None.
+    /// No hatch.
     Plain,
     /// `/`
     Rising,
@@ -31,7 +31,7 @@ pub(crate) fn lines([(left, top), (right, bottom)]: Line, hatch: Hatch) -> Vec<L
         let first = ((lo + EDGE) / step).ceil() as i64;
         (first..).map(move |number| number as f64 * step).take_while(move |at| *at < hi - EDGE)
     };
-    // Equally close for the eye, whatever the direction.
+    // The factor makes slanted lines look as close as straight ones.
     let slanted = STEP * 1.4;
     let rising = || {
         between(left + top, right + bottom, slanted).map(|sum| {

@@ -1,6 +1,6 @@
 //! Points that differ without colour.
 
-/// Shape of the points of a series; its line has a dash of its own.
+/// Shape of the points of a series; each shape comes with a different dash of the line.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Mark {
     /// Discs on a solid line.
@@ -11,15 +11,15 @@ pub enum Mark {
     Square,
     /// Diamonds on a line of long dashes.
     Diamond,
-    /// Crosses: where something is missing.
+    /// Cross, for missing data.
     Cross,
 }
 
 impl Mark {
-    /// Those of series, in the order in which they are taken.
+    /// Marks of series, in the order of their use.
     pub const ALL: [Self; 4] = [Self::Disc, Self::Triangle, Self::Square, Self::Diamond];
 
-    /// Dash and gap of its line, points; `None` for a solid one.
+    /// Returns dash and gap of its line, points; `None` for a solid one.
     pub const fn dash(self) -> Option<(f64, f64)> {
         match self {
             Self::Disc | Self::Cross => None,
@@ -29,7 +29,7 @@ impl Mark {
         }
     }
 
-    /// Corners around the middle for a radius of 1; empty for a disc, and two strokes for a cross.
+    /// Returns the corners around the middle for a radius of 1; empty for a disc, and two strokes for a cross.
     pub(crate) const fn corners(self) -> &'static [(f64, f64)] {
         match self {
             Self::Disc => &[],

@@ -1,4 +1,4 @@
-//! The stages: one table of names, classes, colours and hatches for every figure and page.
+//! Stages: one table of names, classes, colours and hatches for every figure and page.
 
 use super::colour::{INK, LINE_STRONG, ON_DARK, ON_PALE, Rgb, Token, WHITE};
 use super::hatch::Hatch;
@@ -6,11 +6,11 @@ use super::style::{Fill, Style, TextStyle};
 
 /// Name of the part of `total` beyond its stages.
 pub const UNATTRIBUTED: &str = "unattributed";
-/// From the intended start of an iteration to the real one: a named part of what is unattributed.
+/// Class of the time from the intended start of an iteration to the real one: a named part of the unattributed time.
 pub const LATENESS: &str = "lateness";
-/// Class of both directions of the network together, where the clocks cannot tell them apart.
+/// Class of both directions of the network together, if the clocks cannot separate them.
 const NETWORK: &str = "network";
-/// Class of what is no stage but all of them.
+/// Class of totals, which are all stages together.
 const TOTAL: &str = "total";
 
 /// Look of a stage.
@@ -24,9 +24,9 @@ pub struct Stage {
     pub colour: Token,
     /// Darker edge, which a fill carries that is pale on paper: every boundary keeps a contrast of 3.
     pub edge: Option<Token>,
-    /// Hatch in a file, so that stages differ without colour as well. Pages hatch waiting and what is unattributed alone.
+    /// Hatch in a file, so that stages differ without colour as well. Pages only hatch waiting and the unattributed time.
     pub hatch: Hatch,
-    /// Colour of a line in a file where neither ground nor edge will do.
+    /// Colour of a line in a file if neither ground nor edge is suitable.
     line: Option<Rgb>,
 }
 
@@ -45,7 +45,7 @@ const fn pale(name: &'static str, class: &'static str, colour: Token, edge: Toke
     Stage { name, class, colour, edge: Some(edge), hatch, line: None }
 }
 
-/// Every stage in the order of stacks, keys and tables; what is unattributed at the end.
+/// Every stage in the order of stacks, keys and tables; the unattributed time is the last.
 pub const STAGES: [Stage; 13] = [
     dark("sensing", Token::new("s-sensing", 0x10_9e6d, 0x29_b783), Hatch::Plain),
     pale("encode", "encode", ENCODE, ENCODE_EDGE, Hatch::Level),
@@ -55,7 +55,7 @@ pub const STAGES: [Stage; 13] = [
     },
     dark("upload", Token::new("s-upload", 0xd5_5e00, 0xee_6c16), Hatch::Rising),
     pale("queue", "queue", QUEUE, QUEUE_EDGE, Hatch::Rising),
-    // A model in a process of its own is handed its sample as if it crossed a border.
+    // Handing a sample to a model in a separate process is similar to encoding it for the network, so it has similar colours.
     Stage { line: Some(Rgb::hex(0x2f_6b48)), ..pale("ipc", "encode", ENCODE, ENCODE_EDGE, Hatch::Cross) },
     pale(
         "preprocessing",
@@ -75,7 +75,7 @@ pub const STAGES: [Stage; 13] = [
     pale(UNATTRIBUTED, UNATTRIBUTED, UNKNOWN, UNKNOWN_EDGE, Hatch::Falling),
 ];
 
-/// Looks of what is no stage: parts of stages, both directions together, totals. Its names are those of events.
+/// Looks of quantities that are not stages: parts of stages, both directions together, totals. Their names are those of events.
 const PARTS: [Stage; 6] = [
     Stage { name: "capture", class: "capture", ..STAGES[0] },
     Stage { name: "transform", class: "transform", ..STAGES[0] },
@@ -85,7 +85,7 @@ const PARTS: [Stage; 6] = [
     Stage { class: TOTAL, line: Some(INK.light), ..dark("stages-total", LINE_STRONG, Hatch::Plain) },
 ];
 
-/// A stage of a user's own.
+/// Stage that a user's program defines.
 const OTHER: Stage = Stage {
     name: "",
     class: "other",
@@ -101,12 +101,12 @@ pub fn stage(name: &str) -> Stage {
 }
 
 impl Stage {
-    /// Returns true if it is a stage of [`STAGES`], which alone have colours of their own.
+    /// Returns whether it is a stage of [`STAGES`], which are the only ones with a specific colour.
     pub fn has_colour(&self) -> bool {
         STAGES.iter().any(|stage| stage.name == self.name)
     }
 
-    /// Text on its area.
+    /// Returns the style of text on its area.
     pub fn text(&self) -> TextStyle {
         let (class, colour) = match self.class {
             "sensing" => ("o-sensing", ON_PALE),
@@ -127,7 +127,7 @@ impl Stage {
         TextStyle { class, colour, halo: false }
     }
 
-    /// Its area in a stack.
+    /// Returns the style of its area in a stack.
     pub fn area(&self) -> Style {
         let hatch = match self.edge {
             Some(edge) => (self.hatch, edge.light),
@@ -141,22 +141,22 @@ impl Stage {
         }
     }
 
-    /// Its area without a hatch, for bars that stand side by side: there a hatch would only blur them.
+    /// Returns the style of its area without a hatch, for bars that are side by side: a hatch would only blur them.
     pub fn plain(&self) -> Style {
         Style::area(class("f-", self.class), Fill::of(self.colour.light))
     }
 
-    /// Colour of its line or marks in a file: it holds on white, where a pale ground would be lost.
+    /// Returns the colour of its line or marks in a file: one with contrast to white, unlike a pale ground.
     pub fn line_colour(&self) -> Rgb {
         self.line.unwrap_or_else(|| self.edge.unwrap_or(self.colour).light)
     }
 
-    /// Its line.
+    /// Returns the style of its line.
     pub fn line(&self, width: f64) -> Style {
         Style::line(class("g-", self.class), self.line_colour(), width)
     }
 
-    /// Its points and marks.
+    /// Returns the style of its points and marks.
     pub fn mark(&self) -> Style {
         Style::area(class("f-", self.class), Fill::of(self.line_colour()))
     }

@@ -1,4 +1,4 @@
-//! Styles: how a shape looks on both sheets.
+//! Styles: the look of a shape on both sheets.
 
 use std::borrow::Cow;
 
@@ -11,14 +11,14 @@ use super::mark::Mark;
 pub struct Fill {
     /// Ground.
     pub colour: Rgb,
-    /// From 0 to 1; also written on pages, where it stands for a number.
+    /// Opacity from 0 to 1; also written on pages, where it represents a number.
     pub opacity: f64,
     /// Lines over the ground, and their colour.
     pub hatch: Option<(Hatch, Rgb)>,
 }
 
 impl Fill {
-    /// An opaque ground.
+    /// Returns an opaque fill.
     pub const fn of(colour: Rgb) -> Self {
         Self { colour, opacity: 1.0, hatch: None }
     }
@@ -27,7 +27,7 @@ impl Fill {
 /// Stroke of a shape in a file.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Stroke {
-    /// Its colour.
+    /// Colour of the stroke.
     pub colour: Rgb,
     /// Points.
     pub width: f64,
@@ -40,24 +40,24 @@ pub struct Stroke {
 pub struct Style {
     /// Classes of the dashboard's style sheet.
     pub class: Cow<'static, str>,
-    /// In a file.
+    /// Fill in a file.
     pub fill: Option<Fill>,
-    /// In a file.
+    /// Stroke in a file.
     pub stroke: Option<Stroke>,
 }
 
 impl Style {
-    /// An area without an edge.
+    /// Returns an area without an edge.
     pub fn area(class: impl Into<Cow<'static, str>>, fill: Fill) -> Self {
         Self { class: class.into(), fill: Some(fill), stroke: None }
     }
 
-    /// A solid line.
+    /// Returns a solid line.
     pub fn line(class: impl Into<Cow<'static, str>>, colour: Rgb, width: f64) -> Self {
         Self { class: class.into(), fill: None, stroke: Some(Stroke { colour, width, dash: None }) }
     }
 
-    /// The same line with a dash and a gap, points.
+    /// Returns the same line with a dash and a gap, points.
     #[must_use]
     pub fn dashed(mut self, dash: Option<(f64, f64)>) -> Self {
         if let Some(stroke) = &mut self.stroke {
@@ -66,14 +66,14 @@ impl Style {
         self
     }
 
-    /// The same area with a thin edge, if there is a colour for it.
+    /// Returns the same area with a thin edge, if there is a colour for it.
     #[must_use]
     pub fn edged(self, colour: Option<Rgb>) -> Self {
         let stroke = colour.map(|colour| Stroke { colour, width: 0.3, dash: None });
         Self { stroke: stroke.or(self.stroke), ..self }
     }
 
-    /// The same fill with an opacity, which is written on pages as well.
+    /// Returns the same fill with an opacity, which is written on pages as well.
     #[must_use]
     pub fn opacity(mut self, opacity: f64) -> Self {
         if let Some(fill) = &mut self.fill {
@@ -82,35 +82,35 @@ impl Style {
         self
     }
 
-    /// The same with more classes.
+    /// Returns the same style with more classes.
     #[must_use]
     pub fn with(self, class: &str) -> Self {
         Self { class: format!("{} {class}", self.class).into(), ..self }
     }
 
-    /// A line of a grid.
+    /// Returns the style of a grid line.
     pub fn grid() -> Self {
         Self::line("gridl", GRID, 0.45)
     }
 
-    /// The line of an axis.
+    /// Returns the style of an axis line.
     pub fn rail() -> Self {
         Self::line("rail", LINE_STRONG.light, 0.45)
     }
 
-    /// The same as a bar of a distribution: bars are parted by a line of the ground.
+    /// Returns the same style for a bar of a distribution: bars are separated by a line of the ground's colour.
     #[must_use]
     pub fn bin(self) -> Self {
         let parted = Stroke { colour: WHITE, width: 0.3, dash: None };
         Self { class: format!("bin {}", self.class).into(), stroke: Some(parted), ..self }
     }
 
-    /// A bar of no stage.
+    /// Returns the style of a bar that belongs to no stage.
     pub fn total() -> Self {
         Self::area("f-total", Fill::of(LINE_STRONG.light))
     }
 
-    /// The line of a quantile: `median`, `p95` or `p99`.
+    /// Returns the style of a quantile's line: `median`, `p95` or `p99`.
     pub fn quantile(name: &'static str) -> Self {
         let (colour, width, dash) = match name {
             "p95" => (INK, 0.8, Some((3.3, 1.8))),
@@ -120,47 +120,47 @@ impl Style {
         Self::line(format!("mark {name}"), colour.light, width).dashed(dash)
     }
 
-    /// A rim of the ground's colour, which parts a line from what lies behind it.
+    /// Returns a rim of the ground's colour, which separates a line from the items behind it.
     pub fn halo() -> Self {
         Self::line("halo", WHITE, 2.0)
     }
 
-    /// A narrower rim, about lines over bars.
+    /// Returns a narrower rim, for lines over bars.
     pub fn rim() -> Self {
         Self::line("cut", WHITE, 1.8)
     }
 
-    /// A whisker.
+    /// Returns the style of a whisker.
     pub fn whisker() -> Self {
         Self::line("whisk2", INK.light, 0.75)
     }
 
-    /// A line between neighbours in a stack.
+    /// Returns the style of a line between neighbours in a stack.
     pub fn cut() -> Self {
         Self::line("cut", WHITE, 0.45)
     }
 
-    /// Points and lines of no stage.
+    /// Returns the style of points and lines that belong to no stage.
     pub fn ink() -> Self {
         Self::area("f-ink", Fill::of(INK.light))
     }
 
-    /// A band about a line of no stage.
+    /// Returns the style of a band around a line that belongs to no stage.
     pub fn band() -> Self {
         Self::area("band", Fill::of(INK.light)).opacity(0.25)
     }
 
-    /// A stretch that is left out, such as warm-up.
+    /// Returns the style of a stretch that is left out, such as warm-up.
     pub fn shade() -> Self {
         Self::area("warm-up", Fill::of(SHADE))
     }
 
-    /// A mark of an iteration without an answer.
+    /// Returns the style of a mark of an iteration without an answer.
     pub fn lost() -> Self {
         Self::line("lost", BAD.light, 0.9)
     }
 
-    /// A border between episodes.
+    /// Returns the style of a border between episodes.
     pub fn border() -> Self {
         Self::line("border", LINE_STRONG.light, 0.45).dashed(Some((1.5, 1.5)))
     }
@@ -178,13 +178,13 @@ pub struct TextStyle {
 }
 
 impl TextStyle {
-    /// A label of an axis; pages style it by where it stands.
+    /// Label of an axis; pages style it by its place.
     pub const AXIS: Self = Self { class: "", colour: INK_2.light, halo: false };
-    /// The name of a category at an axis.
+    /// Name of a category at an axis.
     pub const NAME: Self = Self { class: "", colour: INK.light, halo: false };
     /// Text at a mark in a plot.
     pub const MARK: Self = Self { class: "marktext", colour: INK.light, halo: true };
-    /// A count of values beyond an axis.
+    /// Count of values beyond an axis.
     pub const BEYOND: Self = Self { class: "beyond", colour: INK_2.light, halo: true };
     /// Text on a pale fill.
     pub const ON_PALE: Self = Self { class: "", colour: ON_PALE, halo: false };
@@ -199,9 +199,9 @@ pub struct Series {
     pub colour: Rgb,
     /// Ground of its areas.
     pub ground: Rgb,
-    /// Its points.
+    /// Mark of its points.
     pub mark: Mark,
-    /// Of its line, and of its points and areas.
+    /// Classes of its line, and of its points and areas.
     classes: [&'static str; 2],
 }
 
@@ -225,17 +225,17 @@ pub fn series(number: usize) -> Series {
 }
 
 impl Series {
-    /// Its line, with its dash.
+    /// Returns the style of its line, with its dash.
     pub fn line(&self, width: f64) -> Style {
         Style::line(self.classes[0], self.colour, width).dashed(self.mark.dash())
     }
 
-    /// Its points.
+    /// Returns the style of its points.
     pub fn marks(&self) -> Style {
         Style::area(self.classes[1], Fill::of(self.colour))
     }
 
-    /// Its area: a tint with an edge.
+    /// Returns the style of its area: a tint with an edge.
     pub fn shape(&self) -> Style {
         let edge = Stroke { colour: self.colour, width: 0.5, dash: None };
         Style { stroke: Some(edge), ..Style::area(self.classes[1], Fill::of(self.ground)) }

@@ -1,4 +1,4 @@
-//! How often each configuration's answers are right, and how long they take.
+//! Accuracy of each configuration against its latency.
 
 use peernet_statistics::number::{self, fixed};
 
@@ -12,12 +12,12 @@ use peernet_analysis::loaded::{Loaded, unknown_labels};
 use peernet_analysis::order::Ordered;
 use peernet_analysis::rows::RowRef;
 
-/// Whether the best class is the label.
+/// Column that is 1 if the best class is the label, else 0.
 pub(super) const TOP_1: &str = ACCURACIES[0];
-/// Most points that can be told apart.
+/// Maximum number of points that a reader can distinguish.
 const MOST: usize = 24;
 
-/// One point for each configuration of which answers were told right from wrong; repeats are taken together.
+/// Returns one point for each configuration with scored answers; repeats are merged.
 pub(super) fn drawings(runs: &[Loaded]) -> Result<Vec<Drawing>, MissingData> {
     let Configured { axes, groups } = Configured::of(runs);
     let judged = |row: &RowRef<'_>| score(*row, TOP_1).is_some();
@@ -56,7 +56,7 @@ pub(super) fn drawings(runs: &[Loaded]) -> Result<Vec<Drawing>, MissingData> {
         missing.push(format!("left out: {configurations} without scored samples"));
     }
     notes.extend(missing.iter().cloned());
-    // Of those with scored samples, and for another reason than the label.
+    // Only configurations with scored samples, and only iterations without a score for another reason than their label.
     let unscored = |(_, runs): &(String, Vec<&Loaded>)| {
         let valid = counted(runs).filter(judged).count();
         let foreign = unknown_labels(runs.iter().copied()).map_or(0, |unknown| unknown.count);

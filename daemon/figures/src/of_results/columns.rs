@@ -10,12 +10,12 @@ use peernet_analysis::summary::Scale;
 /// Beyond this nothing was measured: a year is 3·10⁷ s, and the fastest links carry 10¹⁵ bit/s.
 const LARGEST: f64 = 1e18;
 
-/// Whether a number has a place in a figure.
+/// Returns whether a number can be drawn in a figure.
 pub(super) fn is_drawable(value: f64) -> bool {
     value.abs() <= LARGEST
 }
 
-/// How many numbers of these columns are too large to be drawn, for a note; `None` where none is.
+/// Returns a note on the count of numbers in these columns that are too large to be drawn; `None` if there are none.
 pub(super) fn too_large<'a>(rows: impl Iterator<Item = RowRef<'a>>, columns: &[&str]) -> Option<String> {
     let counted = rows.filter(|row| row.counts());
     let numbers = counted.flat_map(|row| columns.iter().filter_map(move |column| row.value(column)));
@@ -25,12 +25,13 @@ pub(super) fn too_large<'a>(rows: impl Iterator<Item = RowRef<'a>>, columns: &[&
     })
 }
 
-/// A column's numbers that can be drawn, in the rows that count.
+/// Returns a column's numbers that can be drawn, in the rows that count.
 pub(super) fn values(rows: &Rows, column: &str) -> Ordered {
     rows.counted(column).filter(|value| is_drawable(*value)).collect()
 }
 
-/// How a column's numbers are shown: a time is in ms, and so on; what a run logged itself in the unit that it gave.
+/// Returns the unit in which a column's numbers are shown: ms for a time, and so on; for a quantity that a run logged itself, the unit that
+/// it gave.
 pub(super) fn unit(units: &Units, column: &str, what: &str) -> Unit {
     let plain = |title: String, symbol: String| Unit { title, symbol: symbol.into(), per_si: 1.0 };
     if ["iteration", "episode", "step"].contains(&column) {
@@ -48,21 +49,21 @@ pub(super) fn unit(units: &Units, column: &str, what: &str) -> Unit {
     }
 }
 
-/// A column's name for people: `Upload throughput`.
+/// Returns a column's name for people: `Upload throughput`.
 pub(super) fn heading(column: &str) -> String {
     let words = column.replace(['-', '_'], " ");
     let mut chars = words.chars();
     chars.next().map_or_else(String::new, |first| first.to_uppercase().chain(chars).collect())
 }
 
-/// What stands in the rows, what is shown of it and what is left out: `n = 10,000 · left out: 5 warm-up, 3 without an
+/// Returns the note on the number of values that are shown and the number left out: `n = 10,000 · left out: 5 warm-up, 3 without an
 /// answer`.
 pub(super) fn account<'a>(rows: &(impl Iterator<Item = RowRef<'a>> + Clone), shown: usize) -> String {
     let n = format!("n = {}", fixed(shown as f64, 0));
     not_shown(rows, shown).map_or(n.clone(), |left| format!("{n} · {left}"))
 }
 
-/// The second half of that, where the counts stand elsewhere; `None` where nothing is left out.
+/// Returns the second half of the account, for figures whose counts are shown elsewhere; `None` if nothing is left out.
 pub(super) fn not_shown<'a>(
     rows: &(impl Iterator<Item = RowRef<'a>> + Clone),
     shown: usize,
@@ -72,7 +73,7 @@ pub(super) fn not_shown<'a>(
     listed(uncounted(rows).into_iter().chain([undrawn]))
 }
 
-/// What of the rows no figure shows: `left out: 5 warm-up, 3 without an answer`; `None` where there is nothing of it.
+/// Returns the note on the rows that no figure shows: `left out: 5 warm-up, 3 without an answer`; `None` if there are none.
 pub(super) fn left_out<'a>(rows: &(impl Iterator<Item = RowRef<'a>> + Clone)) -> Option<String> {
     listed(uncounted(rows))
 }
@@ -94,7 +95,7 @@ fn listed(left: impl IntoIterator<Item = (usize, &'static str)>) -> Option<Strin
     (!left.is_empty()).then(|| format!("left out: {}", left.join(", ")))
 }
 
-/// A title and, behind it, whose it is.
+/// Returns a title followed by the name of its run.
 pub(super) fn titled(what: &str, whose: &str) -> String {
     if whose.is_empty() { what.to_owned() } else { format!("{what} · {whose}") }
 }

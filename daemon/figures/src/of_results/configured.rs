@@ -4,11 +4,11 @@ use peernet_analysis::compare::Configurations;
 use peernet_analysis::loaded::Loaded;
 use peernet_analysis::rows::RowRef;
 
-/// Runs of one configuration, its repeats, are taken together.
+/// Runs by configuration; repeats of one configuration are pooled.
 pub(super) struct Configured<'a> {
-    /// What distinguishes the configurations.
+    /// Names of the labels that distinguish the configurations.
     pub(super) axes: Vec<String>,
-    /// Each configuration's label and runs.
+    /// Label and runs of each configuration.
     pub(super) groups: Vec<(String, Vec<&'a Loaded>)>,
 }
 
@@ -38,7 +38,7 @@ fn readable(axis: &str, value: &str) -> String {
     }
 }
 
-/// Their rows that count.
+/// Returns the rows of these runs that count.
 pub(super) fn counted<'a>(runs: &[&'a Loaded]) -> impl Iterator<Item = RowRef<'a>> {
     runs.iter().flat_map(|run| &run.rows).filter(|row| row.counts())
 }

@@ -11,13 +11,13 @@ use peernet_analysis::order::Ordered;
 use peernet_analysis::record::RunRecord;
 use peernet_analysis::rows::Rows;
 
-/// So many stages are shown beside the total: those that take longest.
+/// Number of stages that are shown beside the total: those that take longest.
 const STAGES: usize = 4;
 /// Width of lines, points; the total's is stronger.
 const LINE: f64 = 0.9;
 const STRONG: f64 = 1.2;
 
-/// One curve for the total and each of the longest stages, or that of one column.
+/// Returns one curve for the total and each of the longest stages, or that of one column.
 pub(super) fn drawings(
     record: &RunRecord,
     rows: &Rows,
@@ -69,7 +69,7 @@ fn notes(rows: &Rows, columns: &[&str], values: &Ordered) -> Vec<String> {
     std::iter::once(account).chain(too_large(rows.iter(), columns)).collect()
 }
 
-/// A stage has its colour and a mark; a total is ink.
+/// Returns the curve of a stage, which has its colour and a mark, or of a total, which is ink.
 fn curve(name: &str, values: Ordered, number: usize) -> CumulativeCurve {
     let look = look(name);
     let (line, mark) = if !look.has_colour() {

@@ -14,7 +14,7 @@ use peernet_analysis::record::RunRecord;
 use peernet_analysis::rows::Rows;
 use peernet_analysis::summary::Scale;
 
-/// Those of a run that it can have.
+/// Returns the published histograms that a run has the data for.
 pub(super) fn published(record: &RunRecord, rows: &Rows) -> Vec<Drawing> {
     let is_at = |kind| record.placement.is(kind);
     let remote = !is_at(PlacementKind::Local) && !is_at(PlacementKind::None);
@@ -30,7 +30,7 @@ pub(super) fn published(record: &RunRecord, rows: &Rows) -> Vec<Drawing> {
     drawings.collect()
 }
 
-/// The published ones, or that of one column.
+/// Returns the published histograms, or that of one column.
 pub(super) fn drawings(run: &Loaded, column: Option<&str>) -> Result<Vec<Drawing>, MissingData> {
     let Some(column) = column else { return Ok(published(&run.record, &run.rows)) };
     let histogram = histogram(&run.record, &run.rows, column, &heading(column));
@@ -55,15 +55,15 @@ fn histogram(record: &RunRecord, rows: &Rows, column: &str, what: &str) -> Histo
     }
 }
 
-/// How many delays are below zero, which none is: clocks that are not related make them, as in results of other programs.
+/// Returns a note on delays below zero, which are impossible. They occur if the clocks are not related, as in results of other programs.
 fn impossible(column: &str, values: &Ordered) -> Option<String> {
     let count = values.values().partition_point(|value| *value < 0.0) as u64;
     let is_delay = ["upload", "download"].contains(&column);
     (is_delay && count > 0).then(|| format!("below zero, by the clocks' error: {}", fixed(count as f64, 0)))
 }
 
-/// Where the true median lies, as far as the hosts' clocks are known: between the medians of the lower and the upper
-/// bounds. `None` where the column has no bounds, or both ends read one clock.
+/// Returns a note on the bounds of the true median, which follow from those of the clocks: it lies between the medians of the lower and the
+/// upper bounds. `None` if the column has no bounds, or one clock measured both ends.
 fn clocks(rows: &Rows, column: &str) -> Option<String> {
     let end = |end: &str| -> Option<f64> {
         let name = format!("{column}-{end}");

@@ -9,7 +9,7 @@ use peernet_analysis::answer_length::{LATENCY, answer_length, varies};
 use peernet_analysis::loaded::Loaded;
 use peernet_analysis::rows::RowRef;
 
-/// Length and latency of each answer.
+/// Returns the figure of length and latency of each answer.
 pub(super) fn drawings(run: &Loaded, columns: &Columns) -> Result<Vec<Drawing>, MissingData> {
     let there = run.rows.names().iter().filter(|name| run.rows.counted(name).next().is_some());
     let x = columns.x.clone().unwrap_or_else(|| answer_length(there.map(|name| &**name)).to_owned());

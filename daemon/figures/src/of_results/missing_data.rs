@@ -1,4 +1,4 @@
-//! What the results lack for a figure.
+//! Data that a figure needs and the results lack.
 
 use std::fmt;
 
@@ -7,7 +7,7 @@ use crate::drawing::{MOST_GROUPS, MOST_SIDES};
 use peernet_analysis::accuracy::UnknownLabels;
 use peernet_statistics::number::counted;
 
-/// What the results lack for a figure.
+/// Data that a figure needs and the results lack.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum MissingData {
     /// There is nothing to draw from.
@@ -19,7 +19,7 @@ pub enum MissingData {
     /// No answered iteration has a usable total.
     #[error("no iteration was answered with a total that can be drawn")]
     Total,
-    /// A column has no usable number.
+    /// The column has no usable number.
     #[error("no iteration that counts has a number that can be drawn in the column {0}")]
     Column(String),
     /// No iteration has a usable number in both columns.
@@ -46,7 +46,7 @@ pub enum MissingData {
         /// The column of lengths.
         x: String,
     },
-    /// All runs with the column are of one place.
+    /// All runs with the column have the same place.
     #[error(
         "it needs the {column} of runs in two places, such as a local and a remote one of the same model"
     )]
@@ -70,7 +70,7 @@ pub enum MissingData {
          peernet calibrate and the experiment payload-study"
     )]
     MessageSizes,
-    /// No answer was told right from wrong.
+    /// No answer was scored as right or wrong.
     #[error("it needs answers to labelled samples, and no iteration that counts has a {TOP_1}{}", Unscored(.unknown))]
     Labels {
         /// Iterations with a label that the model does not know.
@@ -84,7 +84,7 @@ pub enum MissingData {
     CommonTotal,
 }
 
-/// The end of the sentence: how many iterations cannot have a score.
+/// Formats the end of the sentence: the number of iterations that cannot have a score.
 struct Unscored<'a>(&'a Option<UnknownLabels>);
 
 impl fmt::Display for Unscored<'_> {

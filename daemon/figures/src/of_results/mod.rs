@@ -1,11 +1,11 @@
-//! Results as figures: which of them a run or an experiment has, and under which names they are written.
+//! Figures of results: the kinds that a run or an experiment has, and the names of their files.
 //!
 //! ```text
 //! Loaded ─┬─ histograms, cumulative, length, series   of each run
 //!         └─ stacked, totals, accuracy, paired, payload, users   of all together
 //! ```
 //!
-//! What figures look like is the business of [`crate::drawing`].
+//! [`crate::drawing`] defines what figures look like.
 
 mod accuracy;
 mod columns;
@@ -32,7 +32,7 @@ use peernet_analysis::loaded::Loaded;
 use peernet_analysis::record::RunRecord;
 use peernet_analysis::rows::Rows;
 
-/// The figures there are.
+/// Kind of figure.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Kind {
     /// The six histograms of the published program.
@@ -43,13 +43,13 @@ pub enum Kind {
     Series,
     /// Response length against latency.
     Length,
-    /// What the stages of each configuration add up to.
+    /// Sums of the stages of each configuration.
     Stacked,
     /// Share of iterations up to each total, of each configuration.
     Totals,
     /// Accuracy of each configuration against its latency.
     Accuracy,
-    /// A model's latency here and there.
+    /// Latency of a model on the robot and in the cloud.
     Paired,
     /// Latency and throughput against payload.
     Payload,
@@ -72,7 +72,7 @@ impl Kind {
         Self::Users,
     ];
 
-    /// As on the command line.
+    /// Returns the name on the command line.
     pub const fn name(self) -> &'static str {
         match self {
             Self::Histograms => "histograms",
@@ -88,17 +88,17 @@ impl Kind {
         }
     }
 
-    /// Whether each run has one of its own.
+    /// Returns whether the figure is drawn for each run separately.
     pub const fn is_of_one_run(self) -> bool {
         matches!(self, Self::Histograms | Self::Cumulative | Self::Series | Self::Length)
     }
 
-    /// Whether results of every kind have it, so that whoever draws all that there is misses it.
+    /// Returns whether results of every kind have the data for it, so that a note is due if all figures are drawn and it is missing.
     pub const fn is_expected(self) -> bool {
         matches!(self, Self::Series | Self::Stacked)
     }
 
-    /// Whether a figure of these runs is worth drawing without being asked for: what compares configurations needs two.
+    /// Returns whether a figure of these runs is drawn by default: one that compares configurations needs two of them.
     pub fn is_worth_drawing(self, runs: &[Loaded]) -> bool {
         match self {
             Self::Stacked | Self::Totals | Self::Accuracy => {
@@ -113,46 +113,46 @@ impl Kind {
     }
 }
 
-/// The columns that were asked for; else each kind takes its own.
+/// Columns that the user chose; without them each kind uses its default.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Columns {
-    /// The horizontal axis: the column of a histogram or of a cumulative distribution, the length of a response.
+    /// Column of the horizontal axis: that of a histogram or of a cumulative distribution, or the length of a response.
     pub x: Option<String>,
-    /// The vertical axis: a latency.
+    /// Column of the vertical axis: a latency.
     pub y: Option<String>,
 }
 
-/// A figure that was not drawn.
+/// Error of a figure that was not drawn.
 #[derive(Debug, thiserror::Error)]
 pub enum PlotError {
     /// There is nothing in the results that it could show.
     #[error("cannot draw {kind}: {missing}", kind = .0.name(), missing = .1)]
     Lacking(Kind, #[source] MissingData),
-    /// A file cannot be written.
+    /// A file could not be written.
     #[error(transparent)]
     Write(#[from] WriteError),
 }
 
-/// Draws the six published histograms of a run, `sensing-time` to `download-throughput`, its `cumulative` distributions and its
-/// `series` into a folder, each as `.png`, `.svg`, `.pdf` and, with all that is to be said of it, `-caption.txt`; returns what was
-/// written. A run that sent nothing over a network has histograms of sensing and inference alone; one of which there are no values at
-/// all says so. A run without any total has neither `cumulative` nor `series`.
+/// Draws the six published histograms of a run, `sensing-time` to `download-throughput`, its `cumulative` distributions and its `series`
+/// into a folder, each as `.png`, `.svg`, `.pdf` and, with all notes, `-caption.txt`; returns the files that were written. A run that sent
+/// nothing over a network has only the histograms of sensing and inference; one without any values says so. A run without any total has
+/// neither `cumulative` nor `series`.
 ///
 /// # Errors
-/// When a file cannot be written.
+/// If a file cannot be written.
 pub fn of_run(record: &RunRecord, rows: &Rows, folder: &Path) -> Result<Vec<PathBuf>, WriteError> {
     let mut drawings = histograms::published(record, rows);
-    // Without a total there is no course of it.
+    // Without a total there is no distribution of it.
     drawings.extend(cumulative::drawings(record, rows, None).unwrap_or_default());
     drawings.extend(series::drawings(record, rows).unwrap_or_default());
     Ok(written::write(&drawings, folder)?.files)
 }
 
-/// Draws what several runs have together, as far as there is something to show: `stacked`, `totals` and `accuracy` of several
-/// configurations, `paired`, `payload-latency` and `payload-throughput`, `users`.
+/// Draws the figures of several runs together, as far as they have the data: `stacked`, `totals` and `accuracy` of several configurations,
+/// `paired`, `payload-latency` and `payload-throughput`, `users`.
 ///
 /// # Errors
-/// When a file cannot be written.
+/// If a file cannot be written.
 pub fn of_experiment(runs: &[Loaded], folder: &Path) -> Result<Vec<PathBuf>, WriteError> {
     let mut files = Vec::new();
     let kinds = Kind::ALL.into_iter().filter(|kind| !kind.is_of_one_run() && kind.is_worth_drawing(runs));
@@ -166,11 +166,11 @@ pub fn of_experiment(runs: &[Loaded], folder: &Path) -> Result<Vec<PathBuf>, Wri
     Ok(files)
 }
 
-/// Draws the figures of one kind into a folder, which is made when there is something to draw: of all runs together, or,
-/// for a kind that [is of one run](Kind::is_of_one_run), of the first. Returns what was written, and what is not in it.
+/// Draws the figures of one kind into a folder, which is created when there is something to draw: of all runs together, or, for a kind that
+/// [is of one run](Kind::is_of_one_run), of the first. Returns the files that were written, and notes on data that are not in them.
 ///
 /// # Errors
-/// When the runs lack what the kind shows, or a file cannot be written.
+/// If the runs lack the data that the kind shows, or a file cannot be written.
 pub fn draw(kind: Kind, runs: &[Loaded], columns: &Columns, folder: &Path) -> Result<Written, PlotError> {
     let first = runs.first().ok_or(PlotError::Lacking(kind, MissingData::Runs))?;
     let drawings = match kind {

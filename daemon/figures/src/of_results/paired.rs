@@ -1,4 +1,4 @@
-//! A model's latency on the robot and in the cloud.
+//! Figure of a model's latency on the robot and in the cloud.
 
 use peernet_statistics::number::counted;
 use peernet_stream::PlacementKind;
@@ -11,7 +11,7 @@ use peernet_analysis::loaded::Loaded;
 use peernet_analysis::order::Ordered;
 use peernet_analysis::record::RunRecord;
 
-/// Every model with the places where it ran, if some model ran in two.
+/// Returns every model with the places where it ran, if some model ran in two.
 pub(super) fn drawings(runs: &[Loaded], column: Option<&str>) -> Result<Vec<Drawing>, MissingData> {
     let column = column.unwrap_or("inference");
     let shown: Vec<&Loaded> = runs.iter().filter(|run| !values(&run.rows, column).is_empty()).collect();
@@ -36,7 +36,7 @@ pub(super) fn drawings(runs: &[Loaded], column: Option<&str>) -> Result<Vec<Draw
     let mut groups: Vec<Group> = models.iter().map(group).collect();
     let is_paired = |group: &Group| group.values.iter().filter(|values| !values.is_empty()).count() > 1;
     let mut missing = Vec::new();
-    // A model in one place shows nothing of places, unless no model ran in two.
+    // A model in one place does not compare places, so it is only shown if no model ran in two.
     if groups.iter().any(is_paired) {
         let (paired, alone): (Vec<Group>, Vec<Group>) = groups.into_iter().partition(is_paired);
         groups = paired;
@@ -71,7 +71,7 @@ fn model(record: &RunRecord) -> String {
     record.model.as_ref().map_or_else(|| record.name.clone(), |model| model.name.clone())
 }
 
-/// Where it ran, and on what.
+/// Returns the placement and the device of a run.
 fn side(record: &RunRecord) -> (String, String) {
     let device = record.model.as_ref().and_then(|model| model.device.clone()).unwrap_or_default();
     let kind = record.placement.kind.as_str();
@@ -79,7 +79,7 @@ fn side(record: &RunRecord) -> (String, String) {
     (kind.to_owned(), device)
 }
 
-/// The places' names: with the device where the place alone does not tell them apart.
+/// Returns the names of the places, with the device if the place alone does not distinguish them.
 fn names(sides: &[(String, String)]) -> Vec<String> {
     let alone = |kind: &str| sides.iter().filter(|(other, _)| other == kind).count() == 1;
     let name = |(kind, device): &(String, String)| {

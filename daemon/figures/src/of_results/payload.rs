@@ -16,12 +16,12 @@ use peernet_analysis::order::Ordered;
 use peernet_analysis::record::RunRecord;
 use peernet_analysis::rows::RowRef;
 
-/// More sizes than this are taken together, so that each has enough messages.
+/// Number of sizes above which neighbours are merged, so that each has enough messages.
 const MOST_SIZES: usize = 24;
-/// What the figures are drawn from.
+/// Columns that the figures are drawn from.
 const SHOWN: [&str; 6] =
     ["upload", "upload-bytes", "upload-logger-bytes", "download", "download-bytes", "download-logger-bytes"];
-/// No median is known better than a clock is read: a tenth of a microsecond.
+/// Resolution of a clock, a tenth of a microsecond: the minimum error of a median.
 const CLOCK_READ: f64 = 1e-7;
 
 /// The messages of one size. Seconds, bytes.
@@ -31,26 +31,26 @@ struct Size {
     bounds: Option<(f64, f64)>,
 }
 
-/// One direction.
+/// Messages in one direction.
 struct Way {
     name: &'static str,
     sizes: Vec<Size>,
     fit: Option<Fit>,
-    /// How many of its messages have a size and no delay.
+    /// Number of its messages that have a size and no delay.
     unknown: u64,
 }
 
 /// The messages over one link.
 struct Study {
     ways: Vec<Way>,
-    /// For the title.
+    /// Name of the link, for the title.
     whose: String,
     notes: Vec<String>,
-    /// The directions that are not drawn.
+    /// Notes on the directions that are not drawn.
     missing: Vec<String>,
 }
 
-/// Two figures for each pair of hosts and way between them.
+/// Returns two figures for each pair of hosts and the network between them.
 pub(super) fn drawings(runs: &[Loaded]) -> Result<Vec<Drawing>, MissingData> {
     // Runs by link, as their places in the list.
     let mut links: Vec<(String, Vec<usize>)> = Vec::new();
@@ -81,7 +81,7 @@ pub(super) fn drawings(runs: &[Loaded]) -> Result<Vec<Drawing>, MissingData> {
     });
     let (mut studied, others): (Vec<Study>, Vec<Study>) =
         studied.partition(|study: &Study| !study.ways.is_empty());
-    // Of a link that has no figure of its own the first one tells.
+    // The first figure has the notes on links that have no figure.
     let others = others.into_iter().flat_map(|study| {
         let whose = study.whose;
         study.missing.into_iter().map(move |missing| titled(&missing, &whose))
@@ -97,13 +97,14 @@ pub(super) fn drawings(runs: &[Loaded]) -> Result<Vec<Drawing>, MissingData> {
         let latency = Drawing::new(format!("payload-latency{suffix}"), Shown::Scaling(latency(study)));
         let throughput =
             Drawing::new(format!("payload-throughput{suffix}"), Shown::Scaling(throughput(study)));
-        // Both have it in their notes; once is enough elsewhere.
+        // Both figures have these notes, so other texts need them only once.
         [latency.without(study.missing.clone()), throughput]
     });
     Ok(drawings.collect())
 }
 
-/// What carries the messages: runs that share it are one study. One host has another address in each network.
+/// Returns the hosts and network that carry the messages: runs that share them are one study. One host has a different address in each
+/// network.
 fn link(record: &RunRecord) -> String {
     let cloud = record.cloud.as_ref().map_or("", |cloud| &cloud.name);
     let [network, address] = [&record.placement.network, &record.placement.address]
@@ -111,7 +112,7 @@ fn link(record: &RunRecord) -> String {
     format!("{}, {cloud}, {network}, {address}", record.edge.name)
 }
 
-/// The two hosts of a link, as far as they have names, and the address where the cloud was reached.
+/// Returns the two hosts of a link, as far as they have names, and the address of the cloud.
 fn whose(record: &RunRecord) -> String {
     let hosts =
         [Some(&record.edge), record.cloud.as_ref()].into_iter().flatten().map(|host| host.name.as_str());
@@ -122,7 +123,7 @@ fn whose(record: &RunRecord) -> String {
     }
 }
 
-/// That one line goes through the messages of several runs, and in what these differ; `None` for a single run.
+/// Returns a note that one line is fitted to the messages of several runs, and in what these differ; `None` for a single run.
 fn pooled(configurations: &Configurations, runs: &[usize]) -> Option<String> {
     (runs.len() > 1).then_some(())?;
     let label = |run: usize, axis: usize| &configurations.labels[run][axis];
@@ -138,13 +139,13 @@ fn pooled(configurations: &Configurations, runs: &[usize]) -> Option<String> {
 }
 
 impl Way {
-    /// Whether its sizes differ enough to study what they do.
+    /// Returns whether its sizes differ enough to show their effect.
     fn is_varied(&self) -> bool {
         let ends = self.sizes.first().zip(self.sizes.last());
         ends.is_some_and(|(smallest, largest)| largest.bytes >= 2.0 * smallest.bytes)
     }
 
-    /// Why it is not drawn; `None` where nothing was sent.
+    /// Returns the reason why it is not drawn; `None` if nothing was sent.
     fn why_not(&self) -> Option<String> {
         let (smallest, largest) = self.sizes.first().zip(self.sizes.last())?;
         let ends = [smallest, largest].map(|size| bytes(size.bytes).plain());
@@ -152,7 +153,7 @@ impl Way {
         Some(format!("not drawn: {}, {sizes}: the largest must be twice the smallest", self.name))
     }
 
-    /// What of its messages is in no figure.
+    /// Returns notes on its messages that are in no figure.
     fn untold(&self) -> Vec<String> {
         let below = |size: &&Size| size.delays.median().is_some_and(|median| median <= 0.0);
         let below = self.sizes.iter().filter(below).count();
@@ -166,13 +167,13 @@ impl Way {
         unknown.into_iter().chain(below).collect()
     }
 
-    /// Its line, where larger messages take longer: other things than size decide where they do not, and the intercept of
-    /// such a line means nothing.
+    /// Returns its line if larger messages take longer. Otherwise the delay does not depend on size, and the intercept of such a line has
+    /// no meaning.
     fn growing(&self) -> Option<Fit> {
         self.fit.filter(|fit| fit.slope.value > 0.0)
     }
 
-    /// By its slope, with its margin, bits per second; `None` where the sizes do not tell it.
+    /// Returns the rate by its slope, with its margin, bits per second; `None` if the sizes do not determine it.
     fn rate(&self) -> Option<(f64, f64)> {
         self.growing().and_then(|fit| rate(fit.slope))
     }
@@ -222,7 +223,7 @@ impl Way {
 }
 
 impl Study {
-    /// How many messages a point stands for.
+    /// Returns a note on the number of messages behind each point.
     fn amount(&self) -> Option<String> {
         let counts = || self.ways.iter().flat_map(|way| &way.sizes).map(|size| size.delays.len());
         let [fewest, most] = [counts().min()?, counts().max()?].map(|count| fixed(count as f64, 0));
@@ -230,7 +231,7 @@ impl Study {
         Some(format!("messages of each size: {each}"))
     }
 
-    /// With of what no rate is given.
+    /// Returns its notes, including the one on a rate that is not given.
     fn notes(&self) -> Vec<String> {
         let untold: Vec<&str> = self
             .ways
@@ -244,7 +245,7 @@ impl Study {
     }
 }
 
-/// Neighbouring sizes as one where there are too many: files of a camera are all of different size.
+/// Merges neighbouring sizes if there are too many: files of a camera all have different sizes.
 fn together(sizes: Vec<Vec<RowRef<'_>>>) -> Vec<Vec<RowRef<'_>>> {
     if sizes.len() <= MOST_SIZES {
         return sizes;
@@ -253,7 +254,7 @@ fn together(sizes: Vec<Vec<RowRef<'_>>>) -> Vec<Vec<RowRef<'_>>> {
     all.chunks(all.len().div_ceil(MOST_SIZES)).map(<[RowRef<'_>]>::to_vec).collect()
 }
 
-/// A line through the medians, each weighted by how well it is known, as in a calibration.
+/// Fits a line through the medians, each weighted by its precision, as in a calibration.
 fn fit(sizes: &[Size]) -> Option<Fit> {
     let errors: Option<Vec<f64>> = sizes.iter().map(|size| size.delays.median_error()).collect();
     let points: Option<Vec<Weighted>> = sizes

@@ -1,4 +1,4 @@
-//! How a run went.
+//! Figure of a run over time.
 
 use peernet_logger::{Name, stage};
 
@@ -9,12 +9,12 @@ use crate::drawing::{Course, Line, Unit};
 use peernet_analysis::record::RunRecord;
 use peernet_analysis::rows::{Outcome, RowRef, Rows};
 
-/// So many stages are shown beside the total: those that take longest.
+/// Number of stages that are shown beside the total: those that take longest.
 const STAGES: usize = 4;
-/// The horizontal axis where times are not known.
+/// Title of the horizontal axis if times are not known.
 const ITERATION: &str = "Iteration";
 
-/// Total and stages over time.
+/// Returns the figure of the total and the stages over time.
 pub(super) fn drawings(record: &RunRecord, rows: &Rows) -> Result<Vec<Drawing>, MissingData> {
     let (x, time) = times(rows);
     let answered = || rows.iter().filter(|row| row.outcome() == Outcome::Ok);
@@ -32,7 +32,7 @@ pub(super) fn drawings(record: &RunRecord, rows: &Rows) -> Result<Vec<Drawing>, 
     let Some(total) = total else {
         return Err(MissingData::Total);
     };
-    // Summed before any line is made: of a long run the lines of all stages are much more than those shown.
+    // The sums are computed before any line, because the lines of all stages of a long run would need much more memory.
     let sum =
         |name: &str| answered().filter_map(|row| row.value(name)).filter(|value| is_drawable(*value)).sum();
     let mut stages: Vec<(f64, usize, Name)> =
@@ -60,7 +60,7 @@ pub(super) fn drawings(record: &RunRecord, rows: &Rows) -> Result<Vec<Drawing>, 
     Ok(vec![Drawing::new("series", Shown::Course(course))])
 }
 
-/// The stages that took place and have no line, for a note.
+/// Returns a note on the stages that took place and have no line.
 fn not_drawn(mut shorter: Vec<(f64, usize, Name)>) -> Option<String> {
     shorter.retain(|(sum, ..)| *sum != 0.0);
     shorter.sort_by_key(|(_, place, _)| *place);
@@ -68,7 +68,7 @@ fn not_drawn(mut shorter: Vec<(f64, usize, Name)>) -> Option<String> {
     (!names.is_empty()).then(|| format!("shorter stages, not drawn: {}", names.join(", ")))
 }
 
-/// Warm-up is in the picture.
+/// Returns the account without the warm-up, which is in the figure.
 fn account_of(rows: &Rows, shown: usize) -> String {
     let counted = account(&rows.iter(), rows.iter().filter(|row| row.counts()).count());
     let counted = counted.split(" · ").next().unwrap_or_default().to_owned();
@@ -77,7 +77,7 @@ fn account_of(rows: &Rows, shown: usize) -> String {
     format!("{counted}{warm} · lines: medians")
 }
 
-/// The horizontal axis: seconds since the first iteration where that is known of all, else their numbers.
+/// Returns the horizontal axis: seconds since the first iteration if all times are known, else the numbers of the iterations.
 fn times(rows: &Rows) -> (&'static str, impl Fn(RowRef<'_>) -> f64) {
     let known = !rows.is_empty() && rows.iter().all(|row| row.value("at").is_some());
     let begun = rows.iter().map(|row| row.at()).fold(f64::INFINITY, f64::min);
@@ -85,7 +85,7 @@ fn times(rows: &Rows) -> (&'static str, impl Fn(RowRef<'_>) -> f64) {
     (title, move |row: RowRef<'_>| if known { row.at() - begun } else { row.iteration() as f64 })
 }
 
-/// From when to when rows of warm-up follow upon one another.
+/// Returns the periods of consecutive rows of warm-up.
 fn warm_up(rows: &Rows, time: &impl Fn(RowRef<'_>) -> f64) -> Vec<(f64, f64)> {
     let mut ranges = Vec::new();
     let mut begun: Option<f64> = None;

@@ -1,4 +1,4 @@
-//! What the stages of each configuration add up to.
+//! Sums of the stages of each configuration.
 
 use peernet_logger::stage;
 use peernet_statistics::Moments;
@@ -13,19 +13,19 @@ use crate::look::UNATTRIBUTED;
 use peernet_analysis::loaded::Loaded;
 use peernet_analysis::rows::{LATENESS, RowRef};
 
-/// Most bars that one picture has.
+/// Maximum number of bars in one figure.
 const MOST: usize = 100;
 
-/// One bar for each configuration; repeats are taken together.
+/// Returns one bar for each configuration; repeats are merged.
 pub(super) fn drawings(runs: &[Loaded]) -> Result<Vec<Drawing>, MissingData> {
     let Configured { axes, groups: lines } = Configured::of(runs);
     let all = || lines.iter().flat_map(|(_, runs)| counted(runs));
     if all().next().is_none() {
         return Err(MissingData::Iterations);
     }
-    // Where one configuration has no measured total, all are the sums of their stages.
+    // If one configuration has no measured total, all bars are the sums of their stages.
     let total = if all().all(|row| row.value("total").is_some()) { "total" } else { "stages-total" };
-    // Lateness is the part of it that is measured; behind it stands the rest.
+    // Lateness is the measured part of the time outside of stages; the rest follows it.
     let beyond: &[&str] = if total == "total" { &[LATENESS, UNATTRIBUTED] } else { &[] };
     let order = stage::ORDER;
     let candidates = order.iter().map(peernet_logger::Name::as_str).chain(beyond.iter().copied());
@@ -71,7 +71,7 @@ pub(super) fn drawings(runs: &[Loaded]) -> Result<Vec<Drawing>, MissingData> {
     Ok(vec![Drawing::new("stacked", Shown::Stacked(stacked)).without(missing)])
 }
 
-/// The account with how many of its iterations stand behind each bar: `n = 88 (44 each)`, `n = 120 (10 to 110 each)`.
+/// Returns the account with the number of iterations behind each bar: `n = 88 (44 each)`, `n = 120 (10 to 110 each)`.
 fn with_each(account: &str, counts: &[usize]) -> String {
     let (Some(fewest), Some(most), true) = (counts.iter().min(), counts.iter().max(), counts.len() > 1)
     else {
@@ -84,7 +84,7 @@ fn with_each(account: &str, counts: &[usize]) -> String {
     format!("{n} ({each} each){rest}")
 }
 
-/// Whether the delay of a message that was sent is not known, or what depends on it: no measurement, and not 0 either.
+/// Returns whether the delay of a message that was sent, or a value that depends on it, is not known: no measurement, and not 0 either.
 fn is_unknown(row: RowRef<'_>, stage: &str) -> bool {
     let [up, down] = row.verdicts();
     let measured = match stage {
@@ -95,7 +95,7 @@ fn is_unknown(row: RowRef<'_>, stage: &str) -> bool {
     measured && row.value(stage).is_none()
 }
 
-/// How many delays are not known, for a note.
+/// Returns a note on the number of unknown delays.
 fn unknown<'a, I: Iterator<Item = RowRef<'a>>>(all: &impl Fn() -> I) -> Option<String> {
     let of = |stage: &str| {
         let count = all().filter(|row| is_unknown(*row, stage)).count();
@@ -105,13 +105,13 @@ fn unknown<'a, I: Iterator<Item = RowRef<'a>>>(all: &impl Fn() -> I) -> Option<S
     (!told.is_empty()).then(|| format!("left out of the means: unknown delays, {}", told.join(", ")))
 }
 
-/// How long a part of the bar is.
+/// Returns the length of a part of the bar.
 fn length(row: RowRef<'_>, part: &str) -> Option<f64> {
     let late = if part == UNATTRIBUTED { row.value(LATENESS).unwrap_or_default() } else { 0.0 };
     Some(row.value(part)? - late)
 }
 
-/// `None` for a configuration without an iteration that counts.
+/// Returns the bar; `None` for a configuration without an iteration that counts.
 fn bar(label: &str, runs: &[&Loaded], stages: &[String], total: &str) -> Option<Bar> {
     let mut parts = vec![Moments::default(); stages.len()];
     let mut totals = Moments::default();

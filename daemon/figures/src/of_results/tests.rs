@@ -1,4 +1,4 @@
-//! Which figures results have, and what is taken from the rows.
+//! Tests of the figures that results have, and of the values that they show.
 
 mod extremes;
 mod holes;
@@ -28,7 +28,7 @@ impl ChangeRows for Rows {
     }
 }
 
-/// Rows 1 to `count`: five are warm-up, the seventh is lost; the values are those of `of`, in ms or bytes.
+/// Returns a run with rows 1 to `count`: five are warm-up, the seventh is lost; the values are those of `of`, in ms or bytes.
 fn run(count: u64, of: impl Fn(u64) -> Vec<(&'static str, f64)>) -> Loaded {
     let row = |number: u64| Row {
         iteration: number,
@@ -72,7 +72,7 @@ fn names(files: &[PathBuf]) -> Vec<String> {
     files.iter().map(|file| file.file_name().expect("a name").to_string_lossy().into_owned()).collect()
 }
 
-/// Names of the files of a figure.
+/// Returns the names of the files of a figure.
 fn written_as(stem: &str) -> Vec<String> {
     [".png", ".svg", ".pdf", "-caption.txt"].map(|ending| format!("{stem}{ending}")).to_vec()
 }
@@ -326,7 +326,7 @@ fn payloads_of_several_sizes_are_fitted() {
     assert_eq!(throughput.notes, told);
 }
 
-/// An edge of a run with so many edges.
+/// Returns one edge of a run with `edges` edges.
 fn shared(model: &str, edges: usize, edge: usize, total: f64) -> Loaded {
     let mut run = run_with_total(total);
     run.record.edge.name = format!("robot-{edge}");
@@ -350,7 +350,7 @@ fn edges_at_once_are_a_curve_for_each_model() {
         |curve: usize| figure.curves[curve].points.iter().map(|point| point.edges).collect::<Vec<_>>();
     assert_eq!((edges(0), edges(1)), (vec![1, 2], vec![1, 3]));
     let two = &figure.curves[0].points[1];
-    // Both asked equally often; the second waited a millisecond longer.
+    // Both edges have the same rate; the second one waited a millisecond longer.
     assert_eq!((two.fairness, two.each.len()), (Some(1.0), 2));
     assert!((two.each[1] - two.each[0] - 1e-3).abs() < 1e-9 && two.p95.is_some(), "{two:?}");
     assert!(two.each[0] < two.median && two.median < two.each[1], "{two:?}");

@@ -15,11 +15,11 @@ use peernet_analysis::rows::RowRef;
 /// Width of a curve, points.
 const LINE: f64 = 1.0;
 
-/// One curve for each configuration, four to a picture; repeats are taken together.
+/// Returns one curve for each configuration, four to a figure; repeats are merged.
 pub(super) fn drawings(runs: &[Loaded]) -> Result<Vec<Drawing>, MissingData> {
     let Configured { axes, groups } = Configured::of(runs);
     let all = || groups.iter().flat_map(|(_, runs)| counted(runs));
-    // Where one configuration has no measured total, all are the sums of their stages.
+    // If one configuration has no measured total, all curves are the sums of their stages.
     let total = if all().all(|row| row.value("total").is_some()) { "total" } else { "stages-total" };
     let values = |runs: &[&Loaded]| -> Ordered {
         let totals = counted(runs).filter_map(|row: RowRef<'_>| row.value(total));
@@ -57,7 +57,7 @@ pub(super) fn drawings(runs: &[Loaded]) -> Result<Vec<Drawing>, MissingData> {
             notes: std::iter::once(format!("n = {each} each")).chain(notes.iter().cloned()).collect(),
         };
         let drawing = Drawing::new(format!("totals{suffix}"), Shown::Cumulative(shown));
-        // All have it in their notes; once is enough elsewhere.
+        // All figures have these notes, so other texts need them only once.
         if number == 0 { drawing.without(missing.clone()) } else { drawing }
     });
     Ok(pictures.collect())

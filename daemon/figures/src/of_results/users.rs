@@ -9,15 +9,15 @@ use crate::drawing::{MOST_CURVES, Sharing, SharingCurve, SharingPoint, Unit};
 use peernet_analysis::loaded::Loaded;
 use peernet_analysis::users::{Curve, Users, UsersLine};
 
-/// More configurations than this are counted instead of named.
+/// Number of configurations above which they are counted instead of named.
 const MOST_NAMED: usize = 3;
 
-/// Whether some configuration was measured with different numbers of edges.
+/// Returns whether some configuration was measured with different numbers of edges.
 pub(super) fn have_curves(runs: &[Loaded]) -> bool {
     Users::of(runs).is_some_and(|users| Curve::all(&users).iter().any(|curve| curve.points.len() > 1))
 }
 
-/// One curve for each configuration; four to a picture.
+/// Returns one curve for each configuration; four to a figure.
 pub(super) fn drawings(runs: &[Loaded]) -> Result<Vec<Drawing>, MissingData> {
     let users = Users::of(runs).ok_or(MissingData::Users)?;
     if !users.lines.iter().any(is_told) {
@@ -40,7 +40,7 @@ pub(super) fn drawings(runs: &[Loaded]) -> Result<Vec<Drawing>, MissingData> {
     Ok(pictures.collect())
 }
 
-/// The points that curves lack, by name as long as they are few; `None` where they lack none.
+/// Returns a note on the points that curves lack, by name if they are few; `None` if none is missing.
 fn lacking(curves: &[Curve<'_>]) -> Option<String> {
     let of = |curve: &Curve<'_>| -> Vec<String> {
         let lines = curve.points.iter().filter(|line| !is_told(line));
@@ -55,7 +55,7 @@ fn lacking(curves: &[Curve<'_>]) -> Option<String> {
     (!names.is_empty()).then(|| format!("left out, no total while all edges were measuring: {told}"))
 }
 
-/// Whether it has a total that can be drawn.
+/// Returns whether it has a total that can be drawn.
 fn is_told(line: &UsersLine) -> bool {
     line.totals.median.is_some_and(is_drawable)
 }

@@ -7,12 +7,12 @@ use crate::plot::Figure;
 use crate::sheet::export;
 use peernet_analysis::WriteError;
 
-/// A figure and the name of its files.
+/// Figure with the name of its files.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Drawing {
     pub(super) stem: String,
     pub(super) shown: Shown,
-    /// What whole parts of the results are not in it.
+    /// Notes on whole parts of the results that are not in it.
     pub(super) missing: Vec<String>,
 }
 
@@ -21,11 +21,11 @@ pub(super) struct Drawing {
 pub struct Written {
     /// The files, four for each figure: PNG, SVG, PDF and its text.
     pub files: Vec<PathBuf>,
-    /// Which whole parts of the results are in none of them, and why, as in their notes: `stacked: left out: …`.
+    /// Notes on whole parts of the results that are in none of the figures, and the reasons: `stacked: left out: …`.
     pub missing: Vec<String>,
 }
 
-/// Any figure.
+/// Figure of any kind.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) enum Shown {
     Histogram(Histogram),

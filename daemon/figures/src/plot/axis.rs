@@ -6,37 +6,37 @@ use peernet_statistics::number::{decimals, fixed};
 
 use crate::scale::{Scale, Tick};
 
-/// A quantity: its name and the factor from a value in SI units to the number shown.
+/// Quantity: its name and the factor from a value in SI units to the number shown.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Unit {
-    /// With the unit: `One-way delay, ms`.
+    /// Title with the unit: `One-way delay, ms`.
     pub title: String,
-    /// The unit alone, for figures in words; empty for a count.
+    /// Symbol of the unit, for figures in words; empty for a count.
     pub symbol: Cow<'static, str>,
     /// The number shown per SI unit.
     pub per_si: f64,
 }
 
 impl Unit {
-    /// Seconds, shown as ms.
+    /// Returns the unit of seconds, shown as ms.
     pub fn milliseconds(what: &str) -> Self {
         Self { title: format!("{what}, ms"), symbol: "ms".into(), per_si: 1e3 }
     }
 
-    /// Bits per second, shown as MB/s.
+    /// Returns the unit of bits per second, shown as MB/s.
     pub fn megabytes_per_second(what: &str) -> Self {
         Self { title: format!("{what}, MB/s"), symbol: "MB/s".into(), per_si: 1.0 / 8e6 }
     }
 
-    /// A value in SI units, in words: `5.66 ms`. With three digits, or as many as tell it from others that are
-    /// `spread` apart.
+    /// Returns a value in SI units in words: `5.66 ms`. It has three digits, or as many as distinguish it from values that are `spread`
+    /// apart.
     pub fn words(&self, value: f64, spread: f64) -> String {
         let finer = if spread > 0.0 { decimals(spread * self.per_si, 2) } else { 0 };
         let number = fixed(value * self.per_si, decimals(value * self.per_si, 3).max(finer));
         if self.symbol.is_empty() { number } else { format!("{number} {}", self.symbol) }
     }
 
-    /// An axis of this unit.
+    /// Returns an axis of this unit.
     pub fn axis(&self, scale: Scale) -> Axis {
         Axis::new(scale, self.title.clone(), self.symbol.clone())
     }
@@ -45,22 +45,22 @@ impl Unit {
 /// Places of the marks of an axis.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Marks {
-    /// At round numbers, at most about so many.
+    /// Marks at round numbers, at most about this many.
     Round(usize),
-    /// At these places.
+    /// Marks at these places.
     At(Vec<Tick>),
-    /// At categories: their names may have several lines.
+    /// Marks at categories; their names may have several lines.
     Names(Vec<Tick>),
 }
 
-/// An axis of a plot.
+/// Axis of a plot.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Axis {
     /// Scale, in the unit that is shown.
     pub scale: Scale,
     /// Name of the quantity with the unit; files write it out.
     pub title: String,
-    /// The unit alone; pages name only that, because a panel's title says what is shown.
+    /// Name of the unit; pages show only that, because a panel's title names the quantity.
     pub unit: Cow<'static, str>,
     /// Places of its marks.
     pub marks: Marks,
@@ -72,25 +72,25 @@ impl Axis {
     /// Marks on an axis that has no other number.
     const MARKS: usize = 6;
 
-    /// An axis with round marks and without a grid.
+    /// Returns an axis with round marks and without a grid.
     pub fn new(scale: Scale, title: impl Into<String>, unit: impl Into<Cow<'static, str>>) -> Self {
         let (title, unit) = (title.into(), unit.into());
         Self { scale, title, unit, marks: Marks::Round(Self::MARKS), has_grid: false }
     }
 
-    /// The same with a grid.
+    /// Returns the same axis with a grid.
     #[must_use]
     pub fn with_grid(self) -> Self {
         Self { has_grid: true, ..self }
     }
 
-    /// The same with other marks.
+    /// Returns the same axis with other marks.
     #[must_use]
     pub fn marked(self, marks: Marks) -> Self {
         Self { marks, ..self }
     }
 
-    /// The same with labels that `label` makes of its round marks.
+    /// Returns the same axis with labels that `label` makes of its round marks.
     #[must_use]
     pub fn labelled(self, label: impl Fn(&Tick) -> String) -> Self {
         let ticks = self.ticks(Self::MARKS).into_iter();
@@ -98,7 +98,7 @@ impl Axis {
         self.marked(Marks::At(ticks))
     }
 
-    /// Returns its marks if there is room for so many.
+    /// Returns the marks if there is room for `room` of them.
     pub fn ticks(&self, room: usize) -> Vec<Tick> {
         match &self.marks {
             Marks::Round(most) => self.scale.ticks((*most).min(room.max(1))),
@@ -106,7 +106,7 @@ impl Axis {
         }
     }
 
-    /// Its title with what its marks alone do not show.
+    /// Returns its title with the information that its marks alone do not show.
     pub fn full_title(&self) -> String {
         if self.scale.is_logarithmic() && !self.title.is_empty() {
             format!("{} (log scale)", self.title)

@@ -1,15 +1,15 @@
-//! Figures: plots with what stands around them.
+//! Figures: plots with their legend, table and notes.
 
 use super::axis::Axis;
 use super::item::{At, Item};
 use super::legend::Key;
 
-/// A strip of a plot, such as the distribution of one of its quantities; places are shares of the strip.
+/// Strip at a plot, such as the distribution of one of its quantities; places are shares of the strip.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Strip {
-    /// Its items.
+    /// Items of the strip.
     pub items: Vec<Item>,
-    /// Height in a file, or beside a plot its width, points.
+    /// Height in a file, or the width if the strip is at the side of a plot, points.
     pub size: f64,
 }
 
@@ -18,18 +18,18 @@ pub struct Strip {
 pub enum Height {
     /// The rest of the figure.
     Rest,
-    /// So many points.
+    /// Height in points.
     Points(f64),
 }
 
-/// A plot with its axes.
+/// Plot with its axes.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Plot {
     /// Horizontal axis.
     pub x: Axis,
     /// Vertical axis.
     pub y: Axis,
-    /// Its items, the lowest first.
+    /// Items of the plot, the lowest first.
     pub items: Vec<Item>,
     /// Strip above, which shares the horizontal axis.
     pub above: Option<Strip>,
@@ -37,7 +37,7 @@ pub struct Plot {
     pub beside: Option<Strip>,
     /// Text above its right end, such as a count of values beyond its axes.
     pub remark: Option<String>,
-    /// Lines of text that stand above the plot, such as those of quantiles.
+    /// Lines of text above the plot, such as those of quantiles.
     pub lines_above: usize,
     /// Height in a file.
     pub height: Height,
@@ -46,18 +46,18 @@ pub struct Plot {
 }
 
 impl Plot {
-    /// An empty plot.
+    /// Returns an empty plot.
     pub fn new(x: Axis, y: Axis) -> Self {
         let (items, above, beside, remark) = (Vec::new(), None, None, None);
         Self { x, y, items, above, beside, remark, lines_above: 0, height: Height::Rest, free: 0.0 }
     }
 
-    /// Returns where two values lie, in the units of the axes.
+    /// Returns the place of two values, in the units of the axes.
     pub fn at(&self, x: f64, y: f64) -> At {
         At::new(self.x.scale.at(x), self.up(y))
     }
 
-    /// Returns how far from above a value of the vertical axis lies, as a share.
+    /// Returns the distance of a value of the vertical axis from the top, as a share.
     pub fn up(&self, y: f64) -> f64 {
         1.0 - self.y.scale.at(y)
     }
@@ -72,23 +72,23 @@ pub struct Table {
     pub lines: Vec<(String, Vec<String>)>,
 }
 
-/// A figure.
+/// Figure of one or more plots.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Figure {
     /// Title.
     pub title: String,
     /// Entries for all that differs by colour, mark or dash.
     pub legend: Vec<Key>,
-    /// Sentences for the text beside the figure: how to read it, numbers of values, what is left out.
+    /// Sentences for the figure's text file: how to read it, numbers of values, what is left out.
     pub notes: Vec<String>,
-    /// From above to below. Without one the figure says that there are no values.
+    /// Plots from top to bottom. Without one the figure says that there are no values.
     pub plots: Vec<Plot>,
     /// Key to numbers in the plots.
     pub table: Table,
 }
 
 impl Figure {
-    /// The caption in the picture, one line: the title and how many values there are.
+    /// Returns the caption in the picture, one line: the title and the number of values.
     pub fn caption(&self) -> String {
         let parts = self.notes.iter().flat_map(|note| note.split(" · "));
         match parts.into_iter().find(|part| part.starts_with("n = ")) {
@@ -97,7 +97,7 @@ impl Figure {
         }
     }
 
-    /// All that is to be said of the figure, for the text beside it: title, axes, legend, notes, each in a line.
+    /// Returns the text for the figure's text file: title, axes, legend, notes, each in a line.
     pub fn words(&self) -> String {
         let mut lines = vec![self.title.clone()];
         for plot in &self.plots {

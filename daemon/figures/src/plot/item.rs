@@ -4,7 +4,7 @@ use super::path::Path;
 use crate::look::{Mark, Style, TextStyle};
 use crate::text;
 
-/// A place in a plot: shares of its width from the left and of its height from above, and points from there.
+/// Place in a plot: shares of its width from the left and of its height from the top, and an offset in points.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct At {
     /// Share from the left.
@@ -18,31 +18,31 @@ pub struct At {
 }
 
 impl At {
-    /// A place without a distance.
+    /// Returns a place without an offset.
     pub const fn new(x: f64, y: f64) -> Self {
         Self { x, y, dx: 0.0, dy: 0.0 }
     }
 
-    /// A place at so many points from this one, whatever the size of the plot.
+    /// Returns the place at a distance of `dx` and `dy` points from this one, for a plot of any size.
     #[must_use]
     pub fn aside(self, dx: f64, dy: f64) -> Self {
         Self { dx: self.dx + dx, dy: self.dy + dy, ..self }
     }
 }
 
-/// Point of a text that stands at its place.
+/// Point of a text that lies at its place.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Anchor {
-    /// Its beginning.
+    /// Beginning of the text.
     Start,
-    /// Its middle.
+    /// Middle of the text.
     Middle,
-    /// Its end.
+    /// End of the text.
     End,
 }
 
 impl Anchor {
-    /// As in SVG.
+    /// Returns the name in SVG.
     pub const fn name(self) -> &'static str {
         match self {
             Self::Start => "start",
@@ -52,53 +52,53 @@ impl Anchor {
     }
 }
 
-/// A line of text.
+/// Line of text.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Label {
-    /// Its place.
+    /// Place of the text.
     pub at: At,
-    /// From there to its baseline, in its type size: to the right and downwards.
+    /// Offset from there to its baseline, in its type size: to the right and downwards.
     pub shift: (f64, f64),
-    /// The point of it that stands there.
+    /// Point of the text that lies at the place.
     pub anchor: Anchor,
     /// The text.
     pub words: String,
     /// Look.
     pub style: TextStyle,
-    /// Width of the picture from which on a page shows it, rem; always where it is 0, never where it is `None`.
+    /// Minimum width of the picture at which a page shows it, rem; 0 for always, `None` for never.
     pub from: Option<u16>,
 }
 
-/// Downwards from a place to the baseline of text in the middle of whose capitals it lies.
+/// Distance from a place down to the baseline of text whose capitals have their middle at the place.
 const MIDDLE: f64 = 0.36;
 
 impl Label {
-    /// A text that begins at a place and whose middle has its height.
+    /// Returns a text that begins at a place and is vertically centred on it.
     pub fn new(at: At, words: impl Into<String>, style: TextStyle) -> Self {
         let words = words.into();
         Self { at, shift: (0.0, MIDDLE), anchor: Anchor::Start, words, style, from: Some(0) }
     }
 
-    /// The same with another point of it at its place.
+    /// Returns the same text with another point of it at its place.
     #[must_use]
     pub fn anchored(self, anchor: Anchor) -> Self {
         Self { anchor, ..self }
     }
 
-    /// The same so far from its place, in its type size, to the right and downwards to the baseline.
+    /// Returns the same text moved from its place, in its type size, to the right and downwards to the baseline.
     #[must_use]
     pub fn shifted(self, right: f64, down: f64) -> Self {
         Self { shift: (right, down), ..self }
     }
 
-    /// The same shown on pages only in pictures in which it takes at most this share of the width.
+    /// Returns the same text, shown only in pictures in which it takes at most this share of the width. This applies to pages.
     #[must_use]
     pub fn fits_within(self, share: f64) -> Self {
         let from = text::width_step(text::rem(&self.words) / share.max(1e-9));
         Self { from, ..self }
     }
 
-    /// Its left end, top, right end and bottom in points from its place, for a type size.
+    /// Returns its left end, top, right end and bottom in points from its place, for a type size.
     pub fn extent(&self, size: f64) -> [f64; 4] {
         let wide = text::width(&self.words, size);
         let left = match self.anchor {
@@ -114,70 +114,71 @@ impl Label {
 /// Something that is drawn in a plot.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Item {
-    /// A rectangle between two corners. In a file it is at least so many points wide and high, so that what is there is seen.
+    /// Rectangle between two corners. In a file it has a minimum width and height in points, so that it is visible.
     Rect {
         /// Any corner.
         from: At,
-        /// The corner across.
+        /// Opposite corner.
         to: At,
-        /// Least width and height in a file.
+        /// Minimum width and height in a file.
         least: (f64, f64),
         /// Look.
         style: Style,
     },
-    /// A straight line.
+    /// Straight line.
     Line {
-        /// One end.
+        /// First end.
         from: At,
-        /// The other.
+        /// Second end.
         to: At,
         /// Look.
         style: Style,
     },
     /// Lines and areas of many points.
     Path {
-        /// Its course.
+        /// Path to draw.
         path: Path,
         /// Look.
         style: Style,
     },
-    /// A point.
+    /// Point with a mark.
     Mark {
-        /// Its middle.
+        /// Middle of the mark.
         at: At,
-        /// Its shape.
+        /// Shape of the mark.
         mark: Mark,
         /// Points.
         radius: f64,
         /// Look.
         style: Style,
     },
-    /// A text.
+    /// Line of text.
     Text(Label),
 }
 
 impl Item {
-    /// A rectangle of any size.
+    /// Returns a rectangle of any size.
     pub fn rect(from: At, to: At, style: Style) -> Self {
         Self::Rect { from, to, least: (0.0, 0.0), style }
     }
 
-    /// A straight line.
+    /// Returns a straight line.
     pub fn line(from: At, to: At, style: Style) -> Self {
         Self::Line { from, to, style }
     }
 
-    /// A path.
+    /// Returns a path.
     pub fn path(path: Path, style: Style) -> Self {
         Self::Path { path, style }
     }
 
-    /// A point.
+    /// Returns a point.
     pub fn mark(at: At, mark: Mark, radius: f64, style: Style) -> Self {
         Self::Mark { at, mark, radius, style }
     }
 
-    /// An upright whisker between two places with caps of so many points to each side. A missing cap is where it leaves the plot.
+    /// Returns an upright whisker between two places, with caps of `cap` points to each side. A cap is missing where the whisker leaves the
+    /// plot.
     pub fn whisker([from, to]: [At; 2], caps: [bool; 2], cap: f64, style: &Style) -> Vec<Self> {
         let mut items = vec![Self::line(from, to, style.clone())];
         for (end, _) in [from, to].into_iter().zip(caps).filter(|(_, has)| *has) {

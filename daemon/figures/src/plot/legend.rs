@@ -2,30 +2,30 @@
 
 use crate::look::{Mark, Style};
 
-/// Sample of what an entry of a legend explains.
+/// Sample of the look that an entry of a legend explains.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Swatch {
-    /// A filled area.
+    /// Filled area.
     Area(Style),
-    /// A line.
+    /// Line alone.
     Line(Style),
-    /// A mark.
+    /// Mark alone.
     Mark(Mark, Style),
-    /// A line with a mark on it: the styles of both.
+    /// Line with a mark on it: the styles of both.
     Curve(Style, Mark, Style),
 }
 
 /// Entry of a legend.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Key {
-    /// Its sample.
+    /// Sample of the look.
     pub swatch: Swatch,
-    /// Its meaning.
+    /// Meaning of the look.
     pub text: String,
 }
 
 impl Key {
-    /// An entry.
+    /// Returns an entry.
     pub fn new(swatch: Swatch, text: impl Into<String>) -> Self {
         Self { swatch, text: text.into() }
     }

@@ -5,10 +5,10 @@
 //!                                                                              └─ sheet::file ── SVG, PNG, PDF, text
 //! ```
 //!
-//! A kind of figure is one function that makes [`Plot`]s: it chooses the scales, and puts [`Item`]s where they say that values lie.
-//! It knows neither pixels nor points: positions are shares from the left and from above ([`Plot::at`] makes them of values),
-//! and what keeps its size when the plot grows (marks, caps, distances of text) is given in points or in the type size beside the
-//! share. How an item looks is a [`Style`], which has a class for pages and literal attributes for files.
+//! A kind of figure is one function that makes [`Plot`]s: it chooses the scales, and places [`Item`]s by them. Positions are
+//! shares from the left and from the top, not pixels or points ([`Plot::at`] computes them from values). Lengths that stay the
+//! same when the plot grows (marks, caps, distances of text) are given in points or in the type size, in addition to the share.
+//! The look of an item is a [`Style`](crate::look::Style), which has a class for pages and literal attributes for files.
 //!
 //! ```
 //! use peernet_figures::look::Style;
@@ -31,7 +31,7 @@
 //!    stack, scatter, lengths, course); else a function beside the view that returns a [`Plot`] or a list of items.
 //! 2. Scales: `Scale::fit(largest, ticks)`, `Ruler::from_zero` and `Horizontal::Linear` are `Scale::linear((0, largest)).widened(ticks)`;
 //!    `Ruler::around(lo, hi, ticks)` is `Scale::linear((lo, hi)).widened(ticks)`, `both_sides` adds `.signed()`;
-//!    `Horizontal::Logarithmic` is `Scale::logarithmic`. `Scale::at` is from 0 to 1 and upwards: [`Plot::at`] turns it over.
+//!    `Horizontal::Logarithmic` is `Scale::logarithmic`. `Scale::at` is from 0 to 1 and upwards: [`Plot::at`] inverts it.
 //! 3. Paths: `pen::line`, `band`, `area`, `dots`, `whiskers` and `ticks` are the constructors of [`Path`].
 //! 4. Text that must fit: [`Label::fits_within`], measured in the font itself.
 //! 5. Draw it with [`page::plot`](crate::sheet::page::plot) (axes at both sides), [`page::picture`](crate::sheet::page::picture)

@@ -1,26 +1,26 @@
 //! Lines and areas of many points.
 
-/// A step of a path; shares of the plot's width from the left and of its height from above.
+/// Step of a path; shares of the plot's width from the left and of its height from the top.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Step {
     /// Goes there without drawing.
     Move(f64, f64),
     /// Draws a line to there.
     Line(f64, f64),
-    /// Draws a line back to where the piece began.
+    /// Draws a line back to the beginning of the piece.
     Close,
 }
 
 /// Course of a line or an outline.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Path {
-    /// Its steps.
+    /// Steps of the path.
     pub steps: Vec<Step>,
-    /// Points by which all of it is moved to the right; pages leave it where it is.
+    /// Distance by which all of it is moved to the right, points; pages ignore it.
     pub dx: f64,
 }
 
-/// A point: shares from the left and from above.
+/// Point of a path: shares from the left and from the top.
 type Point = (f64, f64);
 
 impl Path {
@@ -29,13 +29,13 @@ impl Path {
         self.steps.is_empty()
     }
 
-    /// The same moved to the right by so many points.
+    /// Returns the path moved to the right by `dx` points.
     #[must_use]
     pub fn aside(self, dx: f64) -> Self {
         Self { dx, ..self }
     }
 
-    /// The same without the points that would leave the plot when it is moved to the right by that share of its width.
+    /// Returns the same path without the points that would leave the plot when it is moved to the right by that share of its width.
     #[must_use]
     pub fn within(mut self, share: f64) -> Self {
         let inside = |x: f64| (0.0..=1.0).contains(&(x + share));
@@ -53,7 +53,7 @@ impl Path {
         Self { steps, dx: 0.0 }
     }
 
-    /// A line that stops where a value is missing; a value with none beside it becomes a dot.
+    /// Returns a line that stops at a missing value; a value without a neighbour becomes a dot.
     pub fn line(points: impl IntoIterator<Item = Option<Point>>) -> Self {
         let (mut steps, mut open, mut alone) = (Vec::new(), false, None);
         for point in points.into_iter().chain([None]) {
@@ -72,7 +72,7 @@ impl Path {
         Self::of(steps)
     }
 
-    /// The area between two lines, in pieces where a value is missing: left, upper, lower.
+    /// Returns the area between two lines, interrupted at missing values: left, upper, lower.
     pub fn band(points: impl IntoIterator<Item = Option<(f64, f64, f64)>>) -> Self {
         let mut steps = Vec::new();
         let mut piece: Vec<(f64, f64, f64)> = Vec::new();
@@ -90,19 +90,19 @@ impl Path {
         Self::of(steps)
     }
 
-    /// The area between a line and the lower end of the plot, in pieces where a value is missing.
+    /// Returns the area between a line and the lower end of the plot, interrupted at missing values.
     pub fn area(points: impl IntoIterator<Item = Option<Point>>) -> Self {
         Self::band(points.into_iter().map(|point| point.map(|(x, y)| (x, y, 1.0))))
     }
 
-    /// An area with these corners.
+    /// Returns an area with these corners.
     pub fn polygon(points: impl IntoIterator<Item = Point>) -> Self {
         let mut steps = Vec::new();
         outline(&mut steps, points);
         Self::of(steps)
     }
 
-    /// Rectangles between two corners each.
+    /// Returns rectangles between two corners each.
     pub fn rects(corners: impl IntoIterator<Item = [Point; 2]>) -> Self {
         let mut steps = Vec::new();
         for [(left, top), (right, bottom)] in corners {
@@ -111,19 +111,19 @@ impl Path {
         Self::of(steps)
     }
 
-    /// Dots: lines of no length, which a stroke with round ends makes visible.
+    /// Returns dots: lines of length zero, which a stroke with round ends makes visible.
     pub fn dots(points: impl IntoIterator<Item = Point>) -> Self {
         Self::of(points.into_iter().flat_map(|(x, y)| [Step::Move(x, y), Step::Line(x, y)]).collect())
     }
 
-    /// Upright strokes: left, upper end, lower end.
+    /// Returns upright strokes: left, upper end, lower end.
     pub fn ticks(ticks: impl IntoIterator<Item = (f64, f64, f64)>) -> Self {
         let steps =
             ticks.into_iter().flat_map(|(x, upper, lower)| [Step::Move(x, upper), Step::Line(x, lower)]);
         Self::of(steps.collect())
     }
 
-    /// Upright error bars with caps of that share of the plot's width to each side: left, upper end, lower end.
+    /// Returns upright error bars with caps of `cap` of the plot's width to each side: left, upper end, lower end.
     pub fn whiskers(points: impl IntoIterator<Item = (f64, f64, f64)>, cap: f64) -> Self {
         let steps = points.into_iter().flat_map(|(x, upper, lower)| {
             let stroke = |from: Point, to: Point| [Step::Move(from.0, from.1), Step::Line(to.0, to.1)];

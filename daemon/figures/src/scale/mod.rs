@@ -1,6 +1,6 @@
-//! Scales: where values lie along an axis, and the round numbers at which the axis is marked.
+//! Scales: positions of values along an axis, and the round numbers at which the axis is marked.
 //!
-//! A scale knows values and shares of its length, never pixels: the sheets (`crate::sheet`) turn shares into points or percent.
+//! A scale works with values and shares of its length, not with pixels: the sheets (`crate::sheet`) turn shares into points or percent.
 
 mod step;
 #[cfg(test)]
@@ -23,7 +23,7 @@ enum Spread {
     Logarithmic,
 }
 
-/// Range of values and how they are spread over a length of 1.
+/// Range of values and their positions on a length of 1.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Scale {
     lo: f64,
@@ -36,26 +36,26 @@ pub struct Scale {
     signed: bool,
 }
 
-/// A marked place of a scale.
+/// Marked place of a scale.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Tick {
     /// The value.
     pub value: f64,
-    /// Its place, from 0 to 1.
+    /// Place, from 0 to 1.
     pub at: f64,
-    /// Its label.
+    /// Label of the mark.
     pub text: String,
 }
 
 impl Scale {
-    /// Linear scale that ends exactly at these values. One value alone is given room on both sides.
+    /// Returns a linear scale that ends exactly at these values. A single value gets room on both sides.
     pub fn linear(values: (f64, f64)) -> Self {
         let (lo, hi) = held(values);
         let (lo, hi) = if hi > lo { (lo, hi) } else { room_around(lo) };
         Self { lo, hi, spread: Spread::Linear, least: 0.0, step: None, signed: false }
     }
 
-    /// Linear scale from zero, or from the smallest value where that is negative, with a little room beyond the values.
+    /// Returns a linear scale from zero, or from the smallest value if that is negative, with a little room beyond the values.
     pub fn from_zero(values: (f64, f64)) -> Self {
         let (lo, hi) = held(values);
         let (lo, hi) = (lo.min(0.0), hi.max(0.0));
@@ -68,7 +68,7 @@ impl Scale {
         Self::linear(ends)
     }
 
-    /// Logarithmic scale of values above 0.
+    /// Returns a logarithmic scale of values above 0.
     pub fn logarithmic(values: (f64, f64)) -> Self {
         let (lo, hi) = held(values);
         let lo = lo.max(LEAST);
@@ -76,19 +76,19 @@ impl Scale {
         Self { lo, hi, spread: Spread::Logarithmic, ..Self::linear((lo, hi)) }
     }
 
-    /// The same marked at whole numbers alone, for what is counted.
+    /// Returns the same scale with marks at whole numbers only, for counts.
     #[must_use]
     pub fn whole(self) -> Self {
         Self { least: 1.0, ..self }
     }
 
-    /// The same with a plus sign before labels above zero.
+    /// Returns the same scale with a plus sign before labels above zero.
     #[must_use]
     pub fn signed(self) -> Self {
         Self { signed: true, ..self }
     }
 
-    /// The same widened to the next ticks, about `ticks` steps apart. A logarithmic scale stays as it is.
+    /// Returns the same scale widened to the next ticks, about `ticks` steps apart. A logarithmic scale is not changed.
     #[must_use]
     pub fn widened(self, ticks: usize) -> Self {
         if self.spread == Spread::Logarithmic {
@@ -99,7 +99,7 @@ impl Scale {
         Self { lo, hi, step: Some(step), ..self }
     }
 
-    /// Smallest and largest value.
+    /// Returns the smallest and the largest value.
     pub fn ends(&self) -> (f64, f64) {
         (self.lo, self.hi)
     }
@@ -109,7 +109,7 @@ impl Scale {
         self.spread == Spread::Logarithmic
     }
 
-    /// Returns where a value lies, from 0 to 1; values beyond the ends lie at the ends, and what is no number at the lower one.
+    /// Returns the position of a value, from 0 to 1. Values beyond the ends are placed at the ends, and NaN at the lower end.
     pub fn at(&self, value: f64) -> f64 {
         if value.is_nan() {
             return 0.0;
@@ -121,7 +121,7 @@ impl Scale {
         }
     }
 
-    /// Returns true if a value lies on the scale.
+    /// Returns whether a value lies on the scale.
     pub fn has(&self, value: f64) -> bool {
         (self.lo..=self.hi).contains(&value)
     }
@@ -141,8 +141,8 @@ impl Scale {
         (0..=steps).map(move |step| this.between(this.lo, this.hi, f64::from(step) / f64::from(steps)))
     }
 
-    /// Returns at most about `most` marked places: round numbers. Those of a logarithmic scale are powers of ten, with 2 and 5
-    /// between them where those alone are fewer than three, and where these are, round numbers at even distances.
+    /// Returns at most about `most` marked places: round numbers. Those of a logarithmic scale are powers of ten. If these are fewer than
+    /// three, 2 and 5 times them are added; if there are still fewer than three, the places are round numbers at even distances.
     pub fn ticks(&self, most: usize) -> Vec<Tick> {
         match self.spread {
             Spread::Linear => self.even(most),
@@ -173,13 +173,13 @@ impl Scale {
         };
         let found = [marks(&[1.0]), marks(&[1.0, 2.0, 5.0])].into_iter().find(|marks| marks.len() >= 3);
         let found = found.unwrap_or_else(|| self.even(most));
-        // Many powers of ten: those between may go, evenly.
+        // If there are many powers of ten, those between are left out evenly.
         let apart = found.len().div_ceil(2 * most.max(1)).max(1);
         found.into_iter().step_by(apart).collect()
     }
 }
 
-/// Returns a range of numbers whose differences and ratios are numbers as well, so that whatever goes along it comes to an end.
+/// Returns a range of numbers whose differences and ratios are finite, so that loops along it terminate.
 fn held((lo, hi): (f64, f64)) -> (f64, f64) {
     let one = |value: f64| if value.abs() >= LEAST { value.clamp(-MOST, MOST) } else { 0.0 };
     (one(lo), one(hi))

@@ -18,22 +18,22 @@ use crate::text::{FAMILY, FONT};
 pub const PIXELS_PER_INCH: f64 = 480.0;
 /// Units of an SVG to the inch (CSS, *Values and Units*, 6.2).
 const UNITS_PER_INCH: f32 = 96.0;
-/// Bytes of a PNG's signature and header (W3C, *Portable Network Graphics*, 5.2 and 11.2.1): what tells the size of its pixels
-/// stands behind them.
+/// Bytes of a PNG's signature and header (W3C, *Portable Network Graphics*, 5.2 and 11.2.1). The chunk with the size of its pixels follows
+/// them.
 const HEADER: usize = 8 + 25;
-/// The chunk `pHYs` (ibid., 11.3.4.3): [`PIXELS_PER_INCH`] as 18,898 to the metre, and the checksum. Programs that set papers put
-/// a picture without it at the resolution of a screen.
+/// Chunk `pHYs` (ibid., 11.3.4.3): [`PIXELS_PER_INCH`] as 18,898 to the metre, and the checksum. Without it, programs that typeset papers
+/// place a picture at the resolution of a screen.
 const DENSITY: [u8; 21] = *b"\0\0\0\x09pHYs\0\0\x49\xd2\0\0\x49\xd2\x01\xa8\x45\x8a\xf8";
-/// Endings of the names of a figure's files. The text says that it is a figure's, because tables have the same names.
+/// Endings of the names of a figure's files. The text has `-caption`, because tables have the same names.
 pub const ENDINGS: [&str; 4] = [".png", ".svg", ".pdf", "-caption.txt"];
 
-/// A figure that could not be turned into another format.
+/// Error of turning a figure into another format.
 #[derive(Debug, thiserror::Error)]
 pub enum ExportError {
     /// The SVG cannot be read.
     #[error("cannot read the SVG of the figure: {0}")]
     Svg(#[from] usvg::Error),
-    /// There is no memory for so many pixels.
+    /// There is not enough memory for the pixels.
     #[error("cannot draw {0} by {1} pixels")]
     Size(u32, u32),
     /// The pixels cannot be written.
@@ -51,7 +51,7 @@ static FONTS: LazyLock<Arc<Database>> = LazyLock::new(|| {
     Arc::new(fonts)
 });
 
-/// A figure as paths and placed glyphs.
+/// Figure as paths and placed glyphs.
 pub struct Exported(usvg::Tree);
 
 /// Pixels, three bytes each, row by row.
@@ -68,7 +68,7 @@ impl Exported {
     /// Reads an SVG that [`file::svg`] made.
     ///
     /// # Errors
-    /// When it is none.
+    /// If it is no such SVG.
     pub fn of(svg: &str) -> Result<Self, ExportError> {
         let options = usvg::Options {
             dpi: UNITS_PER_INCH,
@@ -79,10 +79,10 @@ impl Exported {
         Ok(Self(usvg::Tree::from_str(svg, &options)?))
     }
 
-    /// Draws it.
+    /// Draws the figure.
     ///
     /// # Errors
-    /// When there is no memory for the pixels.
+    /// If there is not enough memory for the pixels.
     pub fn pixels(&self) -> Result<Pixels, ExportError> {
         let scale = PIXELS_PER_INCH as f32 / UNITS_PER_INCH;
         let size = self.0.size();
@@ -90,7 +90,7 @@ impl Exported {
         let mut pixmap = Pixmap::new(width, height).ok_or(ExportError::Size(width, height))?;
         resvg::render(&self.0, Transform::from_scale(scale, scale), &mut pixmap.as_mut());
         let mut rgb = pixmap.take();
-        // The ground is opaque: what is dropped says nothing. In place, because the pixels are most of the memory.
+        // The ground is opaque, so alpha can be dropped. In place, because the pixels are most of the memory.
         let count = rgb.len() / 4;
         for pixel in 0..count {
             rgb.copy_within(4 * pixel..4 * pixel + 3, 3 * pixel);
@@ -102,11 +102,11 @@ impl Exported {
     /// Makes a PNG with its resolution.
     ///
     /// # Errors
-    /// When it cannot be drawn.
+    /// If the figure cannot be drawn.
     pub fn png(&self) -> Result<Vec<u8>, ExportError> {
         let Pixels { width, height, rgb } = self.pixels()?;
         let mut png = Vec::new();
-        // Large areas of one colour: a filter would only hide that from the compression.
+        // The picture has large areas of one colour, which compress better without a filter.
         PngEncoder::new_with_quality(&mut png, CompressionType::Default, FilterType::NoFilter).write_image(
             &rgb,
             width,
@@ -120,7 +120,7 @@ impl Exported {
     /// Makes a PDF of one page that is as large as the figure, its text as text in a subset of the font.
     ///
     /// # Errors
-    /// When the exporter cannot.
+    /// If the exporter fails.
     pub fn pdf(&self) -> Result<Vec<u8>, ExportError> {
         let page = PageOptions { dpi: UNITS_PER_INCH };
         let made = svg2pdf::to_pdf(&self.0, ConversionOptions::default(), page);
@@ -128,10 +128,10 @@ impl Exported {
     }
 }
 
-/// Writes a figure into a folder as `STEM.png`, `STEM.svg`, `STEM.pdf` and, with all that is to be said of it, `STEM-caption.txt`.
+/// Writes a figure into a folder as `STEM.png`, `STEM.svg`, `STEM.pdf` and, with all notes, `STEM-caption.txt`.
 ///
 /// # Errors
-/// When it cannot be drawn or a file not be written.
+/// If the figure cannot be drawn or a file cannot be written.
 pub fn write(figure: &Figure, folder: &Path, stem: &str) -> Result<[PathBuf; 4], WriteError> {
     let files = ENDINGS.map(|ending| folder.join(format!("{stem}{ending}")));
     let svg = file::svg(figure);

@@ -1,8 +1,8 @@
-//! The sheet of a page: SVG that grows with its panel, looks given by classes.
+//! Sheet of a page: SVG that grows with its panel, looks given by classes.
 //!
-//! Plots stand in a grid of the style sheet (`.histogram`, `.joint`, …) with the classes `above`, `over`, `yaxis`, `plot`, `beside`,
-//! `xaxis` and `below`. The server does not know the width of a page: text that might not fit says from which width on it does, and
-//! the style sheet shows it from there on (`.fits.w8`, …), because a figure that is cut off is a wrong figure.
+//! Plots are laid out in a grid of the style sheet (`.histogram`, `.joint`, …) with the classes `above`, `over`, `yaxis`, `plot`, `beside`,
+//! `xaxis` and `below`. The server does not know the width of a page. So text that might not fit has the class of its minimum width
+//! (`.fits.w8`, …), and the style sheet shows it only from that width on: a clipped figure would be a wrong figure.
 
 mod draw;
 
@@ -13,13 +13,13 @@ use crate::scale::Tick;
 use crate::svg::{Em, Share, Tag, Writer};
 use crate::text::{rem, width_step};
 
-/// From the top of a plot downwards to the baseline of a remark above it, and of one inside because labels stand above; in the type
+/// Distance from the top of a plot downwards to the baseline of a remark above it, and of a remark inside if labels are above; in the type
 /// size.
 const REMARK: [f64; 2] = [-0.4, 0.9];
-/// A label this near to an end of a plot without room at its sides would reach over it.
+/// Distance from an end of a plot, as a share, below which a label would extend beyond a plot without room at its sides.
 const END: f64 = 0.04;
 
-/// Draws a plot with its axes; `class` names its grid in the style sheet, `words` say what it shows.
+/// Draws a plot with its axes; `class` is its grid in the style sheet, `words` describe it for screen readers.
 pub fn plot(plot: &Plot, class: &str, words: &str) -> String {
     let mut svg = Writer::default();
     svg.element(Tag::Div).set("class", class).set("role", "img").set("aria-label", words).open();
@@ -59,8 +59,8 @@ pub fn plot(plot: &Plot, class: &str, words: &str) -> String {
     svg.finish()
 }
 
-/// Draws items alone in one picture, such as a bar or a sparkline. Without words it is hidden from screen readers: the text beside
-/// it says the same.
+/// Draws items without axes in one picture, such as a bar or a sparkline. Without words it is hidden from screen readers, for pictures
+/// whose content is in the text beside them.
 pub fn picture(drawn: &[Item], class: &str, words: &str) -> String {
     let mut svg = Writer::default();
     let picture = svg.element(Tag::Svg).set("class", class);
@@ -73,21 +73,21 @@ pub fn picture(drawn: &[Item], class: &str, words: &str) -> String {
     svg.finish()
 }
 
-/// Draws the items on a sheet that is stretched over its picture, for [`Path`](crate::plot::Path)s alone.
+/// Draws the items on a sheet that is stretched over its picture, which is only suitable for [`Path`](crate::plot::Path)s.
 pub fn paths(drawn: &[Item], class: &str) -> String {
     let mut svg = Writer::default();
     stretched(&mut svg, class, &drawn.iter().collect::<Vec<_>>());
     svg.finish()
 }
 
-/// Draws labels in a row above bars or below a plot. Where they would touch, every second one is shown.
+/// Draws labels in a row above bars or below a plot. If they would touch, every second one is shown.
 pub fn axis(class: &str, ticks: &[Tick]) -> String {
     let mut svg = Writer::default();
     row(&mut svg, class, &ticks.iter().map(|tick| (Anchor::Middle, tick)).collect::<Vec<_>>());
     svg.finish()
 }
 
-/// The same for a picture that has no room at its sides: labels at its ends stand inside.
+/// Draws the same row for a picture that has no room at its sides: labels at its ends are inside.
 pub fn axis_within(class: &str, ticks: &[Tick]) -> String {
     let anchor = |tick: &Tick| match tick.at {
         left if left < END => Anchor::Start,
@@ -145,7 +145,7 @@ fn row(svg: &mut Writer, class: &str, labels: &[(Anchor, &Tick)]) {
     };
     hidden(svg, Tag::Svg, &format!("axisrow {class}")).open();
     for (index, this) in labels.iter().enumerate() {
-        // Each goes with all others that are divisible by the same power of two.
+        // A label is hidden together with all others whose index is divisible by the same power of two.
         let stride = if index == 0 { labels.len() } else { 1 << index.trailing_zeros() };
         let before = index.checked_sub(stride).and_then(|other| labels.get(other));
         let after = labels.get(index + stride);

@@ -2,8 +2,7 @@
 
 use super::width;
 
-/// Returns the text, or its beginning and its end around `…` where it is wider than there is room: what tells names apart is
-/// often at their end.
+/// Returns the text, or its beginning and its end around `…` if it is wider than the room: names often differ at their end.
 pub fn shorten(text: &str, size: f64, room: f64) -> String {
     if width(text, size) <= room {
         return text.to_owned();
@@ -19,8 +18,8 @@ pub fn shorten(text: &str, size: f64, room: f64) -> String {
     fits.unwrap_or_else(|| "…".to_owned())
 }
 
-/// Shortens names that stand side by side. Those that would look alike lose what they have in common at their ends instead:
-/// `…_s_…` and `…_m_…`.
+/// Shortens names that are side by side. Names that would look alike lose the text that they share at their ends instead: `…_s_…` and
+/// `…_m_…`.
 pub fn shorten_apart(names: &[&str], size: f64, room: f64) -> Vec<String> {
     let short: Vec<String> = names.iter().map(|name| shorten(name, size, room)).collect();
     let alike = |at: usize| -> Vec<&str> {
@@ -35,7 +34,7 @@ pub fn shorten_apart(names: &[&str], size: f64, room: f64) -> Vec<String> {
     short.iter().enumerate().map(apart).collect()
 }
 
-/// Returns what of a name is not in all of the others as well, with `…` for what is.
+/// Returns the parts of a name that not all of the others have, with `…` for the parts that they have.
 fn difference(name: &str, others: &[&str]) -> String {
     fn shared(a: impl Iterator<Item = char>, b: impl Iterator<Item = char>) -> usize {
         a.zip(b).take_while(|(a, b)| a == b).count()

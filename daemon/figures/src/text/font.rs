@@ -5,9 +5,9 @@ use std::sync::LazyLock;
 use peernet_sample::printable_line;
 use ttf_parser::Face;
 
-/// The font's family; files that are opened elsewhere name others behind it.
+/// Family of the font; files that are opened elsewhere name substitutes after it.
 pub const FAMILY: &str = "Inter";
-/// One weight of the dashboard's font, with the glyphs that figures use: `assets/instance.py`.
+/// Font of the dashboard in one weight, with the glyphs that figures use: `assets/instance.py`.
 pub const FONT: &[u8] = include_bytes!("../../assets/inter.ttf");
 
 /// Advance of a character that the font lacks, as a share of the type size: about that of a wide letter.

@@ -1,4 +1,4 @@
-//! Text: how wide it is in the embedded Inter, and making it fit.
+//! Text: its width in the embedded Inter, and shortening it to fit.
 
 mod fit;
 mod font;

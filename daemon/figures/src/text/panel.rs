@@ -1,7 +1,7 @@
-//! Text in pictures that grow with their panel on a page: how wide the picture must be for it.
+//! Text in pictures that grow with their panel on a page: the minimum width of the picture for it.
 //!
-//! The server does not know the width of a page. Text therefore says from which width on it fits, and the style sheet shows it
-//! from there on: a figure that is cut off is a wrong figure.
+//! The server does not know the width of a page. So the text has a class for its minimum width, and the style sheet shows it only from that
+//! width on: a clipped figure would be a wrong figure.
 
 use super::width;
 
@@ -20,7 +20,7 @@ pub fn rem(words: &str) -> f64 {
     width(words, SIZE) * HEAVIER + ABOUT
 }
 
-/// Returns the first of [`WIDTH_STEPS`] that is at least so many rem; `None` where none is.
+/// Returns the first of [`WIDTH_STEPS`] that is at least `needs` rem; `None` if all are smaller.
 pub fn width_step(needs: f64) -> Option<u16> {
     WIDTH_STEPS.into_iter().find(|step| f64::from(*step) >= needs)
 }

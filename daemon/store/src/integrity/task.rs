@@ -41,7 +41,7 @@ pub(crate) struct IntegrityCheck {
 }
 
 impl IntegrityCheck {
-    /// Starts the check. It stops all storing when it finds damage, and removes an earlier record of damage when there is none.
+    /// Starts the check. It stops all writing when it finds damage, and removes an earlier record of damage when there is none.
     pub(crate) fn start(integrity: Integrity, file: Arc<File>) -> Self {
         integrity.attach_file(&file);
         let stop = CancellationToken::new();

@@ -36,13 +36,13 @@ pub(super) fn name(what: &'static str, text: Option<&str>) -> Result<Option<Slug
     text.map(|text| parse(what, text)).transpose()
 }
 
-/// The value behind a number of the tables `source` and `verdict`, which stand in the order of declaration.
+/// Returns the value of a number of the tables `source` and `verdict`, whose rows are in the order of declaration.
 pub(super) fn known<T: Copy>(what: &'static str, all: &[T], number: u8) -> Result<T, StoreError> {
     let value = all.get(usize::from(number)).copied();
     value.ok_or_else(|| corrupt(what, format_args!("source or verdict {number}")))
 }
 
-/// What the tables `node` and `transit` hold of a one-way delay.
+/// One-way delay as the tables `node` and `transit` store it.
 pub(super) struct StoredDelay {
     pub(super) raw_ns: Option<i64>,
     pub(super) source: Option<u8>,

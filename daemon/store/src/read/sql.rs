@@ -114,7 +114,7 @@ statements! {
     /// First and last bucket: ?1 run, ?2 resolution.
     EXTENT = "SELECT (SELECT min(bucket_s) FROM rollup WHERE run = ?1 AND resolution_s = ?2), \
               (SELECT max(bucket_s) FROM rollup WHERE run = ?1 AND resolution_s = ?2)";
-    /// What was deleted: ?1 run.
+    /// Deleted data of a run: ?1 run.
     TRIMMED = "SELECT kind, before_s FROM trimmed WHERE run = ?1";
     /// ?1 run, ?2 limit.
     SLOWEST = concat!(iteration_columns!(),
@@ -130,7 +130,7 @@ statements! {
     /// last number to look at.
     WARM_UP_END = concat!(iteration_columns!(),
         "WHERE run = ?1 AND number BETWEEN 1 AND ?2 AND +warm_up = 0 ORDER BY number LIMIT 1");
-    /// How many iterations without an answer, counted up to a limit: ?1 run, ?2 limit.
+    /// Number of iterations without an answer, counted up to a limit: ?1 run, ?2 limit.
     COUNT_WITHOUT_ANSWER = "SELECT count(*) FROM (SELECT 1 FROM iteration INDEXED BY iteration_without_answer \
                             WHERE run = ?1 AND number > 0 AND outcome <> 0 LIMIT ?2)";
     /// The first number without an answer in each part of a run: ?1 run, ?2 the parts' first and last numbers, a JSON array
@@ -190,7 +190,7 @@ statements! {
                CROSS JOIN host ON host.id = anchor.host \
                WHERE anchor.run = ?1 AND anchor.iteration IN (SELECT value FROM json_each(?2)) \
                ORDER BY anchor.iteration, anchor.position";
-    /// How many are slower, as far as a thousand: ?1 run, ?2 total.
+    /// Number of slower iterations, up to a thousand: ?1 run, ?2 total.
     SLOWER = "SELECT count(*) FROM (SELECT 1 FROM iteration WHERE run = ?1 AND warm_up = 0 AND outcome = 0 \
               AND total IS NOT NULL AND total > ?2 LIMIT 1000)";
     /// The next slower one, in the order of `SLOWEST`: ?1 run, ?2 total, ?3 number.
@@ -235,13 +235,13 @@ statements! {
     CLOCK_PARTS = concat!("SELECT (SELECT json_group_array(json_array(", clock_columns!("CAST(", " AS INTEGER)"),
         ")) FROM clock_sample WHERE link = ?1 AND at_ns BETWEEN part.value ->> 0 AND part.value ->> 1) \
          FROM json_each(?2) AS part");
-    /// A link's windows in the order of their arrival; the last one goes on: ?1 link, ?2 from, ?3 to.
+    /// A link's windows in the order of their arrival; the last one may continue: ?1 link, ?2 from, ?3 to.
     CLOCK_WINDOW_ORDER = "SELECT window, first_ns, \
                           iif(id = (SELECT max(id) FROM clock_window WHERE link = ?1), 9223372036854775807, last_ns) AS last_ns \
                           FROM clock_window WHERE link = ?1 AND first_ns <= ?3 \
                           AND (last_ns >= ?2 OR id = (SELECT max(id) FROM clock_window WHERE link = ?1)) ORDER BY id";
-    /// What the windows of all links of an edge over a network rest on, in the order of their arrival: ?1 edge, ?2 network, ?3 from,
-    /// ?4 to.
+    /// Assumptions of the windows of all links of an edge over a network, in the order of their arrival: ?1 edge, ?2 network, ?3 from, ?4
+    /// to.
     ASSUMED_WINDOWS = "SELECT link.cloud, first_ns, last_ns, clocks, max_drift_ppm, max_drift_change_ppm_per_s, claims_trusted, probes_authenticated \
                        FROM link CROSS JOIN clock_window ON clock_window.link = link.id \
                        WHERE link.edge = ?1 AND link.network = ?2 AND first_ns <= ?4 AND last_ns >= ?3 \
@@ -292,7 +292,7 @@ statements! {
                      AND (upper_sent_ns IS NOT NULL OR lower_sent_ns IS NOT NULL) \
                      AND (coalesce(clocks, 2) = 2 OR at_raw_ns IS NOT NULL) \
                      GROUP BY window, coalesce(clocks, 2) ORDER BY first_ns LIMIT ?4";
-    /// What one window of wall clocks was given, a page of it: ?1 link, ?2 window, ?3 after, ?4 limit.
+    /// Exchanges of one window of wall clocks, a page of them: ?1 link, ?2 window, ?3 after, ?4 limit.
     CLOCK_EXCHANGES = concat!("SELECT at_ns AS time_ns, ", exchange_columns!(),
         " FROM clock_sample WHERE link = ?1 AND window = ?2 AND at_ns > ?3 AND max_drift_ppm IS NOT NULL \
          ORDER BY at_ns LIMIT ?4");

@@ -1,4 +1,4 @@
-//! What a run is judged by, from its roll-ups.
+//! Input of a run's judgement, from its roll-ups.
 
 use peernet_analysis::accuracy::{ACCURACIES, Accuracy, UNKNOWN_LABEL, UnknownLabels};
 use peernet_analysis::rows::LATENESS;

@@ -21,7 +21,7 @@ const LARGE: [(&str, &[&str]); 7] = [
     ("clock_sample", &["link=? AND at_ns", "link=? AND window=? AND at_raw_ns"]),
 ];
 
-/// Questions that look up less on purpose, with what stands in for it.
+/// Statements that read more than they return on purpose, with the reason why that is bounded.
 const EXCEPTIONS: [(&str, &str, &str); 4] = [
     ("SHAPES", "node", "the nodes of a few thousand iterations, from one number to another"),
     ("RUN_EXTENT", "iteration", "the first and the last row of the run, LIMIT 1"),
@@ -54,7 +54,7 @@ async fn plan(test_store: &TestStore, name: &str, statement: &str) -> Vec<String
     steps.into_iter().map(|(_, _, _, step)| step).collect()
 }
 
-/// What is wrong with a plan, and which exceptions it needed.
+/// Returns the faults of a plan, and the exceptions that it needed.
 fn judged(name: &str, steps: &[String]) -> (Vec<String>, HashSet<String>) {
     let (mut faults, mut needed) = (Vec::new(), HashSet::new());
     for step in steps {
@@ -115,7 +115,7 @@ async fn a_question_that_reads_a_whole_run_or_sorts_is_found() {
     }
 }
 
-/// Each statement of the readers stands in `sql.rs`, so that the test above sees it.
+/// Each statement of the readers is in `sql.rs`, so that the test above checks it.
 #[test]
 fn no_question_is_asked_elsewhere() {
     let read = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("src/read");

@@ -17,7 +17,7 @@ pub struct ExperimentSummary {
     pub name: String,
     /// Runs that began.
     pub runs: u64,
-    /// Of them those that have not ended.
+    /// Number of them that have not ended.
     pub open: u64,
     /// The number of its first run.
     pub oldest: i64,
@@ -61,7 +61,7 @@ pub struct StageMeans {
     pub buckets: Vec<MeanBucket>,
 }
 
-/// What is known of one bucket without its sketch.
+/// Summary of one bucket without its sketch.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MeanBucket {
     /// Its begin, on the edge's wall clock; a multiple of the bucket's width.

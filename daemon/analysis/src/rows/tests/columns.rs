@@ -1,4 +1,4 @@
-//! Which number stands under which name.
+//! Tests of the columns that numbers are stored in.
 
 use peernet_clock::Span;
 use peernet_logger::{Measure, Name, stage};

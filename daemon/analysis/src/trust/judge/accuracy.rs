@@ -1,4 +1,4 @@
-//! Whether every answer was judged right or wrong, where some were.
+//! Judgement of the scores: some answers were scored as right or wrong and others were not.
 
 use peernet_statistics::number::fixed;
 use peernet_stream::Grade;
@@ -7,11 +7,11 @@ use super::{advise, iterations, percent, say};
 use crate::accuracy::Accuracy;
 use crate::trust::{Finding, TrustInput};
 
-/// A sentence where an accuracy is not that of all iterations; accuracies that lack as many share one.
+/// Returns a finding for each accuracy that is not of all iterations; accuracies that lack the same number share one.
 pub(super) fn sentences(input: &TrustInput) -> Vec<Finding> {
     let foreign = input.unknown_labels.as_ref().map_or(0, |unknown| unknown.count);
-    // Name, how many lack a score for another reason than their label, of how many.
     let lacking = |accuracy: &Accuracy| accuracy.unscored.saturating_sub(foreign);
+    // Names, number of iterations without a score for another reason than their label, number of all.
     let mut partial: Vec<(Vec<&str>, u64, u64)> = Vec::new();
     for (name, accuracy) in input.accuracy.iter().filter(|(_, accuracy)| lacking(accuracy) > 0) {
         match partial.iter_mut().find(|(_, other, _)| *other == lacking(accuracy)) {
@@ -34,7 +34,8 @@ pub(super) fn sentences(input: &TrustInput) -> Vec<Finding> {
     unknown(input).into_iter().chain(partial.into_iter().map(sentence)).collect()
 }
 
-/// What cannot be scored for its label. Where nothing was scored no accuracy is given, and nothing is wrong with the rest.
+/// Returns the finding about iterations that cannot be scored because of their label. If no iteration was scored, no accuracy is given, and
+/// the other figures are not affected.
 fn unknown(input: &TrustInput) -> Option<Finding> {
     let unknown = input.unknown_labels.as_ref()?;
     let grade = if input.accuracy.is_empty() { Grade::Unknown } else { Grade::Doubtful };

@@ -1,4 +1,4 @@
-//! How well the one-way delays are known. The total does not depend on it: it is measured on the edge alone.
+//! Judgement of the one-way delays. The total does not depend on them, because it is measured on the edge alone.
 
 use peernet_clock::Verdict;
 use peernet_statistics::number::{bound_ms, milliseconds};

@@ -1,4 +1,5 @@
-//! What was found of the hosts before the run: what is as it should be in one sentence per host, the rest one by one.
+//! Judgement of the conditions of the hosts before the run: one sentence per host for all that are as they should be, one sentence for each
+//! other condition.
 
 use peernet_stream::{Condition, Grade};
 

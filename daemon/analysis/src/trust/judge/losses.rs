@@ -1,4 +1,4 @@
-//! Whether everything is there.
+//! Judgement of missing measurements.
 
 use peernet_statistics::number::{counted, fixed, significant};
 use peernet_stream::Grade;
@@ -8,13 +8,13 @@ use crate::trust::{Counts, EndedEarly, Finding, Missing, Starts, TrustInput};
 
 /// Samples below which no 95th percentile is given anywhere in PEERNet.
 const FEW: u64 = 60;
-/// Shares of iterations without an answer, and of starts that were skipped, that are mentioned, and that make the latency
-/// of the others a half truth.
+/// Shares of iterations without an answer, and of skipped starts: from the first on they are mentioned, from the second on the
+/// latency of the others is misleading.
 const NOTED: f64 = 0.001;
 const MANY: f64 = 0.1;
-/// Share of missing events from which on nobody can tell what the missing ones were like.
+/// Share of missing events from which on the received ones do not represent the missing ones.
 const HOLES: f64 = 0.05;
-/// Share of what was ordered below which a run is another run than the one that was meant.
+/// Share of the ordered iterations below which a run is too short to represent the ordered one.
 const HALF: f64 = 0.5;
 
 pub(super) fn sentences(input: &TrustInput) -> Vec<Finding> {
@@ -33,7 +33,7 @@ pub(super) fn sentences(input: &TrustInput) -> Vec<Finding> {
     all
 }
 
-/// A run that is not, or not yet, what was ordered; nothing about one that is.
+/// Returns the finding about a run that is shorter than ordered, or not finished; `None` if it is complete.
 fn end(input: &TrustInput) -> Option<Finding> {
     if input.open {
         return Some(say(
@@ -113,7 +113,7 @@ fn answered(counts: &Counts) -> Finding {
     }
 }
 
-/// Nothing about a closed loop.
+/// Returns the finding about the starts of an open loop; `None` for a closed loop.
 fn kept(starts: &Starts) -> Option<Finding> {
     let about = "skipped starts";
     let ordered = starts.hz.map(significant);

@@ -27,7 +27,7 @@ pub(super) fn sentences(input: &TrustInput) -> Vec<Finding> {
     all
 }
 
-/// A sentence without advice.
+/// Returns a finding without advice.
 fn say(about: &str, grade: Grade, text: impl Into<String>) -> Finding {
     Finding { about: about.to_owned(), grade, text: text.into(), advice: String::new() }
 }
@@ -36,7 +36,7 @@ fn advise(sentence: Finding, advice: impl Into<String>) -> Finding {
     Finding { advice: advice.into(), ..sentence }
 }
 
-/// A share as per cent with two significant digits: `0.12 %`, `3.4 %`, `56 %`, `<0.01 %`.
+/// Formats a share as per cent with two significant digits: `0.12 %`, `3.4 %`, `56 %`, `<0.01 %`.
 fn percent(share: f64) -> String {
     let value = share * 100.0;
     let decimals = match value.abs() {
@@ -48,12 +48,12 @@ fn percent(share: f64) -> String {
     format!("{}\u{202f}%", fixed(value, decimals))
 }
 
-/// Seconds as milliseconds with three significant digits: `16.1 ms`.
+/// Formats seconds as milliseconds with three significant digits: `16.1 ms`.
 fn ms(seconds: f64) -> String {
     format!("{}\u{202f}ms", significant(seconds * 1e3))
 }
 
-/// `1 iteration`, `2 iterations`.
+/// Returns the number with its noun: `1 iteration`, `2 iterations`.
 fn iterations(count: u64) -> String {
     counted(count, "iteration")
 }

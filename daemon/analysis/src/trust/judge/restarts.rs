@@ -1,4 +1,4 @@
-//! Whether successful iterations waited for a process that had died before them.
+//! Judgement of restarts: successful iterations that waited for a process that had died before them.
 
 use peernet_statistics::number::fixed;
 use peernet_stream::Grade;
@@ -6,12 +6,12 @@ use peernet_stream::Grade;
 use super::{advise, iterations, ms, percent, say};
 use crate::trust::{Finding, Restarts, TrustInput};
 
-/// What restarts may hold of all totals together: as outliers may of the mean.
+/// Share of the sum of all totals that restarts may take; equal to the limit for outliers in the mean.
 const INFLUENCE: f64 = 0.05;
-/// So many iterations are named.
+/// Maximum number of iterations that are named.
 const NAMED: usize = 5;
 
-/// A sentence for each process that was started anew; none where none was.
+/// Returns one finding for each process that was restarted.
 pub(super) fn sentences(input: &TrustInput) -> Vec<Finding> {
     let all = input.total.as_ref().map_or(0.0, |total| total.mean * input.counts.ok as f64);
     let of = |restarts: &Restarts| {
@@ -32,7 +32,7 @@ pub(super) fn sentences(input: &TrustInput) -> Vec<Finding> {
     input.restarts.iter().map(of).collect()
 }
 
-/// ` (numbers 9, 14)`; nothing where they are not known.
+/// Returns ` (numbers 9, 14)`; empty if the numbers are not known.
 fn named(numbers: &[u64]) -> String {
     if numbers.is_empty() {
         return String::new();

@@ -1,4 +1,4 @@
-//! Whether the run stayed what it was: trend, beginning, outliers, and what no stage accounts for.
+//! Judgement of a run's stability: trend, beginning, outliers, and time that no stage accounts for.
 
 use peernet_statistics::number::{counted, fixed, significant};
 use peernet_stream::Grade;
@@ -9,19 +9,19 @@ use crate::trust::{Finding, TimeSeries, TrustInput};
 
 /// Change of the median between the halves, as a share of the first, that makes one figure for the whole run meaningless.
 const STRONG_DRIFT: f64 = 0.2;
-/// A change that no figure shows.
+/// Relative change that is too small to be visible in a figure.
 const SAME: f64 = 0.000_5;
-/// A trend that chance makes more often than this is none.
+/// Probability above which a trend is attributed to chance.
 const CHANCE: f64 = 0.05;
-/// What the first iterations may take longer than the rest.
+/// Share by which the first iterations may take longer than the rest.
 const COLD: f64 = 0.1;
-/// What outliers may add to the mean.
+/// Share of the mean that outliers may add.
 const INFLUENCE: f64 = 0.05;
 /// Share of the total that no stage accounts for, and below which it does not matter, seconds.
 const UNEXPLAINED: f64 = 0.05;
 const MOSTLY_UNEXPLAINED: f64 = 0.25;
 const TOO_SHORT_TO_MATTER: f64 = 100e-6;
-/// Iterations from which on a course tells something.
+/// Minimum number of iterations for a judgement of the series.
 const ENOUGH: u64 = 100;
 
 pub(super) fn sentences(input: &TrustInput) -> Vec<Finding> {
@@ -32,8 +32,8 @@ pub(super) fn sentences(input: &TrustInput) -> Vec<Finding> {
     all
 }
 
-/// Why a run does not tell something of its course. One of enough iterations lies in too few buckets: those of a dashboard
-/// last a second at least, and where a clock was set meanwhile so long that they hold the whole time that it left out.
+/// Returns the reason why a run is too short for a judgement of its series. A run of enough iterations can have too few buckets: those of a
+/// dashboard last a second at least, and after a step of a clock they can be so long that they contain the whole skipped time.
 fn too_little(total: &TimeSeries, whether: &str) -> String {
     if total.count < ENOUGH {
         return format!("The run is too short to tell whether {whether}: that takes {ENOUGH} iterations.");
@@ -141,8 +141,8 @@ fn outliers(total: &TimeSeries) -> Finding {
     advise(say(about, Grade::Doubtful, text), advice)
 }
 
-/// Lateness and the wait for a model's new process are measured, although they are no stages, and have sentences of their
-/// own: what is left is what nothing accounts for.
+/// Returns the finding about time that nothing accounts for. Lateness and the wait for a model's new process are subtracted: they are
+/// measured, although they are not stages, and have separate findings.
 fn explained(unattributed: f64, input: &TrustInput, total: &TimeSeries) -> Finding {
     let about = "unattributed";
     let waits = input.restarts.iter().filter(|restarts| restarts.is_beside_stages());
@@ -168,7 +168,7 @@ fn explained(unattributed: f64, input: &TrustInput, total: &TimeSeries) -> Findi
     advise(say(about, grade, text), advice)
 }
 
-/// What waiting for earlier iterations adds: it counts, and nothing is wrong with it.
+/// Returns the finding about the wait for earlier iterations. This wait belongs to the total and is not a defect.
 fn late(seconds: f64, total: &TimeSeries) -> Finding {
     let share = if total.mean > 0.0 { seconds / total.mean } else { 0.0 };
     let text = format!(
@@ -179,7 +179,7 @@ fn late(seconds: f64, total: &TimeSeries) -> Finding {
     say("lateness", Grade::Good, text)
 }
 
-/// From one to the other, as a share of the first.
+/// Returns the change from one value to the other, as a share of the first.
 fn change(from: f64, to: f64) -> f64 {
     if from > 0.0 { to / from - 1.0 } else { 0.0 }
 }

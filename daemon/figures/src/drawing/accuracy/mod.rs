@@ -1,4 +1,4 @@
-//! How often answers are right against how long they take.
+//! Accuracy against latency.
 
 mod numbers;
 
@@ -15,30 +15,30 @@ const CAP: f64 = 1.4;
 /// Radius of a point, with the rim that parts it from its neighbours, points.
 const RADIUS: f64 = 2.1;
 const RIM: f64 = 0.4;
-/// From this ratio of the largest to the smallest latency on, the axis is logarithmic.
+/// Ratio of the largest to the smallest latency from which on the axis is logarithmic.
 const WIDE: f64 = 12.0;
 /// Room beyond the intervals, percentage points.
 const ROOM: f64 = 2.0;
-/// Whiskers across lie on one another where their accuracies differ by less than this share of the axis.
+/// Difference of accuracies, as a share of the axis, below which horizontal whiskers overlap.
 const SAME: f64 = 0.03;
 
-/// One configuration.
+/// Accuracy and latency of one configuration.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Score {
-    /// What it is, for the key.
+    /// Name of the configuration, for the key.
     pub label: String,
-    /// How many answers were right.
+    /// Number of right answers.
     pub right: u64,
-    /// Of how many.
+    /// Number of scored answers.
     pub count: u64,
     /// Median latency, seconds.
     pub median: f64,
-    /// The 95th percentile, seconds; `None` of few values.
+    /// 95th percentile, seconds; `None` for few values.
     pub p95: Option<f64>,
 }
 
 impl Score {
-    /// Right answers with their 95 % interval: low, share, high, in per cent. `None` without an answer.
+    /// Returns the share of right answers with its 95 % interval: low, share, high, in per cent. `None` without an answer.
     fn accuracy(&self) -> Option<[f64; 3]> {
         let accuracy::Accuracy { share, interval: (low, high), .. } =
             accuracy::Accuracy::of_counts(self.right, self.count, 0)?;
@@ -50,20 +50,20 @@ impl Score {
     }
 }
 
-/// A numbered point for each configuration, and a key to the numbers below.
+/// Figure with a numbered point for each configuration, and a key to the numbers below.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Accuracy {
-    /// What is shown.
+    /// Title of the figure.
     pub title: String,
-    /// The horizontal axis: a latency.
+    /// Unit of the horizontal axis: a latency.
     pub unit: Unit,
-    /// The points; those without an answer or of no latency are left out.
+    /// Points of the figure; those without an answer or without a latency are left out.
     pub scores: Vec<Score>,
-    /// What is left out and so on.
+    /// Notes below the figure, such as what is left out.
     pub notes: Vec<String>,
 }
 
-/// A point: itself, how far up and down its interval goes, where its 95th percentile is. Shares of the plot.
+/// Point with the extent of its interval up and down, and the place of its 95th percentile. Shares of the plot.
 struct Spot {
     at: At,
     interval: (f64, f64),
@@ -76,12 +76,12 @@ impl Accuracy {
         finite.filter_map(|score| Some((score, score.accuracy()?)))
     }
 
-    /// From the lowest to the highest end of the intervals, per cent.
+    /// Returns the lowest and the highest end of the intervals, per cent.
     fn heights(&self) -> Option<(f64, f64)> {
         self.shown().map(|(_, [low, _, high])| (low, high)).reduce(join)
     }
 
-    /// Whether there are whiskers across: all or, where two would lie on one another, none.
+    /// Returns whether there are horizontal whiskers: at all points, or at none if two would overlap.
     fn has_whiskers(&self) -> bool {
         let Some((low, high)) = self.heights() else { return false };
         let near = (high - low + 2.0 * ROOM) * SAME;
@@ -108,7 +108,7 @@ impl Accuracy {
             .shown()
             .map(|(score, _)| (score.median * self.unit.per_si, late(score) * self.unit.per_si))
             .reduce(join)?;
-        // So little beyond 100 that it is not marked: points at the end are whole.
+        // The axis ends a little above 100, so that points there are complete, but below the next mark.
         let edge = (high - low).max(1.0) * 0.04;
         let shares = Scale::linear(((low - ROOM).max(-edge), (high + ROOM).min(100.0 + edge)));
         let across = if slow > fast * WIDE {
@@ -132,7 +132,7 @@ impl Accuracy {
         self.shown().map(spot).collect()
     }
 
-    /// The key to the numbers.
+    /// Returns the key to the numbers.
     fn table(&self) -> Table {
         let has_late = self.shown().any(|(score, _)| score.late().is_some());
         let show = |value: f64| significant(value * self.unit.per_si);

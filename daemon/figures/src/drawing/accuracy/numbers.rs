@@ -1,4 +1,4 @@
-//! The numbers of the points, each where it lies on nothing, with a thin line to its point where it is not beside it.
+//! Numbers of the points, each placed without overlap, with a thin line to its point if it is not next to it.
 
 use super::{CAP, RADIUS, Spot};
 use crate::look::{INK_2, Style, TextStyle};
@@ -8,21 +8,21 @@ use crate::text::width;
 
 /// Half the height of a number, points.
 const HALF: f64 = 3.6;
-/// From a point to its number, points.
+/// Distance from a point to its number, points.
 const GAP: f64 = RADIUS + 0.9;
-/// Between two numbers, so that they are not read as one, points.
+/// Minimum distance between two numbers, so that they are not read as one, points.
 const APART: f64 = 2.1;
 /// Points that are nearer to each other have their numbers on the sides that look away.
 const NEAR: f64 = 13.5;
-/// Height above the plot that numbers may take, beside the title of its axis, points.
+/// Height above the plot that numbers may use, next to the title of its axis, points.
 const ABOVE: f64 = 11.0;
-/// Between a number and what limits it, points.
+/// Minimum distance between a number and the limit of its area, points.
 const EDGE: f64 = 0.6;
 
 /// Left, top, right, bottom; points.
 type Rect = [f64; 4];
 
-/// A point and its whiskers on the paper, points.
+/// Point with its whiskers in the file's coordinates, points.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Placed {
     at: (f64, f64),
@@ -65,7 +65,7 @@ impl Placed {
         Self { at: area.point(spot.at), interval: (y(spot.interval.0), y(spot.interval.1)), p95 }
     }
 
-    /// What the point and its whiskers take.
+    /// Returns the areas of the point and its two whiskers.
     fn boxes(&self) -> [Rect; 3] {
         let ((x, y), (bottom, top)) = (self.at, self.interval);
         [
@@ -75,7 +75,7 @@ impl Placed {
         ]
     }
 
-    /// Whether a place is as near to another one as to this: the number would be read as that one's.
+    /// Returns whether a place is at least as near to another point as to this one: the number would be read as that one's.
     fn is_farther(&self, place: &Rect, all: &[Self]) -> bool {
         let to =
             |spot: &Self| spot.boxes().iter().map(|area| between(place, area)).fold(f64::INFINITY, f64::min);
@@ -83,7 +83,7 @@ impl Placed {
         all.iter().any(|other| !std::ptr::eq(other, self) && other.at != self.at && to(other) <= own)
     }
 
-    /// The side away from most of its neighbours: 1 to the right, −1 to the left.
+    /// Returns the side with fewer neighbours: 1 to the right, −1 to the left.
     fn side(&self, all: &[Self]) -> f64 {
         let near = all.iter().filter(|other| {
             let apart = (other.at.0 - self.at.0, other.at.1 - self.at.1);
@@ -93,7 +93,7 @@ impl Placed {
         if right > 0.0 { -1.0 } else { 1.0 }
     }
 
-    /// Where its number may stand, the best first: around the point, nearer before farther, that side before the other.
+    /// Returns the places for the point's number, the best first: around the point, nearer before farther, the given side before the other.
     fn places(&self, wide: f64, side: f64) -> impl Iterator<Item = Rect> {
         let ((x, y), half) = (self.at, wide / 2.0);
         let around = [(0, -1), (1, -1), (-1, -1), (1, 0), (-1, 0), (1, 1), (-1, 1), (0, 1)];
@@ -108,13 +108,13 @@ impl Placed {
     }
 }
 
-/// How far two areas are apart, in the direction in which they are farther.
+/// Returns the distance of two areas, in the direction in which they are farther apart.
 fn between(a: &Rect, b: &Rect) -> f64 {
     let gap = |low: usize| (a[low] - b[low + 2]).max(b[low] - a[low + 2]).max(0.0);
     gap(0).max(gap(1))
 }
 
-/// The first place on the plot that lies on nothing and is not astray; else the one that lies on least.
+/// Returns the first place on the plot without an overlap and near enough to the point, or else the place with the smallest overlap.
 fn free(
     places: impl Iterator<Item = Rect>,
     (within, taken): (Rect, &[Rect]),

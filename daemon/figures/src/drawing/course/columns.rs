@@ -1,19 +1,19 @@
-//! Many values over time as few columns of pixels.
+//! Reduction of many values over time to few columns of pixels.
 
 use peernet_analysis::order::Ordered;
 
-/// What lies in one column.
+/// Values in one column of pixels.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Column {
-    /// Which column, from the left.
+    /// Index of the column, from the left.
     pub(super) number: usize,
     pub(super) min: f64,
     pub(super) median: f64,
     pub(super) max: f64,
 }
 
-/// The values of each column that has some, from left to right. `from` and `to` are the ends of all columns together;
-/// what is no number or lies outside is left out.
+/// Returns the columns that have values, from left to right. `from` and `to` are the ends of all columns together; values that are NaN or
+/// lie outside are left out.
 pub(super) fn columns(values: &[(f64, f64)], (from, to): (f64, f64), count: usize) -> Vec<Column> {
     let inside = |(at, value): &&(f64, f64)| value.is_finite() && (from..=to).contains(at);
     let place = |at: f64| (((at - from) / (to - from) * count as f64) as usize).min(count.saturating_sub(1));

@@ -1,4 +1,4 @@
-//! How a run went: latency over time, with episodes, warm-up and whatever had no answer.
+//! Figure of a run over time: latency, with episodes, warm-up and iterations without an answer.
 
 mod columns;
 
@@ -13,48 +13,48 @@ use peernet_analysis::order::Ordered;
 
 /// Columns that a line has at most.
 const COLUMNS: usize = 290;
-/// Height of the rail that holds what had no answer, points.
+/// Height of the rail that shows iterations without an answer, points.
 const RAIL: f64 = 6.0;
 /// Half the width of a cross on the rail, and of a mark on a line, points.
 const CROSS: f64 = 1.7;
 const RADIUS: f64 = 1.7;
-/// How many marks a line has at most.
+/// Maximum number of marks on a line.
 const MARKS: usize = 7;
-/// Between the marks of so many lines there is room.
+/// Number of lines whose marks are shifted against each other, so that they do not overlap.
 const STAGES: usize = 4;
-/// A line is broken where so many columns have no value.
+/// Minimum number of consecutive columns without a value at which a line is broken.
 const GAP: f64 = 12.0;
-/// From how many episodes on their borders would be all that is seen.
+/// Number of episodes from which on their borders would hide everything else.
 const MOST_BORDERS: usize = 30;
-/// Least width of a stretch of warm-up, points.
+/// Minimum width of a stretch of warm-up, points.
 const SEEN: f64 = 0.6;
 
 /// Latencies over time. SI units; times are those of the horizontal axis.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Course {
-    /// What is shown.
+    /// Title of the figure.
     pub title: String,
-    /// The horizontal axis: `Time since the start, s`, `Iteration`.
+    /// Title of the horizontal axis: `Time since the start, s`, `Iteration`.
     pub x: String,
-    /// Whether it holds numbers of iterations instead of times.
+    /// `true` if it contains numbers of iterations instead of times.
     pub is_counted: bool,
-    /// The vertical axis.
+    /// Unit of the vertical axis.
     pub unit: Unit,
     /// The total: the range of each column, and its median.
     pub total: Line,
     /// Stages, shown as medians.
     pub stages: Vec<Line>,
-    /// From when to when was warm-up.
+    /// Periods of warm-up, from and to.
     pub warm_up: Vec<(f64, f64)>,
-    /// When episodes began, but for the first.
+    /// Beginnings of episodes, except the first.
     pub episodes: Vec<f64>,
-    /// When there was no answer.
+    /// Times of iterations without an answer.
     pub unanswered: Vec<f64>,
-    /// What is left out and so on.
+    /// Notes below the figure, such as what is left out.
     pub notes: Vec<String>,
 }
 
-/// A quantity over time.
+/// Line of a quantity over time.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Line {
     /// The stage, or `total`.
@@ -79,7 +79,7 @@ impl Course {
             range(&line.values.iter().map(|(_, value)| *value).filter(|v| v.is_finite()).collect::<Ordered>())
         };
         let total = of(&self.total);
-        // A stage is a part of the total: what of it lies beyond the total's range is an outlier as well.
+        // A stage is a part of the total, so its values beyond the total's range are outliers as well.
         let most = total.map_or(f64::INFINITY, |(_, most)| most);
         let stages = self.stages.iter().filter_map(of).map(|(lo, hi)| (lo, hi.min(most)));
         stages.chain(total).reduce(|a, b| (a.0.min(b.0), a.1.max(b.1)))
@@ -153,14 +153,14 @@ impl Course {
         warm_up.chain(borders).collect()
     }
 
-    /// A line of medians; that of the total, which is no stage of a number, has a band of its range.
+    /// Returns a line of medians; that of the total, which is not a numbered stage, has a band of its range.
     fn line(&self, plot: &Plot, line: &Line, number: Option<usize>) -> Vec<Item> {
         let columns = columns(&line.values, plot.x.scale.ends(), COLUMNS);
         let x = |column: &Column| (column.number as f64 + 0.5) / COLUMNS as f64;
         let y = |value: f64| plot.up(value * self.unit.per_si);
         let steps: Ordered =
             columns.windows(2).map(|pair| (pair[1].number - pair[0].number) as f64).collect();
-        // Few values are far from each other, and no gap is between them.
+        // Few values are far from each other, which is not a gap.
         let gap = (4.0 * steps.median().unwrap_or_default()).max(GAP);
         let pieces = || columns.chunk_by(|a, b| (b.number - a.number) as f64 <= gap);
         let medians = pieces()
@@ -175,7 +175,7 @@ impl Course {
         };
         let look = stage(&line.name);
         let mut items = vec![Item::path(medians, look.line(0.9))];
-        // Aside from those of other stages, so that none hides another.
+        // Marks are shifted against those of other stages, so that none hides another.
         let apart = (COLUMNS / MARKS).max(1);
         for group in columns.chunk_by(|a, b| a.number / apart == b.number / apart) {
             if let Some(column) = group.get(group.len() * (number + 1) / (STAGES + 1)) {
@@ -190,13 +190,13 @@ impl Course {
         items
     }
 
-    /// Iterations without an answer, above the plot.
+    /// Returns the strip above the plot with the iterations without an answer.
     fn rail(&self, plot: &Plot) -> Option<Strip> {
         if self.unanswered.is_empty() {
             return None;
         }
         let mut items = vec![Item::line(At::new(0.0, 0.5), At::new(1.0, 0.5), Style::grid())];
-        // Those that would lie on one another are one.
+        // Iterations without an answer in the same column become one mark.
         let place = |at: &f64| (plot.x.scale.at(*at) * COLUMNS as f64) as usize;
         let mut places: Vec<usize> = self.unanswered.iter().map(place).collect();
         places.sort_unstable();
@@ -208,7 +208,7 @@ impl Course {
         Some(Strip { items, size: RAIL })
     }
 
-    /// `12 beyond 90 ms`: how many iterations leave the plot.
+    /// Returns the number of iterations outside of the plot: `12 beyond 90 ms`.
     fn remark(&self, end: f64) -> Option<String> {
         let most = end / self.unit.per_si;
         let beyond = self.total.values.iter().filter(|(_, value)| *value > most).count();

@@ -1,36 +1,35 @@
-//! How values are counted into bins.
+//! Bins of a histogram.
 
 use peernet_analysis::order::Ordered;
 
-/// Fewest and most bins.
+/// Minimum and maximum number of bins.
 const FEWEST: usize = 8;
 const MOST: usize = 60;
-/// Most values that are cut at an end: one in a hundred, or of fewer values three, but never more than one in eight.
+/// Limits of the values that are cut at an end: one in a hundred, or of fewer values three, but never more than one in eight.
 const RARE: usize = 100;
 const FEW: usize = 3;
 const FEW_OF: usize = 8;
-/// What lies within so much more than the width of the rest is not cut.
+/// Values are only cut off if showing them would make the axis wider than the rest by more than this factor.
 const WORTH: f64 = 1.5;
-/// Tukey's far fence: so many interquartile ranges beyond the quartile.
+/// Tukey's far fence: distance from the quartile in interquartile ranges.
 const FAR: f64 = 3.0;
 
 /// Counted values.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Bins {
-    /// Where the first bin begins.
+    /// Lower end of the first bin.
     pub from: f64,
-    /// How wide each is.
+    /// Width of a bin.
     pub width: f64,
-    /// How many values are in each; a value on a border is in the upper one, the largest in the last.
+    /// Number of values in each bin; a value on a border is in the upper bin, the largest value in the last bin.
     pub counts: Vec<u64>,
-    /// How many are below the first and above the last.
+    /// Number of values below the first and above the last bin.
     pub beyond: (u64, u64),
 }
 
 impl Bins {
-    /// Bins of the width of Freedman and Diaconis (1981), twice the interquartile range over the cube root of the
-    /// count, between 8 and 60 of them. The outliers of a tail that would squeeze the rest stay outside. `None` without a
-    /// finite value.
+    /// Returns bins of the width of Freedman and Diaconis (1981), twice the interquartile range over the cube root of the count, between 8
+    /// and 60 of them. The outliers of a tail that would squeeze the rest stay outside. `None` without a finite value.
     pub fn of(values: &Ordered) -> Option<Self> {
         let finite: Ordered = values.values().iter().copied().filter(|value| value.is_finite()).collect();
         let (lo, hi) = range(&finite)?;
@@ -40,7 +39,7 @@ impl Bins {
             1
         } else {
             let bins = (hi - lo) / (2.0 * middle_half / n.cbrt());
-            // All but a few values equal: there is no width to go by.
+            // If all but a few values are equal, the interquartile range gives no width.
             if bins.is_finite() { (bins.ceil() as usize).clamp(FEWEST, MOST) } else { MOST }
         };
         let width = if lo == hi { lo.abs().max(f64::MIN_POSITIVE) / 50.0 } else { (hi - lo) / count as f64 };
@@ -59,7 +58,7 @@ impl Bins {
         Some(this)
     }
 
-    /// Where the last bin ends.
+    /// Returns the upper end of the last bin.
     pub fn to(&self) -> f64 {
         self.from + self.width * self.counts.len() as f64
     }
@@ -69,29 +68,29 @@ impl Bins {
         self.from + self.width * number as f64
     }
 
-    /// Where a bin begins and ends.
+    /// Returns the two ends of a bin.
     pub fn bin(&self, number: usize) -> (f64, f64) {
         (self.edge(number), self.edge(number + 1))
     }
 
-    /// How many values are in the fullest bin.
+    /// Returns the number of values in the fullest bin.
     pub fn highest(&self) -> u64 {
         self.counts.iter().copied().max().unwrap_or_default()
     }
 }
 
-/// What a picture of the values shows: all of them, but for what would squeeze the rest. That is what lies beyond the far
-/// fence of Tukey (*Exploratory Data Analysis*, 1977), three interquartile ranges beyond the quartile, and beyond the range
-/// of all but 1 % (with fewer than 400 values, all but three; with fewer than 24, all but one in eight) by more than
-/// half its width. `None` without values.
+/// Returns the range of values that a figure shows: all of them, except tails that would squeeze the rest. A value is in such a tail if it
+/// lies beyond the far fence of Tukey (*Exploratory Data Analysis*, 1977), three interquartile ranges beyond the quartile, and beyond the
+/// range of all but 1 % (with fewer than 400 values, all but three; with fewer than 24, all but one in eight) by more than half its width.
+/// `None` without values.
 pub(in crate::drawing) fn range(all: &Ordered) -> Option<(f64, f64)> {
     let values = all.values();
     let (lo, hi) = (*values.first()?, *values.last()?);
     let most = (values.len() / RARE).max((values.len() / FEW_OF).min(FEW));
-    // Ranks, not interpolated quantiles: those would be pulled by the very value that is to be cut.
+    // Ranks, not interpolated quantiles, because those would depend on the value that is to be cut.
     let (low, high) = (values[most], values[values.len() - 1 - most]);
     let width = high - low;
-    // All but a few values equal: there is no width to go by.
+    // If all but a few values are equal, there is no width to compare with.
     if most == 0 || width <= 0.0 || !width.is_finite() {
         return Some((lo, hi));
     }

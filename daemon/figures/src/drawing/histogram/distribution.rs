@@ -6,17 +6,17 @@ use crate::plot::{Anchor, At, Axis, Item, Label, Plot, Unit};
 use crate::scale::Scale;
 use crate::text::width;
 
-/// Share of the plot that the only bar takes.
+/// Share of the plot that a single bar fills.
 const ALONE: f64 = 0.1;
-/// Least width and height of a bar in a file, points: one iteration in ten thousand is seen.
+/// Minimum width and height of a bar in a file, points: one iteration in ten thousand is visible.
 const SEEN: (f64, f64) = (0.4, 0.45);
-/// From a line to its label and between labels, in their type size.
+/// Distance from a line to its label and between labels, in their type size.
 const ASIDE: f64 = 0.3;
 /// Distance between two lines of labels, and of the lowest from the plot, in their type size.
 const LINE: f64 = 1.3;
 const FIRST: f64 = 0.4;
 
-/// Two ways to look at a distribution.
+/// View of a distribution: two are possible.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum View {
     /// Samples in each bin.
@@ -26,7 +26,7 @@ pub enum View {
     Cumulative,
 }
 
-/// A distribution of which counts are known, such as those of a sketch or of [`Bins`](super::Bins); the same for pages and files.
+/// Distribution with known counts, such as those of a sketch or of [`Bins`](super::Bins); the same for pages and files.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Distribution {
     /// Edges of the bins, SI units: one more than there are counts.
@@ -39,7 +39,7 @@ pub struct Distribution {
     pub quantiles: Vec<(&'static str, f64)>,
     /// Quantity and unit.
     pub unit: Unit,
-    /// The stage whose colour the bars have.
+    /// Stage that determines the colour of the bars.
     pub stage: Stage,
     /// Meaning of the bars.
     pub view: View,
@@ -66,7 +66,7 @@ impl Distribution {
         (end(self.edges.first()), end(self.edges.last()))
     }
 
-    /// One value alone stands in the middle, not all over the plot.
+    /// Returns the axis of values. If all values are equal, their bar is in the middle and does not fill the plot.
     fn across(&self) -> Axis {
         let ((from, to), per_si) = (self.ends(), self.unit.per_si);
         let middle = f64::midpoint(from, to) * per_si;
@@ -83,7 +83,7 @@ impl Distribution {
             View::Counts => {
                 let most = self.counts.iter().copied().max().unwrap_or_default() as f64;
                 let scale = if self.is_logarithmic {
-                    // A bin of one sample is seen.
+                    // The axis begins below 1, so that a bin of one sample is visible.
                     Scale::logarithmic((0.5, most.max(10.0)))
                 } else {
                     Scale::from_zero((0.0, most))
@@ -94,7 +94,7 @@ impl Distribution {
         }
     }
 
-    /// Height of each bar, in the unit of the vertical axis.
+    /// Returns the height of each bar, in the unit of the vertical axis.
     fn heights(&self) -> Vec<f64> {
         let all = self.counts.iter().sum::<u64>() + self.beyond.0 + self.beyond.1;
         let running = self.counts.iter().scan(self.beyond.0, |sum, count| {
@@ -114,7 +114,7 @@ impl Distribution {
             let (mut from, mut to) =
                 (plot.at(edges[0] * self.unit.per_si, low), plot.at(edges[1] * self.unit.per_si, height));
             if self.counts.len() == 1 {
-                // As wide for zero, which has no width to go by, as for any other value.
+                // A single value is drawn with the same width whether it is zero or not.
                 (from.x, to.x) = (0.5 - ALONE / 2.0, 0.5 + ALONE / 2.0);
             }
             Item::Rect { from, to, least: SEEN, style: style.clone() }
@@ -122,10 +122,10 @@ impl Distribution {
         self.edges.windows(2).zip(self.heights()).filter(|(_, height)| *height > 0.0).map(bar).collect()
     }
 
-    /// The lines of quantiles with their labels above the plot, and how many lines of text those take.
+    /// Returns the lines of quantiles with their labels above the plot, and the number of lines of text that the labels need.
     fn marks(&self, plot: &Plot) -> (Vec<Item>, usize) {
         let (from, to) = self.ends();
-        // One value alone has no spread.
+        // A single value has no spread.
         let spread = if self.counts.len() == 1 { 0.0 } else { to - from };
         let mut ends: Vec<(usize, f64)> = Vec::new();
         let mut placed = Vec::new();
@@ -139,7 +139,7 @@ impl Distribution {
                 _ => Anchor::Start,
             };
             let left = if anchor == Anchor::End { x - wide } else { x };
-            // A label that would run into one before it goes to the next line.
+            // A label that would overlap one before it moves to the next line.
             let row = (0..).find(|row| !ends.iter().any(|(known, end)| known == row && left < *end));
             let row = row.unwrap_or_default();
             ends.push((row, left + wide));

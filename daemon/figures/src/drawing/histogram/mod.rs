@@ -1,4 +1,4 @@
-//! How one quantity is distributed.
+//! Distribution of one quantity.
 
 mod bins;
 mod distribution;
@@ -17,18 +17,18 @@ use peernet_analysis::order::Ordered;
 /// Width of a plot in a file, in the type size of its labels.
 const EMS: f64 = 31.0;
 
-/// A histogram with its median and its 95th and 99th percentiles.
+/// Histogram with its median and its 95th and 99th percentiles.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Histogram {
-    /// What it is of.
+    /// Title of the figure.
     pub title: String,
-    /// What stands along the horizontal axis.
+    /// Unit of the horizontal axis.
     pub unit: Unit,
-    /// The stage whose colour the bars have.
+    /// Stage that determines the colour of the bars.
     pub stage: String,
     /// The values, SI units.
     pub values: Ordered,
-    /// How many values there are, what is left out and so on.
+    /// Notes below the figure, such as the number of values and what is left out.
     pub notes: Vec<String>,
 }
 

@@ -1,18 +1,17 @@
-//! A smooth picture of how values are spread.
+//! Kernel density of values.
 
 use peernet_analysis::order::Ordered;
 
 /// Places for each width of the kernel, so that no hill falls between two of them.
 const PER_WIDTH: f64 = 4.0;
-/// Least and most places.
+/// Minimum and maximum number of places.
 const FEWEST: usize = 24;
 const MOST: usize = 768;
-/// Values are counted into so many cells first, so that it does not matter how many there are.
+/// Number of cells that values are counted into first, so that the cost does not depend on the number of values.
 const CELLS: usize = MOST;
 
-/// Places between `lo` and `hi` and how dense the values are there, the densest place being 1: a Gaussian kernel of
-/// Silverman's width, 0.9 · min(s, IQR / 1.34) · n^−1/5 (*Density Estimation*, 1986, equation 3.31). Empty where all
-/// values are equal.
+/// Returns places between `lo` and `hi` with the density of the values there, the densest place being 1: a Gaussian kernel of Silverman's
+/// width, 0.9 · min(s, IQR / 1.34) · n^−1/5 (*Density Estimation*, 1986, equation 3.31). Empty if all values are equal.
 pub(super) fn density(values: &Ordered, (lo, hi): (f64, f64)) -> Vec<(f64, f64)> {
     let finite = || values.values().iter().filter(|value| value.is_finite() && (lo..=hi).contains(value));
     let n = finite().count() as f64;
@@ -20,7 +19,7 @@ pub(super) fn density(values: &Ordered, (lo, hi): (f64, f64)) -> Vec<(f64, f64)>
     let cell = (hi - lo) / CELLS as f64;
     let mut cells = [0_u32; CELLS];
     finite().for_each(|value| cells[(((value - lo) / cell) as usize).min(CELLS - 1)] += 1);
-    // Narrower than a cell would fall between the cells.
+    // A kernel that is narrower than a cell would fall between the cells.
     let width = width.max(cell);
     let steps = ((PER_WIDTH * (hi - lo) / width).ceil() as usize).clamp(FEWEST, MOST);
     let at = |step: usize| lo + (hi - lo) * step as f64 / steps as f64;
@@ -40,7 +39,7 @@ fn kernel(values: &Ordered, n: f64) -> Option<f64> {
     let middle_half = (values.quantile(0.75)? - values.quantile(0.25)?) / 1.34;
     let mean = values.values().iter().sum::<f64>() / n;
     let s = (values.values().iter().map(|value| (value - mean).powi(2)).sum::<f64>() / (n - 1.0)).sqrt();
-    // Half of the values equal: the quartiles say nothing of the rest.
+    // If half of the values are equal, the quartiles do not describe the rest.
     let spread = if middle_half > 0.0 { middle_half.min(s) } else { s };
     let width = 0.9 * spread * n.powf(-0.2);
     (width.is_finite() && width > 0.0).then_some(width)

@@ -1,4 +1,4 @@
-//! One quantity here and there: the same model on the robot and in the cloud, side by side.
+//! Figure of one quantity in two places: the same model on the robot and in the cloud, side by side.
 
 mod density;
 
@@ -24,45 +24,45 @@ const RADIUS: f64 = 1.8;
 const WIDEST: f64 = 0.09;
 /// Room above the largest value, of the range.
 const ABOVE: f64 = 0.12;
-/// From the plot to the baseline of the counts, points.
+/// Distance from the plot to the baseline of the counts, points.
 const COUNT: f64 = 9.5;
-/// Up to how many values each is drawn.
+/// Number of values up to which each is drawn as a point.
 const MOST_POINTS: usize = 60;
-/// Room for single points above the axis' range, below what is written there.
+/// Room for single points above the axis' range, below the text at the top, as a factor.
 const NEAR: f64 = 1.05;
-/// From this ratio of the largest to the smallest median on, the axis is logarithmic.
+/// Ratio of the largest to the smallest median from which on the axis is logarithmic.
 const WIDE: f64 = 30.0;
-/// Most sides that can be told apart.
+/// Maximum number of sides that a reader can distinguish.
 pub const MOST_SIDES: usize = 4;
-/// Most groups that a column has room for.
+/// Maximum number of groups that fit into the width of a column.
 pub const MOST_GROUPS: usize = 12;
 
 /// Distributions side by side, in groups.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Paired {
-    /// What is shown.
+    /// Title of the figure.
     pub title: String,
-    /// What stands along the vertical axis.
+    /// Unit of the vertical axis.
     pub unit: Unit,
-    /// What is side by side in each group: at most four.
+    /// Names of the sides in each group: at most four.
     pub sides: Vec<String>,
-    /// One for each model: at most twelve.
+    /// One group for each model: at most twelve.
     pub groups: Vec<Group>,
-    /// What is left out and so on.
+    /// Notes below the figure, such as what is left out.
     pub notes: Vec<String>,
 }
 
-/// A group: one model.
+/// Group of one model.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Group {
-    /// Its name.
+    /// Name of the model.
     pub name: String,
-    /// The values of each side, SI units; empty where there are none.
+    /// Values of each side, SI units; empty if there are none.
     pub values: Vec<Ordered>,
 }
 
 impl Group {
-    /// `2.5 ×`: the first side's median over the second's, where there are two.
+    /// Returns the first side's median over the second's, `2.5 ×`, if there are two sides.
     fn ratio(&self) -> Option<String> {
         let [first, second] = self.values.as_slice() else { return None };
         let (first, second) = (first.median()?, second.median()?);
@@ -71,7 +71,7 @@ impl Group {
 }
 
 impl Paired {
-    /// Sentences that say how to read the figure.
+    /// Returns sentences on how to read the figure.
     fn reading(&self) -> Vec<String> {
         let mut notes = self.notes.clone();
         if !self.has_room_for_counts() {
@@ -100,7 +100,7 @@ impl Paired {
         notes
     }
 
-    /// Whether the count of each distribution has room below it.
+    /// Returns whether there is room for the count below each distribution.
     fn has_room_for_counts(&self) -> bool {
         let sides = self.groups.iter().map(|group| group.values.len()).max().unwrap_or(1);
         let room = ACROSS * 0.9 / (self.groups.len() * sides).max(1) as f64 - 1.8;
@@ -108,11 +108,11 @@ impl Paired {
         all.into_iter().all(|values| width(&n_of(values), SMALL) <= room)
     }
 
-    /// What the axis holds: every distribution but for tails that would squeeze the rest.
+    /// Returns the range of the axis: every distribution, except tails that would squeeze the rest.
     fn shown(&self) -> Option<(f64, f64)> {
         let ends = |values: &Ordered| {
             let (lo, hi) = range(values)?;
-            // A single point above zero squeezes nothing from below.
+            // A single point above zero is shown however low it is.
             let least = values.values().first().copied().filter(|least| *least > 0.0);
             Some((least.filter(|_| values.len() <= MOST_POINTS).unwrap_or(lo), hi))
         };
@@ -120,7 +120,7 @@ impl Paired {
         all.reduce(|a, b| (a.0.min(b.0), a.1.max(b.1))).filter(|(lo, hi)| lo.is_finite() && hi.is_finite())
     }
 
-    /// Whether an even axis would press most of it onto its base: then the axis is logarithmic.
+    /// Returns whether a linear axis would squeeze most of it onto its base: then the axis is logarithmic.
     fn is_wide(&self) -> bool {
         let medians = self.groups.iter().flat_map(|group| &group.values).filter_map(Ordered::median);
         let medians: Ordered = medians.collect();
@@ -128,7 +128,7 @@ impl Paired {
         self.shown().is_some_and(|(lo, _)| lo > 0.0) && ends.is_some_and(|(lo, hi)| *hi >= WIDE * lo)
     }
 
-    /// The largest value that is shown of some: single points as far as the axis goes, shapes without their tails.
+    /// Returns the largest value that is shown of a distribution: single points up to the end of the axis, shapes without their tails.
     fn highest(&self, values: &Ordered) -> Option<f64> {
         let (_, hi) = range(values)?;
         if values.len() > MOST_POINTS {
@@ -138,13 +138,13 @@ impl Paired {
         values.values().iter().rev().copied().find(|value| *value <= most * NEAR)
     }
 
-    /// How many values are above what is shown of them.
+    /// Returns the number of values above the range that is shown of them.
     fn beyond(&self, values: &Ordered) -> usize {
         let count = |highest| values.values().iter().filter(|value| **value > highest).count();
         self.highest(values).map_or(0, count)
     }
 
-    /// How many values are below what is shown of them.
+    /// Returns the number of values below the range that is shown of them.
     fn below(&self, values: &Ordered) -> usize {
         let lowest = if values.len() > MOST_POINTS { range(values) } else { self.shown() };
         let count = |(lowest, _)| values.values().iter().filter(|value| **value < lowest).count();
@@ -168,7 +168,7 @@ impl Paired {
             let lowest = self.shown().map_or(lo, |(lowest, _)| lowest);
             let is_shown = |value: &&f64| **value >= lowest && highest.is_some_and(|most| **value <= most);
             for (number, value) in values.values().iter().filter(is_shown).enumerate() {
-                // Spread evenly to the sides, so that each is seen; the same every time.
+                // Points are spread to the sides by the golden ratio, so that each is visible and the figure is reproducible.
                 let aside = (number as f64 * 0.618_034).fract() - 0.5;
                 let at = At::new(middle + aside * half, y(*value));
                 items.push(Item::mark(at, look.mark, RADIUS, look.shape()));
@@ -191,7 +191,7 @@ impl Paired {
         }
         let above = self.beyond(values);
         if let Some(highest) = highest.filter(|_| above > 0) {
-            // Clear of the highest point.
+            // The label must not touch the highest point.
             let at = At::new(middle, y(highest)).aside(0.0, -3.0);
             let label = Label::new(at, format!("+{}", fixed(above as f64, 0)), TextStyle::BEYOND);
             items.push(Item::Text(label.anchored(Anchor::Middle).shifted(0.0, 0.0)));
@@ -200,14 +200,14 @@ impl Paired {
     }
 }
 
-/// The density of the logarithms: as wide as it is dense on a logarithmic axis.
+/// Returns the density of the logarithms, which is the width of the shape on a logarithmic axis.
 fn log_density(values: &Ordered, (lo, hi): (f64, f64)) -> Vec<(f64, f64)> {
     let logarithms: Ordered =
         values.values().iter().filter(|value| **value > 0.0).map(|value| value.ln()).collect();
     density(&logarithms, (lo.ln(), hi.ln())).into_iter().map(|(at, dense)| (at.exp(), dense)).collect()
 }
 
-/// `n = 1,200`
+/// Returns the count: `n = 1,200`.
 fn n_of(values: &Ordered) -> String {
     format!("n = {}", fixed(values.len() as f64, 0))
 }
@@ -231,7 +231,7 @@ impl Paired {
     fn scale(&self, (lo, hi): (f64, f64)) -> Scale {
         let (lo, hi) = (lo * self.unit.per_si, hi * self.unit.per_si);
         if self.is_wide() {
-            // Room for the ratios above, as below.
+            // A logarithmic axis needs the same room for the ratios above, as a factor.
             let room = (hi / lo).powf(ABOVE);
             Scale::logarithmic((lo / room.sqrt(), hi * room))
         } else {

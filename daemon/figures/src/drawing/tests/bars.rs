@@ -96,7 +96,7 @@ fn stacked(bars: Vec<(&str, [f64; 3], Option<f64>)>) -> Stacked {
     }
 }
 
-/// The areas of a stage, without the key's.
+/// Returns the areas of a stage, without the key's.
 fn areas(svg: &str, stage: &str) -> Elements {
     let mut areas = Elements::of(svg, "rect").with("fill", &colour(stage));
     areas.0.remove(0);

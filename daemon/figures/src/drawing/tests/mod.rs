@@ -1,4 +1,4 @@
-//! Figures as drawn: what stands in the SVG, and where.
+//! Tests of drawn figures: the contents of the SVG and their places.
 
 mod bars;
 mod curves;
@@ -31,7 +31,7 @@ impl Elements {
         Self(svg.split(&format!("<{tag} ")).skip(1).map(element).collect())
     }
 
-    /// Those with a value of an attribute, whatever the case.
+    /// Returns the elements with a value of an attribute, in any case of letters.
     fn with(mut self, attribute: &str, value: &str) -> Self {
         self.0
             .retain(|element| element.get(attribute).is_some_and(|found| found.eq_ignore_ascii_case(value)));
@@ -43,7 +43,7 @@ impl Elements {
     }
 }
 
-/// The texts of an SVG.
+/// Returns the texts of an SVG.
 fn texts(svg: &str) -> Vec<String> {
     let parts = svg.split("<text ").skip(1).filter_map(|part| part.split('>').nth(1)?.split('<').next());
     parts.map(|text| text.trim().to_owned()).collect()
@@ -53,12 +53,12 @@ fn has(svg: &str, wanted: &str) -> bool {
     texts(svg).iter().any(|text| text == wanted)
 }
 
-/// The value of `fill` of a stage.
+/// Returns the value of `fill` of a stage.
 fn colour(name: &str) -> String {
     stage(name).colour.light.to_string()
 }
 
-/// A kind's value, as drawn.
+/// Figure of a kind, as drawn.
 trait Draw {
     fn layout(&self) -> Figure;
 
@@ -66,7 +66,7 @@ trait Draw {
         file::svg(&self.layout())
     }
 
-    /// The text beside the figure.
+    /// Returns the text of the figure's text file.
     fn words(&self) -> String {
         self.layout().words()
     }
@@ -88,15 +88,14 @@ fn millis(values: impl IntoIterator<Item = f64>) -> Ordered {
     values.into_iter().map(|value| value / 1e3).collect()
 }
 
-/// Width and height of a picture, points.
+/// Returns width and height of a picture, points.
 fn size(svg: &str) -> (f64, f64) {
     let size = svg.split("viewBox=\"0 0 ").nth(1).and_then(|rest| rest.split('"').next()).expect("a size");
     let (width, height) = size.split_once(' ').expect("two numbers");
     (width.parse().expect("a number"), height.parse().expect("a number"))
 }
 
-/// No number of a figure is lost between the layout and the paper: all that is drawn lies on it, every text is whole, large enough
-/// and in the font.
+/// Asserts that everything that is drawn lies on the paper, and that every text is complete, large enough and in the font.
 fn assert_on_paper(svg: &str) {
     let (width, height) = size(svg);
     for (tag, along, across) in
@@ -166,7 +165,7 @@ fn names_cannot_break_a_file() {
     assert_on_paper(&svg);
 }
 
-/// Every character that a text of a figure is made with has a glyph.
+/// Every character in the texts of figures has a glyph.
 #[test]
 fn the_font_has_every_sign_of_figures() {
     for source in [

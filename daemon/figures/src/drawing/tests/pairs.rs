@@ -22,7 +22,7 @@ fn paired(groups: Vec<Vec<Ordered>>) -> Paired {
 fn many_values_are_a_shape_and_few_are_points() {
     let figure = paired(vec![vec![hill(50.0, 400), hill(20.0, 400)], vec![hill(90.0, 9), hill(30.0, 0)]]);
     let svg = figure.svg();
-    // Two shapes of hundreds of corners.
+    // The two shapes have hundreds of corners.
     let shapes = Elements::of(&svg, "path").0.into_iter().filter(|path| path["d"].len() > 300);
     assert_eq!(shapes.count(), 2, "{svg}");
     // Nine points, the legend's, and two medians with their rims.
@@ -60,7 +60,7 @@ fn long_names_of_models_stay_apart() {
 
 #[test]
 fn a_shape_is_whole_however_narrow_its_hills_are() {
-    // A hill of 0.4 ms, another one, and a few values up to far above.
+    // The values are a peak of 0.4 ms, a second one, and a few values far above.
     let hill = |from: f64, n: u32| (0..n).map(move |i| from + 0.4 * (f64::from(i) + 0.5) / f64::from(n));
     let far: Ordered =
         millis(hill(2.0, 150).chain(hill(9.0, 60)).chain([20.0, 30.0, 40.0, 40.1, 40.2, 41.0]));
@@ -74,7 +74,7 @@ fn a_shape_is_whole_however_narrow_its_hills_are() {
     let is_dark = |row: &[u8]| {
         row[from - 60..from + 60].chunks_exact(3).any(|pixel| pixel.iter().all(|part| *part < 0xc8))
     };
-    // Below the caption.
+    // The rows begin below the caption.
     let rows: Vec<usize> = (250..picture.height as usize - 170)
         .filter(|y| is_dark(&picture.rgb[y * row..(y + 1) * row]))
         .collect();
@@ -101,7 +101,7 @@ fn what_leaves_a_shape_is_counted() {
     assert!(figure.words().contains("+ above: so many values are larger than shown"), "{}", figure.words());
 }
 
-/// Height of a text.
+/// Returns the height of a text.
 fn height(svg: &str, wanted: &str) -> f64 {
     let element = svg.split("<text ").find(|element| element.contains(&format!(">{wanted}<")));
     let y = element.and_then(|element| element.split(" y=\"").nth(1)?.split('"').next());

@@ -25,7 +25,7 @@ fn scaling(line: Option<(f64, f64)>, whisker: Option<f64>) -> Scaling {
     }
 }
 
-/// Heights of the series' level lines.
+/// Returns the heights of the series' level lines.
 fn levels(svg: &str) -> Vec<f64> {
     let lines = Elements::of(svg, "path").with("stroke", "#d55e00");
     let points = |line: &HashMap<String, String>| -> Vec<f64> {

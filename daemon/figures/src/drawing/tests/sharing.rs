@@ -36,7 +36,7 @@ fn the_axis_is_marked_at_whole_edges_that_were_measured() {
         "{x:?}"
     );
     assert!(((y[0] - y[3]) - 7.0 * (y[0] - y[1])).abs() < 0.3, "{y:?}");
-    // From all in favour of one edge to all alike.
+    // The cases range from all answers for one edge to equal shares.
     assert!(y[4] < y[5] && y[5] < y[6] && y[6] < y[7] && y[4] > y[0], "{y:?}");
     assert_on_paper(&svg);
 }

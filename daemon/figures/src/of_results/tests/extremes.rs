@@ -1,11 +1,11 @@
-//! Numbers that nobody measured.
+//! Tests of impossible numbers.
 
 use super::*;
 
 const TIMES: [&str; 6] = ["sensing", "upload", "inference", "download", "total", "stages-total"];
 const OTHERS: [&str; 5] = ["upload-bytes", "upload-logger-bytes", "download-bytes", "top-1", "x-tokens"];
 
-/// Whatever it measured is `odd` from a row on.
+/// Returns a run all of whose measurements are `odd` from row `from` on.
 fn odd(odd: f64, from: u64) -> Loaded {
     let mut run = run(60, |number| {
         let ordinary = TIMES.map(|name| (name, 10.0)).into_iter();

@@ -1,4 +1,4 @@
-//! What figures say of runs in which something is missing.
+//! Tests of figures of runs with missing data.
 
 use peernet_clock::{DelaySource, OneWayDelay, Span, Verdict};
 
@@ -77,7 +77,7 @@ fn delays_below_zero_are_called_what_they_are() {
     assert_eq!(notes("sensing"), [""; 0], "one clock");
 }
 
-/// A run without an answer.
+/// Returns a run without an answer.
 fn failed() -> Loaded {
     let mut failed = run(20, |_| vec![("sensing", 1.0)]);
     failed.rows.change(|row| row.outcome = Outcome::Failed);

@@ -1,4 +1,4 @@
-//! What is in no figure is told in the one that it could be in.
+//! Tests of the notes on data that are in no figure.
 
 use super::*;
 use peernet_analysis::record::HostRecord;
@@ -104,7 +104,7 @@ fn bars_of_few_iterations_are_known_by_their_counts() {
 fn a_rate_that_sizes_cannot_tell_is_not_given() {
     let noisy = run(300, |number| {
         let place = number as usize % 4;
-        // Larger messages take a little longer, but less regularly than that.
+        // The growth with size is smaller than its variation.
         let (bytes, delay) = ([1e3, 2e3, 3e3, 4e3][place], [0.100, 0.104, 0.099, 0.104][place]);
         vec![("upload-bytes", bytes), ("upload", delay)]
     });

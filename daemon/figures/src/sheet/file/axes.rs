@@ -10,11 +10,11 @@ use crate::text::{shorten, shorten_apart, width};
 
 /// Length of a mark below the horizontal axis, points.
 const MARK: f64 = 1.8;
-/// From the horizontal axis to the baseline of its labels, points.
+/// Distance from the horizontal axis to the baseline of its labels, points.
 const LABEL: f64 = 9.5;
-/// From a place to the baseline of text in the middle of whose capitals it lies, in the type size.
+/// Distance from a place to the baseline of text whose capitals have their middle at the place, in the type size.
 const MIDDLE: f64 = 0.36;
-/// From the plot to the baseline of the title above it, points.
+/// Distance from the plot to the baseline of the title above it, points.
 const TITLE: f64 = 5.5;
 
 /// Draws the lines that go through the plot.
@@ -44,7 +44,7 @@ pub(super) fn draw(svg: &mut Writer, plot: &Plot, area: &Area) {
     text(svg, &shorten(&title(&plot.y, room), TEXT, room), (EDGE, base), (TEXT, INK_2.light, Anchor::Start));
 }
 
-/// The title with what its marks do not show, if there is room for that.
+/// Returns the title with the information that its marks do not show, if there is room for it.
 fn title(axis: &Axis, room: f64) -> String {
     let full = axis.full_title();
     if width(&full, TEXT) > room && axis.scale.is_logarithmic() {
@@ -86,7 +86,7 @@ fn draw_columns(svg: &mut Writer, plot: &Plot, area: &Area) {
     let mut taken = 0.0;
     for tick in ticks.iter().filter(|tick| !tick.text.is_empty()) {
         let half = tick.text.lines().map(|line| width(line, TEXT)).fold(0.0, f64::max) / 2.0;
-        // A label at the end stays on the paper, and none lies on its neighbour.
+        // A label at the end stays on the paper, and labels do not overlap.
         let x = (area.left + area.width * tick.at).min(WIDTH - 1.5 - half);
         if x - half < taken {
             continue;

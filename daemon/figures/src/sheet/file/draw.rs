@@ -30,7 +30,7 @@ pub(super) fn items(svg: &mut Writer, all: &[Item], area: &Area) {
     }
 }
 
-/// A rectangle, left upper corner first, that is widened to the right and upwards.
+/// Returns a rectangle, left upper corner first, that is widened to the right and upwards.
 fn at_least([a, b]: [(f64, f64); 2], least: (f64, f64)) -> [(f64, f64); 2] {
     let (left, right) = (a.0.min(b.0), a.0.max(b.0));
     let (top, bottom) = (a.1.min(b.1), a.1.max(b.1));
@@ -100,7 +100,7 @@ fn anchored(text: Attributes<'_>, anchor: Anchor) -> Attributes<'_> {
     text.some("text-anchor", (anchor != Anchor::Start).then_some(anchor.name()))
 }
 
-/// Fill and stroke of a shape.
+/// Adds fill and stroke of a shape.
 fn styled<'a>(element: Attributes<'a>, style: &Style) -> Attributes<'a> {
     let element = match style.fill {
         Some(fill) => {

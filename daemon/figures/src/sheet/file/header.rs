@@ -9,12 +9,12 @@ use crate::text::{shorten, width};
 
 /// Room above the first line, points.
 const ABOVE: f64 = 3.0;
-/// From the top of a line to its baseline, points.
+/// Distance from the top of a line to its baseline, points.
 const BASE: f64 = 7.5;
 /// Width of a sample; that of a line of long dashes has a gap on each side of its mark.
 const SAMPLE: f64 = 13.5;
 const LONG: f64 = 22.0;
-/// From a sample to its words, and half of what parts those from the next sample.
+/// Distance from a sample to its words, and half of the distance to the next sample.
 const GAP: f64 = 3.0;
 /// Half the height of an area's sample.
 const HALF: f64 = 3.0;
@@ -25,7 +25,7 @@ fn sample_width(swatch: &Swatch) -> f64 {
     if matches!(swatch, Swatch::Curve(_, Mark::Diamond, _)) { LONG } else { SAMPLE }
 }
 
-/// Places of the entries: points from the left, and the number of the line.
+/// Returns the places of the entries: points from the left, and the number of the line.
 fn places(legend: &[Key]) -> Vec<(f64, usize)> {
     let (mut x, mut line) = (EDGE, 0);
     let place = |key: &Key| {
@@ -44,13 +44,13 @@ fn lines(legend: &[Key]) -> usize {
     places(legend).last().map_or(0, |(_, line)| line + 1)
 }
 
-/// Points from the top of the paper to where the first plot may begin.
+/// Returns the height of the header above the first plot, points.
 pub(super) fn height(figure: &Figure) -> f64 {
     let caption = usize::from(!figure.title.is_empty());
     ABOVE + LINE * (caption + lines(&figure.legend)) as f64 + 1.5
 }
 
-/// The caption; without the number of values where both do not fit.
+/// Returns the caption; without the number of values if both do not fit.
 fn caption(figure: &Figure) -> String {
     let (room, whole) = (WIDTH - 2.0 * EDGE, figure.caption());
     if width(&whole, TEXT) <= room { whole } else { shorten(&figure.title, TEXT, room) }
@@ -85,7 +85,7 @@ fn draw_sample(svg: &mut Writer, swatch: &Swatch, (x, y): (f64, f64)) {
     }
 }
 
-/// A line, or the area about a shape's mark.
+/// Draws a line, or the area around a shape's mark.
 fn curve(svg: &mut Writer, [from, to]: [(f64, f64); 2], style: &Style) {
     if style.fill.is_some() {
         rect(svg, [(from.0, from.1 - HALF), (to.0, to.1 + HALF)], style);

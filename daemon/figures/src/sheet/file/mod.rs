@@ -1,7 +1,7 @@
-//! The sheet of a file: a picture as wide as a column, in points, with literal attributes.
+//! Sheet of a file: a picture as wide as a column, in points, with literal attributes.
 //!
-//! It has one line of caption, the legend, the plots from above to below and a table as key to numbers. All else that is to be said
-//! stands in the text beside it ([`Figure::words`]).
+//! It has one line of caption, the legend, the plots from top to bottom and a table as key to numbers. All other text is in the file beside
+//! it ([`Figure::words`]).
 
 mod axes;
 mod draw;
@@ -29,11 +29,11 @@ pub const SMALL: f64 = 7.0;
 
 /// Distance from the edge of the paper, points.
 const EDGE: f64 = 5.0;
-/// Between an axis and its labels, points.
+/// Distance between an axis and its labels, points.
 const GAP: f64 = 2.7;
 /// Distance between two lines of text, points.
 const LINE: f64 = 10.0;
-/// Between a plot and a strip at it, points.
+/// Distance between a plot and a strip at it, points.
 const STRIP_GAP: f64 = 2.0;
 const PER_INCH: f64 = 72.0;
 
@@ -45,7 +45,7 @@ pub fn svg(figure: &Figure) -> String {
     let inches = |points: f64| format!("{}in", points / PER_INCH);
     let root = svg.element(Tag::Svg).set("xmlns", "http://www.w3.org/2000/svg");
     let root = root.set("width", inches(wide)).set("height", inches(high));
-    // Where the font is not there, others are as wide as the one that the layout was made with, or narrower.
+    // If the font is missing, substitutes are as wide as the one that the layout was made with, or narrower.
     let root = root.set("viewBox", format!("0 0 {wide} {high}"));
     root.set("font-family", format!("{FAMILY}, Helvetica, Arial, sans-serif")).open();
     svg.element(Tag::Rect).set("width", wide).set("height", high).set("fill", WHITE).leaf();

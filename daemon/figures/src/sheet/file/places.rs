@@ -9,15 +9,15 @@ use crate::text::width;
 const TITLE: f64 = 13.5;
 /// Room below a plot without labels, points.
 const BELOW: f64 = 3.0;
-/// Between two plots, points.
+/// Distance between two plots, points.
 const BETWEEN: f64 = 5.0;
-/// Least distance of the marks of a vertical axis, so that their labels are apart, points.
+/// Minimum distance of the marks of a vertical axis, so that their labels do not overlap, points.
 const APART: f64 = 12.0;
-/// Most points that names at a vertical axis take.
+/// Maximum width of names at a vertical axis, points.
 pub const MOST_NAME: f64 = WIDTH * 0.47;
 /// Names that are closer to each other than this have small type, points.
 const CLOSE: f64 = 12.0;
-/// A plot is never lower, points.
+/// Minimum height of a plot, points.
 const LOWEST: f64 = 30.0;
 
 /// Area of a plot, points from the left and from above.
@@ -47,12 +47,12 @@ impl Area {
         self.top + self.height
     }
 
-    /// The strip above that is so high.
+    /// Returns the strip of the given height above.
     pub(super) fn above(&self, size: f64) -> Self {
         Self { top: self.top - STRIP_GAP - size, height: size, ..*self }
     }
 
-    /// The strip at the right that is so wide.
+    /// Returns the strip of the given width at the right.
     pub(super) fn beside(&self, size: f64) -> Self {
         Self { left: self.right() + STRIP_GAP, width: size, ..*self }
     }
@@ -64,7 +64,7 @@ pub(super) struct Places {
     pub(super) plots: Vec<Area>,
 }
 
-/// Returns the areas of the plots of a figure, before anything is drawn in them: for kinds that look for free places.
+/// Returns the areas of the plots of a figure, before anything is drawn in them, for kinds that search for free places.
 pub fn areas(figure: &Figure) -> Vec<Area> {
     Places::of(figure).plots
 }
@@ -76,7 +76,7 @@ impl Places {
         let between = BETWEEN * figure.plots.len().saturating_sub(1) as f64;
         let fixed: f64 = figure.plots.iter().map(|plot| fixed(plot.height)).sum();
         let rest = figure.plots.iter().filter(|plot| plot.height == Height::Rest).count();
-        // A figure has its height, and more for every plot of a height of its own beside others.
+        // A figure has its standard height, plus the heights of plots with a fixed height if there are others.
         let content = if rest > 0 || figure.plots.is_empty() {
             let others: f64 = figure.plots.iter().filter(|plot| plot.height != Height::Rest).map(own).sum();
             HEIGHT + others
@@ -116,14 +116,14 @@ fn above(plot: &Plot) -> f64 {
     title + strip + plot.lines_above as f64 * (SMALL + 1.5)
 }
 
-/// Height of labels and title of the horizontal axis.
+/// Returns the height of labels and title of the horizontal axis.
 fn below(plot: &Plot) -> f64 {
     let labels = if has_labels(plot) { LINE } else { 0.0 };
     let title = if plot.x.title.is_empty() { 0.0 } else { LINE };
     BELOW + labels * lines(plot) as f64 + title
 }
 
-/// Returns true if the horizontal axis has labels: those of several plots stand below the lowest.
+/// Returns whether the horizontal axis has labels: of several plots only the lowest has them.
 fn has_labels(plot: &Plot) -> bool {
     match &plot.x.marks {
         Marks::Round(_) => true,
@@ -131,7 +131,7 @@ fn has_labels(plot: &Plot) -> bool {
     }
 }
 
-/// Lines of the labels of the horizontal axis.
+/// Returns the number of lines of the labels of the horizontal axis.
 pub(super) fn lines(plot: &Plot) -> usize {
     match &plot.x.marks {
         Marks::Names(ticks) => ticks.iter().map(|tick| tick.text.lines().count()).max().unwrap_or(1),
@@ -139,12 +139,12 @@ pub(super) fn lines(plot: &Plot) -> usize {
     }
 }
 
-/// The marks of the vertical axis of a plot of a height: a low one has fewer.
+/// Returns the marks of the vertical axis of a plot of a height: a low one has fewer.
 pub(super) fn rows(plot: &Plot, height: f64) -> Vec<Tick> {
     plot.y.ticks(((height / APART) as usize).clamp(1, 5))
 }
 
-/// Type size of the labels of the vertical axis.
+/// Returns the type size of the labels of the vertical axis.
 pub(super) fn row_size(plot: &Plot) -> f64 {
     let Marks::Names(ticks) = &plot.y.marks else { return TEXT };
     let is_close = matches!(plot.height, Height::Points(height) if height < ticks.len() as f64 * CLOSE);
@@ -152,7 +152,7 @@ pub(super) fn row_size(plot: &Plot) -> f64 {
     if is_close || is_long { SMALL } else { TEXT }
 }
 
-/// Width of the labels of the vertical axis with what parts them from it.
+/// Returns the width of the labels of the vertical axis, with their distance from it.
 fn gutter(plot: &Plot) -> f64 {
     let size = row_size(plot);
     let ticks = rows(plot, if let Height::Points(points) = plot.height { points } else { HEIGHT / 2.0 });

@@ -1,4 +1,4 @@
-//! The table below the plots: what numbers in them stand for.
+//! Table below the plots: the meaning of the numbers in them.
 
 use super::draw::text;
 use super::{EDGE, SMALL, WIDTH};
@@ -9,11 +9,11 @@ use crate::text::{shorten_apart, width};
 
 /// Distance between two lines, points.
 const LINE: f64 = 9.0;
-/// From the edge to the names, and between two columns.
+/// Distance from the edge to the names, and between two columns.
 const NUMBER: f64 = 11.0;
 const GAP: f64 = 6.5;
 
-/// Points that the table takes.
+/// Returns the height of the table, points.
 pub(super) fn height(table: &Table) -> f64 {
     if table.lines.is_empty() { 0.0 } else { (table.lines.len() + 1) as f64 * LINE + EDGE }
 }
@@ -28,7 +28,7 @@ pub(super) fn draw(svg: &mut Writer, table: &Table, top: f64) {
         let cells = table.lines.iter().filter_map(move |(_, cells)| cells.get(column));
         cells.chain(table.titles.get(column)).map(|cell| width(cell, SMALL)).fold(0.0, f64::max)
     };
-    // Right ends, from the last column on.
+    // Right ends of the columns, from the last to the first.
     let mut ends = vec![WIDTH - EDGE; columns];
     for column in (0..columns.saturating_sub(1)).rev() {
         ends[column] = ends[column + 1] - cells(column + 1) - GAP;

@@ -70,12 +70,12 @@ fn item(svg: &mut Writer, item: &Item) {
     }
 }
 
-/// Opens a picture at a place, inside which lengths are pixels; what reaches over its ends is seen.
+/// Opens a picture at a place, in which lengths are pixels; items beyond its ends are visible.
 fn open_at(svg: &mut Writer, x: f64, y: f64) {
     svg.element(Tag::Svg).set("class", "at").set("x", Share(x)).set("y", Share(y)).open();
 }
 
-/// A line whose ends are at distances from their places stands in a picture of its own at the first place.
+/// Draws a line. If its ends are at distances from their places, it gets a nested picture at the first place.
 fn line(svg: &mut Writer, [from, to]: [At; 2], style: &Style) {
     let is_aside = [from, to].iter().any(|at| at.dx != 0.0 || at.dy != 0.0);
     if !is_aside {
@@ -140,7 +140,7 @@ pub(super) fn label(svg: &mut Writer, label: &Label) {
     }
 }
 
-/// Its class, and what stands for a number.
+/// Adds its class, and the attributes that represent a number.
 fn styled<'a>(element: Attributes<'a>, style: &Style) -> Attributes<'a> {
     let opacity = style.fill.map(|fill| fill.opacity).filter(|opacity| *opacity < 1.0);
     element.set("class", &*style.class).some("fill-opacity", opacity)

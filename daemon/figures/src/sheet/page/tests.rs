@@ -9,7 +9,7 @@ fn tick(at: f64, text: &str) -> Tick {
     Tick { value: at, at, text: text.to_owned() }
 }
 
-/// The labels that are shown in a picture of `width` rem.
+/// Returns the labels that are shown in a picture of `width` rem.
 fn shown_at(html: &str, width: u16) -> Vec<&str> {
     let labels = html.split("<text class=\"fits w").skip(1);
     let shown = labels.filter(|label| {

@@ -1,4 +1,4 @@
-//! What a run is judged by.
+//! Tests of the input of a run's judgement.
 
 use peernet_analysis::trust::Report;
 use peernet_clock::{Span, WallTime};
@@ -43,7 +43,7 @@ fn summary(reason: &str) -> RunSummary {
     }
 }
 
-/// What is known of a node name.
+/// Returns the statistics of a node name.
 fn node(name: &str, count: u64, mean: f64) -> StageStatistics {
     let figures = Figures { count, mean, std: None, min: mean, p50: mean, p95: None, p99: None, max: mean };
     let (stage, unit) = (Name::from(name), "s".to_owned());
