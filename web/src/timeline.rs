@@ -12,7 +12,7 @@ use peernet_store::{Figures, IterationDetail};
 pub(crate) struct Placed {
     pub name: Name,
     pub depth: u8,
-    pub at: Where,
+    pub at: NodeLocation,
     /// Start; `None` where it is unknown on the edge's clock.
     pub start: Option<f64>,
     /// `None` while it was open, or where the delay is not known.
@@ -24,7 +24,7 @@ pub(crate) struct Placed {
 
 /// Place where a node happened.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Where {
+pub(crate) enum NodeLocation {
     /// On the host of this index; 0 is the edge.
     Host(u8),
     /// Between two hosts.
@@ -171,7 +171,7 @@ impl Timeline {
         let placed = Placed {
             name: node.name.clone(),
             depth,
-            at: Where::Host(node.host.0),
+            at: NodeLocation::Host(node.host.0),
             start,
             length: None,
             delay: None,
@@ -190,7 +190,7 @@ impl Timeline {
                     verdict: delay.verdict,
                 });
                 let length = delay.and_then(|delay| delay.value);
-                Some(Placed { at: Where::Network, length, delay, ..placed })
+                Some(Placed { at: NodeLocation::Network, length, delay, ..placed })
             }
             _ => None,
         }

@@ -53,8 +53,8 @@ impl Zone {
     }
 
     /// Returns a moment with all its forms.
-    pub(crate) fn moment(self, time: WallTime) -> Moment {
-        Moment(self.at(time))
+    pub(crate) fn moment(self, time: WallTime) -> ZonedTime {
+        ZonedTime(self.at(time))
     }
 
     /// Returns the range from one moment to another, with the date only once if it is the same: `19 Nov 2026, 13:41:07 – 13:51:07`.
@@ -103,9 +103,9 @@ impl From<Zone> for String {
 
 /// A moment in a zone.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) struct Moment(DateTime<FixedOffset>);
+pub(crate) struct ZonedTime(DateTime<FixedOffset>);
 
-impl Moment {
+impl ZonedTime {
     /// Returns `14:11:02`.
     pub(crate) fn clock(&self) -> String {
         self.0.format("%H:%M:%S").to_string()
@@ -127,7 +127,7 @@ impl Moment {
     }
 }
 
-impl fmt::Display for Moment {
+impl fmt::Display for ZonedTime {
     /// Writes the form of HTML's `datetime` attribute.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(&self.0.to_rfc3339_opts(chrono::SecondsFormat::Millis, true))

@@ -46,7 +46,7 @@ pub struct SensorStudy {
 
 /// Sample of the sensor: its iteration and its moment.
 #[derive(Clone, Copy, Debug)]
-struct Taken {
+struct SampleTime {
     iteration: u64,
     at: f64,
 }
@@ -55,10 +55,10 @@ impl SensorStudy {
     /// Returns the study of these rows, in any order; `None` with fewer than two samples that follow each other.
     pub fn of(rows: &Rows) -> Option<Self> {
         let measured = || rows.iter().filter(|row| !row.warm_up());
-        let mut taken: Vec<Taken> = measured().filter_map(taken).collect();
+        let mut taken: Vec<SampleTime> = measured().filter_map(taken).collect();
         taken.sort_unstable_by_key(|taken| taken.iteration);
-        let follow = |pair: &&[Taken]| pair[1].iteration == pair[0].iteration + 1;
-        let length = |pair: &[Taken]| pair[1].at - pair[0].at;
+        let follow = |pair: &&[SampleTime]| pair[1].iteration == pair[0].iteration + 1;
+        let length = |pair: &[SampleTime]| pair[1].at - pair[0].at;
         let periods: Ordered = taken.windows(2).filter(follow).map(length).collect();
         let median = periods.median()?;
         let mut moments = Moments::default();
@@ -159,11 +159,11 @@ impl SensorStudy {
     }
 }
 
-fn taken(row: RowRef<'_>) -> Option<Taken> {
+fn taken(row: RowRef<'_>) -> Option<SampleTime> {
     let at = row.value("at").filter(|_| row.outcome() == Outcome::Ok)?;
     // An iteration with a planned start begins late by its lateness; one without a plan has none.
     let at = at + row.value("lateness").unwrap_or(0.0) + row.value("sensing")?;
-    Some(Taken { iteration: row.iteration(), at })
+    Some(SampleTime { iteration: row.iteration(), at })
 }
 
 fn dropped(rows: &Rows) -> Option<u64> {

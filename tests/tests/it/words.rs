@@ -152,7 +152,8 @@ fn paragraphs(document: &Document) -> Vec<(usize, String)> {
     let mut is_open = false;
     for (number, line) in document.prose() {
         let is_text = !line.is_empty() && !line.starts_with(['|', '#']) && !line.starts_with("    ");
-        let is_item = line.trim_start().starts_with("- ");
+        let begin = line.trim_start().trim_start_matches(|c: char| c.is_ascii_digit());
+        let is_item = begin.starts_with("- ") || begin.starts_with(". ");
         match paragraphs.last_mut() {
             Some((_, text)) if is_open && is_text && !is_item => {
                 text.push(' ');

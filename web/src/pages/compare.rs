@@ -18,10 +18,11 @@ use crate::state::App;
 use crate::svg::Scatter;
 use crate::view::chip::{Chip, Tone};
 use crate::view::compare::{
-    Address, Axes, BoxRow, Changed, Comparison, Configuration, Differences, Distributions, LeftOut, Lengths,
-    MOST_RUNS, OverTime, Pair, PairwiseRow, RunMeans, Setting, StackRow, StageDifference, Table, Throughput,
-    UsersRow, Which, accuracy, answers, boxes, commands, distributions, doubts, gather, lengths, over_time,
-    pairs, pairwise, payload, run_courses, run_means, stacks, throughput, title, unknown_labels, users,
+    Address, Axes, BoxRow, Changed, CompareSelection, Comparison, Configuration, Differences, Distributions,
+    LeftOut, Lengths, MOST_RUNS, OverTime, Pair, PairwiseRow, RunMeans, Setting, StackRow, StageDifference,
+    Table, Throughput, UsersRow, accuracy, answers, boxes, commands, distributions, doubts, gather, lengths,
+    over_time, pairs, pairwise, payload, run_courses, run_means, stacks, throughput, title, unknown_labels,
+    users,
 };
 use crate::view::counted;
 
@@ -124,7 +125,8 @@ async fn show(
     let asked = asked.last().map(|(_, stage)| stage.as_str()).filter(|stage| !stage.is_empty());
     let (baseline, query): (Vec<_>, Vec<_>) = query.into_iter().partition(|(name, _)| name == BASELINE);
     let baseline = baseline.last().map(|(_, run)| run.as_str());
-    let Some(which) = Which::of(&query, "runs or experiment, and with either stage and baseline")? else {
+    let Some(which) = CompareSelection::of(&query, "runs or experiment, and with either stage and baseline")?
+    else {
         let experiments = store.experiments(OFFERED).await?;
         return page(&Empty { shell: shell("Compare"), experiments });
     };

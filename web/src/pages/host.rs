@@ -23,7 +23,7 @@ use crate::view::link::Subject;
 use crate::view::link::panels::{claims, discipline};
 use crate::view::now::{NowRow, NowTable};
 use crate::view::{cut, rehearsal};
-use crate::zone::Moment;
+use crate::zone::ZonedTime;
 
 /// Registration of this page.
 pub(super) const PAGE: PageKind = PageKind {
@@ -64,7 +64,7 @@ struct PastHost {
     shell: Shell,
     name: String,
     title: String,
-    first_seen: Moment,
+    first_seen: ZonedTime,
     agent: Pairs,
     hardware: Pairs,
     clock: Pairs,

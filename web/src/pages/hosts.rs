@@ -18,7 +18,7 @@ use crate::state::{App, AppState};
 use crate::view::events::EventLine;
 use crate::view::hosts::{HostLine, RefusedLine};
 use crate::view::{awaited, cut};
-use crate::zone::Moment;
+use crate::zone::ZonedTime;
 
 /// Registration of this page.
 pub(super) const PAGE: PageKind = PageKind {
@@ -46,7 +46,7 @@ struct Hosts {
     /// Hosts whose connections were refused recently.
     refused: Vec<RefusedLine>,
     /// Hosts that are stored but not in the live picture: name and time of the last report.
-    past: Vec<(String, Moment)>,
+    past: Vec<(String, ZonedTime)>,
     /// Sentence shown where the list of past hosts is cut.
     past_cut: Option<String>,
 }

@@ -13,9 +13,9 @@ use super::shell::Shell;
 use super::{Page, page, path};
 use crate::error::WebError;
 use crate::state::{App, AppState};
-use crate::svg::{Axis, Lanes, Scale};
+use crate::svg::{Axis, LaneDiagram, Scale};
 use crate::timeline::Timeline;
-use crate::view::bytes::{Beside, ByteRow};
+use crate::view::bytes::{ByteRow, OtherMeasurement};
 use crate::view::chip::Chip;
 use crate::view::runs::reject_deleted;
 use crate::view::waterfall::{DelayRow, Row, delays, footnote, journey, rows};
@@ -48,12 +48,12 @@ struct Iteration {
     edge: String,
     cloud: Option<String>,
     axis: Axis,
-    lanes: Option<Lanes>,
+    lanes: Option<LaneDiagram>,
     rows: Vec<Row>,
     note: Option<String>,
     delays: Vec<DelayRow>,
     bytes: Vec<ByteRow>,
-    beside: Vec<Beside>,
+    beside: Vec<OtherMeasurement>,
 }
 
 /// `GET /runs/{run}/iterations/{iteration}`.
@@ -153,12 +153,12 @@ fn assemble(app: &AppState, stored: &RunDetail, detail: &IterationDetail) -> Ite
         axis: Axis::milliseconds(&scale, ""),
         lanes: cloud
             .as_ref()
-            .and_then(|cloud| Lanes::new(&timeline, journey(&timeline, &edge, cloud), &scale)),
+            .and_then(|cloud| LaneDiagram::new(&timeline, journey(&timeline, &edge, cloud), &scale)),
         rows: rows(detail, &timeline, &hosts, &scale),
         note: cloud.as_ref().and_then(|cloud| footnote(&timeline, cloud)),
         delays: delays(&timeline, &detail.row.delays),
         bytes: ByteRow::both(detail),
-        beside: Beside::all(detail),
+        beside: OtherMeasurement::all(detail),
         edge,
         cloud,
     }

@@ -21,7 +21,7 @@ use crate::view::health::Health;
 use crate::view::hosts::{HostLine, RefusedLine};
 use crate::view::incidents::IncidentLine;
 use crate::view::now::NowTable;
-use crate::zone::Moment;
+use crate::zone::ZonedTime;
 
 /// Registration of this page.
 pub(super) const PAGE: PageKind = PageKind {
@@ -55,7 +55,7 @@ pub(super) struct Empty {
     shell: Shell,
     layout: String,
     listening: String,
-    since: Moment,
+    since: ZonedTime,
     refused: Vec<RefusedLine>,
     title: &'static str,
     /// Sentence about hosts that connected before. It replaces the instructions for a first host.

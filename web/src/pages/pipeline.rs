@@ -31,7 +31,7 @@ use crate::view::notes::Note;
 use crate::view::now::{state_chip, trouble};
 use crate::view::rehearsal::{self, Rehearsed};
 use crate::view::runs::RunLine;
-use crate::view::speed::{self, Way};
+use crate::view::speed::{self, NetworkDirection};
 use crate::view::stack::Stack;
 use crate::view::stages::{StageRow, TOO_FEW};
 use crate::view::{chip::Chip, link, place};
@@ -204,8 +204,8 @@ fn stats(kind: PlacementKind, window: &Window) -> Vec<Stat> {
         Stat { name: "Rate", number: rate(window.rate_hz), unit: "/s", title: String::new() },
         Stat { name: "Iterations", number: count(window.counts.total()), unit: "", title: String::new() },
         Stat { name: "Lost", unit: if lost == NONE { "" } else { "%" }, number: lost, title: String::new() },
-        speed("Speed up", Way::Up),
-        speed("Speed down", Way::Down),
+        speed("Speed up", NetworkDirection::Up),
+        speed("Speed down", NetworkDirection::Down),
         Stat {
             name: "Traffic",
             unit: if traffic.text == NONE { "" } else { "MB/s" },

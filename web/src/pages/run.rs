@@ -24,7 +24,7 @@ use crate::view::chip::Chip;
 use crate::view::clocks::ClockCell;
 use crate::view::data::JsonBlock;
 use crate::view::notes::Note;
-use crate::view::run::{Bucket, Other, Slow, Stored, Unanswered};
+use crate::view::run::{Bucket, OtherStatistics, SlowIteration, Stored, Unanswered};
 use crate::view::runs::End;
 use crate::view::stack::Stack;
 use crate::view::stages::{StageRow, TOO_FEW, directions};
@@ -93,7 +93,7 @@ struct Run {
     directions: Vec<(String, Chip)>,
     bar: Bar,
     stages: Vec<StageRow>,
-    others: Vec<Other>,
+    others: Vec<OtherStatistics>,
     distribution: Distribution,
     bucket: u32,
     buckets: Vec<Bucket>,
@@ -104,7 +104,7 @@ struct Run {
     /// `true` if any bucket has enough samples for a 95th percentile.
     has_p95: bool,
     axis: Axis,
-    slowest: Vec<Slow>,
+    slowest: Vec<SlowIteration>,
     unanswered: Vec<Unanswered>,
     trust: Trust,
     experiment: Option<ExperimentPlace>,

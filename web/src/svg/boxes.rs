@@ -26,7 +26,7 @@ impl askama::filters::HtmlSafe for BoxPlot {}
 
 /// The numbers of a box, in the unit of the samples.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct Five {
+pub(crate) struct BoxStatistics {
     pub count: u64,
     pub mean: f64,
     /// p25, p50 and p75.
@@ -35,7 +35,7 @@ pub(crate) struct Five {
     pub tails: Option<(f64, f64)>,
 }
 
-impl Five {
+impl BoxStatistics {
     /// Returns the numbers of a distribution; `None` without samples. Quantiles are within 1 % of the true ones.
     pub(crate) fn of(summary: &Summary) -> Option<Self> {
         let [p5, p25, p50, p75, p95] = [0.05, 0.25, 0.5, 0.75, 0.95].map(|q| summary.quantile(q));
@@ -64,7 +64,7 @@ impl Five {
 
 impl BoxPlot {
     /// Draws a box of seconds on a scale of ms; `of` names the quantity in words.
-    pub(crate) fn new(look: &'static str, of: &str, five: &Five, scale: &Scale) -> Self {
+    pub(crate) fn new(look: &'static str, of: &str, five: &BoxStatistics, scale: &Scale) -> Self {
         let at = |seconds: f64| scale.at(seconds * 1e3);
         let quartiles = (at(five.middle[0]), at(five.middle[2]));
         Self {
@@ -92,7 +92,7 @@ mod tests {
 
     #[test]
     fn a_box_lies_where_its_quantiles_are() {
-        let five = Five::of(&summary(1..=101)).expect("samples");
+        let five = BoxStatistics::of(&summary(1..=101)).expect("samples");
         let plot = BoxPlot::new("total", "A", &five, &Scale::fit(100.0, 5));
         let (low, high) = plot.whiskers.expect("enough for whiskers");
         for (known, expected) in [
@@ -110,9 +110,9 @@ mod tests {
 
     #[test]
     fn few_samples_have_no_whiskers_and_none_no_box() {
-        let few = Five::of(&summary(1..=59)).expect("samples");
+        let few = BoxStatistics::of(&summary(1..=59)).expect("samples");
         assert_eq!((few.tails, few.count), (None, 59));
-        assert!(Five::of(&summary(1..=60)).expect("samples").tails.is_some());
-        assert_eq!(Five::of(&Summary::default()), None);
+        assert!(BoxStatistics::of(&summary(1..=60)).expect("samples").tails.is_some());
+        assert_eq!(BoxStatistics::of(&Summary::default()), None);
     }
 }

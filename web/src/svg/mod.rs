@@ -25,7 +25,7 @@ use std::fmt;
 
 pub(crate) use axis::{Axis, Scale};
 pub(crate) use bar::{Bar, Part, ShareBar};
-pub(crate) use boxes::{BoxPlot, Five};
+pub(crate) use boxes::{BoxPlot, BoxStatistics};
 pub(crate) use course::{CourseAxes, CourseBucket, CourseData, CoursePlot};
 pub(crate) use histogram::{DistributionView, HistogramPlot, shown_in};
 pub(crate) use horizontal::Horizontal;
@@ -36,7 +36,7 @@ pub(crate) use scatter::{Scatter, ScatterLine, ScatterPoint, ScatterSeries};
 pub(crate) use small::{SmallAxis, SmallHistogram};
 pub(crate) use spark::Spark;
 pub(crate) use tracks::{Gap, RailSign, Segment, Strip, Track, Tracks};
-pub(crate) use waterfall::{Lanes, WaterfallRow};
+pub(crate) use waterfall::{LaneDiagram, WaterfallRow};
 
 /// A position or length along an axis, in percent of it.
 #[derive(Clone, Copy, Debug, Default, PartialEq, PartialOrd)]

@@ -5,7 +5,7 @@ use peernet_statistics::number::stage_ms;
 
 use super::{Percent, Scale};
 use crate::look;
-use crate::timeline::{Placed, Timeline, Visit, Where};
+use crate::timeline::{NodeLocation, Placed, Timeline, Visit};
 
 /// Narrower bars would not be seen.
 const THINNEST: f64 = 0.2;
@@ -32,7 +32,7 @@ impl askama::filters::HtmlSafe for WaterfallRow {}
 /// Both hosts as rails.
 #[derive(Clone, Debug, PartialEq, Template)]
 #[template(path = "svg/lanes.html")]
-pub(crate) struct Lanes {
+pub(crate) struct LaneDiagram {
     label: String,
     grid: Vec<Percent>,
     bands: Vec<(Percent, Percent)>,
@@ -42,7 +42,7 @@ pub(crate) struct Lanes {
     down: Option<(Percent, Percent)>,
 }
 
-impl askama::filters::HtmlSafe for Lanes {}
+impl askama::filters::HtmlSafe for LaneDiagram {}
 
 fn at(scale: &Scale, seconds: f64) -> Percent {
     scale.at(seconds * 1e3)
@@ -67,7 +67,7 @@ impl WaterfallRow {
     /// Returns the bar of a node; `tick` marks the run's median in it.
     pub(crate) fn new(node: &Placed, timeline: &Timeline, scale: &Scale, tick: bool) -> Self {
         let visit = timeline.visit();
-        let away = node.at != Where::Host(0);
+        let away = node.at != NodeLocation::Host(0);
         let ends = visit.map(|visit| match node.name.as_str() {
             "download" => {
                 (visit.answered.map_or(visit.arrived, |(left, _)| left), visit.answered.map(|(_, back)| back))
@@ -75,7 +75,7 @@ impl WaterfallRow {
             _ => (visit.left, Some(visit.arrived)),
         });
         let bar = node.start.zip(node.length).map(|(start, length)| stretch(scale, start, length));
-        let unknown = node.at == Where::Network && node.length.is_none();
+        let unknown = node.at == NodeLocation::Network && node.length.is_none();
         let ghost = ends.filter(|_| unknown).and_then(|(from, to)| Some(stretch(scale, from, to? - from)));
         let median =
             node.start.zip(node.length).zip(node.median).filter(|_| tick).map(|((start, length), median)| {
@@ -115,13 +115,15 @@ impl WaterfallRow {
     }
 }
 
-impl Lanes {
+impl LaneDiagram {
     /// Returns the rails of an iteration that went to exactly one other host.
     pub(crate) fn new(timeline: &Timeline, label: String, scale: &Scale) -> Option<Self> {
         let visit = timeline.visit()?;
         let on = |host: u8| {
-            let nodes =
-                timeline.nodes.iter().filter(move |node| node.depth == 0 && node.at == Where::Host(host));
+            let nodes = timeline
+                .nodes
+                .iter()
+                .filter(move |node| node.depth == 0 && node.at == NodeLocation::Host(host));
             let bars = nodes.filter_map(|node| {
                 let (x, width) = stretch(scale, node.start?, node.length?);
                 Some((look::class(&node.name), x, width))

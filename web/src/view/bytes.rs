@@ -21,7 +21,7 @@ pub(crate) struct ByteRow {
 
 /// A measurement that is neither a stage nor a size.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub(crate) struct Beside {
+pub(crate) struct OtherMeasurement {
     pub path: String,
     pub kind: String,
     pub value: String,
@@ -88,7 +88,7 @@ fn speed_of(detail: &IterationDetail, name: &str, delay: &str) -> (String, &'sta
     }
 }
 
-impl Beside {
+impl OtherMeasurement {
     /// Returns the measurements that no other table of the page shows.
     pub(crate) fn all(detail: &IterationDetail) -> Vec<Self> {
         let shown_elsewhere = |node: &Node| {

@@ -11,13 +11,13 @@ use peernet_store::IncidentRow;
 use peernet_stream::PlacementKind;
 use serde::Serialize;
 
-use super::data::{JsonBlock, Short};
+use super::data::{JsonBlock, RoundedNumber};
 use super::incidents::IncidentLine;
 use super::place;
-use super::speed::{self, Way};
+use super::speed::{self, NetworkDirection};
 use super::stack::Stack;
 use crate::look;
-use crate::zone::{Moment, Zone};
+use crate::zone::{Zone, ZonedTime};
 
 /// Reasons why there is no single figure for the upward and the downward throughput.
 pub(crate) type Obstacles = [Option<&'static str>; 2];
@@ -70,7 +70,7 @@ pub(crate) struct ChartCard {
 /// One minute of the table view; means in ms.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Minute {
-    pub at: Moment,
+    pub at: ZonedTime,
     pub iterations: String,
     pub stages: Vec<String>,
     pub total: String,
@@ -87,21 +87,21 @@ struct ChartData {
     /// Successful iterations.
     n: Vec<Option<u64>>,
     /// Means by node name: stages and `total` in ms.
-    means: BTreeMap<&'static str, Vec<Short>>,
+    means: BTreeMap<&'static str, Vec<RoundedNumber>>,
     transfers: TransferData,
     p95: PercentileData,
     /// Reasons why a direction has no line.
     obstacles: Obstacles,
     /// CPU and GPU of the host in percent, as (unix seconds, value), for a pipeline that sends nothing.
-    cpu: Vec<(i64, Short)>,
-    gpu: Vec<(i64, Short)>,
+    cpu: Vec<(i64, RoundedNumber)>,
+    gpu: Vec<(i64, RoundedNumber)>,
 }
 
 /// Messages sent in each second: bytes of known delay, and the sum of these delays in µs.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 struct TransferData {
-    up: Vec<Option<(Short, Short)>>,
-    down: Vec<Option<(Short, Short)>>,
+    up: Vec<Option<(RoundedNumber, RoundedNumber)>>,
+    down: Vec<Option<(RoundedNumber, RoundedNumber)>>,
 }
 
 /// The 95th percentile of `total` in buckets.
@@ -110,12 +110,12 @@ struct PercentileData {
     /// Length of each bucket, seconds; null while none holds enough iterations.
     size: Option<u32>,
     /// First second of a bucket (Unix time), and the percentile in ms.
-    points: Vec<(i64, Short)>,
+    points: Vec<(i64, RoundedNumber)>,
 }
 
 impl PercentileData {
     fn new(series: &PercentileSeries) -> Self {
-        let points = series.points.iter().map(|point| (point.at, Short(Some(point.p95 * 1e3))));
+        let points = series.points.iter().map(|point| (point.at, RoundedNumber(Some(point.p95 * 1e3))));
         Self { size: series.bucket_s, points: points.collect() }
     }
 }
@@ -132,9 +132,9 @@ fn drawn() -> impl Iterator<Item = &'static str> {
 }
 
 /// Returns bytes and delays of one direction, if the delays are known.
-fn timed(transfer: Option<Transfer>) -> Option<(Short, Short)> {
+fn timed(transfer: Option<Transfer>) -> Option<(RoundedNumber, RoundedNumber)> {
     let transfer = transfer.filter(|transfer| transfer.speed().is_some())?;
-    Some((Short(Some(transfer.timed_bytes)), Short(Some(transfer.seconds * 1e6))))
+    Some((RoundedNumber(Some(transfer.timed_bytes)), RoundedNumber(Some(transfer.seconds * 1e6))))
 }
 
 fn mean(second: &LiveSecond, name: &str) -> Option<f64> {
@@ -189,7 +189,8 @@ impl ChartData {
             means: BTreeMap::new(),
             transfers: TransferData { up: vec![None; length], down: vec![None; length] },
             p95: PercentileData::new(&pipeline.total_p95),
-            obstacles: [Way::Up, Way::Down].map(|way| speed::obstacle_in(series, way)),
+            obstacles: [NetworkDirection::Up, NetworkDirection::Down]
+                .map(|way| speed::obstacle_in(series, way)),
             cpu: Vec::new(),
             gpu: Vec::new(),
             host,
@@ -201,8 +202,8 @@ impl ChartData {
             data.transfers.down[at] = timed(second.transfers.down);
             for name in drawn() {
                 if let Some(value) = mean(second, name) {
-                    data.means.entry(name).or_insert_with(|| vec![Short(None); length])[at] =
-                        Short(Some(value * 1e3));
+                    data.means.entry(name).or_insert_with(|| vec![RoundedNumber(None); length])[at] =
+                        RoundedNumber(Some(value * 1e3));
                 }
             }
         }
@@ -213,7 +214,10 @@ impl ChartData {
                 let shown = host.history.iter().filter(|point| of(&point.metrics).is_some());
                 shown
                     .map(|point| {
-                        (point.at.unix_seconds(), Short(of(&point.metrics).map(|share| share * 100.0)))
+                        (
+                            point.at.unix_seconds(),
+                            RoundedNumber(of(&point.metrics).map(|share| share * 100.0)),
+                        )
                     })
                     .collect()
             };

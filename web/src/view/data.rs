@@ -37,9 +37,9 @@ impl askama::filters::HtmlSafe for JsonBlock {}
 
 /// A number for a chart: JSON with as many digits as a screen can show, a gap as `null`.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct Short(pub Option<f64>);
+pub(crate) struct RoundedNumber(pub Option<f64>);
 
-impl Serialize for Short {
+impl Serialize for RoundedNumber {
     fn serialize<S: serde::Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
         match self.0.filter(|value| value.is_finite()) {
             Some(value) => serializer.serialize_f64((value * 1e3).round() / 1e3),
@@ -63,7 +63,7 @@ mod tests {
 
     #[test]
     fn numbers_are_short_and_gaps_are_null() {
-        let numbers = [Short(Some(1.23456)), Short(None), Short(Some(f64::INFINITY))];
+        let numbers = [RoundedNumber(Some(1.23456)), RoundedNumber(None), RoundedNumber(Some(f64::INFINITY))];
         assert_eq!(serde_json::to_string(&numbers).expect("serialises"), "[1.235,null,null]");
     }
 }

@@ -10,7 +10,7 @@ use super::events::{self, FAR_BEHIND, Remark};
 use super::link::panels::discipline;
 use super::rehearsal;
 use crate::svg::Spark;
-use crate::zone::{Moment, Zone};
+use crate::zone::{Zone, ZonedTime};
 
 /// Current state of one host. Texts are figures without their unit, which the header shows.
 #[derive(Clone, Debug, PartialEq)]
@@ -20,7 +20,7 @@ pub(crate) struct HostLine {
     /// The reason of that tone, where there is one.
     pub remark: Option<Remark>,
     /// `last seen 14:09:12`, for a host that does not report.
-    pub away: Option<Moment>,
+    pub away: Option<ZonedTime>,
     /// Accelerator of the host, or its processor where it has none.
     pub kind: String,
     pub cpu: String,
@@ -44,7 +44,7 @@ pub(crate) struct RefusedLine {
     /// Name that it sent, with its address where it is known.
     pub who: String,
     pub why: String,
-    pub at: Moment,
+    pub at: ZonedTime,
 }
 
 impl RefusedLine {

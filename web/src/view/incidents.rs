@@ -3,12 +3,12 @@
 use peernet_store::IncidentRow;
 
 use super::chip::Tone;
-use crate::zone::{Moment, Zone};
+use crate::zone::{Zone, ZonedTime};
 
 /// One incident.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct IncidentLine {
-    pub at: Moment,
+    pub at: ZonedTime,
     pub kind: String,
     pub sign: &'static str,
     pub tone: Tone,

@@ -9,7 +9,7 @@ use peernet_stream::PipelineState;
 use super::chip::{Chip, Tone};
 use super::clocks::ClockCell;
 use super::place;
-use super::speed::{self, Way};
+use super::speed::{self, NetworkDirection};
 use super::stack::Stack;
 use crate::look;
 use crate::svg::{Axis, Bar, Scale};
@@ -186,8 +186,8 @@ impl NowRow {
             missed: window
                 .miss_rate
                 .map_or_else(|| Cell::none("no deadline"), |missed| Cell::new(percent(missed))),
-            up: speed::cell(pipeline.placement.kind, window, Way::Up),
-            down: speed::cell(pipeline.placement.kind, window, Way::Down),
+            up: speed::cell(pipeline.placement.kind, window, NetworkDirection::Up),
+            down: speed::cell(pipeline.placement.kind, window, NetworkDirection::Down),
             traffic: speed::traffic(pipeline.placement.kind, window),
             clock: ClockCell::of(pipeline.placement.kind, &window.bounds),
             stages: columns.iter().map(mean).chain([mean(&"unattributed")]).collect(),

@@ -13,13 +13,13 @@ use peernet_store::{Episodes, IterationRow, RunDetail, RunStatistics, Series, St
 use serde::Serialize;
 
 use super::clocks;
-use super::data::{JsonBlock, Short};
-use super::speed::{self, Way};
+use super::data::{JsonBlock, RoundedNumber};
+use super::speed::{self, NetworkDirection};
 use super::stack::Stack;
 use super::{episodes, runs};
 use crate::look;
 use crate::svg::{Bar, Scale, shown_in};
-use crate::zone::{Moment, Zone};
+use crate::zone::{Zone, ZonedTime};
 
 /// Rows of the table of the slowest iterations.
 const SLOWEST: usize = 8;
@@ -41,7 +41,7 @@ pub(crate) struct Stored<'a> {
 }
 
 /// Statistics of a quantity that is not a duration.
-pub(crate) struct Other {
+pub(crate) struct OtherStatistics {
     pub name: String,
     pub mean: String,
     pub p50: String,
@@ -51,7 +51,7 @@ pub(crate) struct Other {
 
 /// One bucket of the course over time.
 pub(crate) struct Bucket {
-    pub at: Moment,
+    pub at: ZonedTime,
     pub count: String,
     pub mean: String,
     pub p50: String,
@@ -59,10 +59,10 @@ pub(crate) struct Bucket {
 }
 
 /// A row of the slowest iterations.
-pub(crate) struct Slow {
+pub(crate) struct SlowIteration {
     pub number: u64,
     pub label: String,
-    pub at: Moment,
+    pub at: ZonedTime,
     pub total: String,
     pub factor: String,
     /// The part with the largest excess over its median: name, look, excess.
@@ -74,7 +74,7 @@ pub(crate) struct Slow {
 pub(crate) struct Unanswered {
     pub number: u64,
     pub label: String,
-    pub at: Moment,
+    pub at: ZonedTime,
     pub outcome: String,
     pub reason: String,
 }
@@ -84,8 +84,8 @@ pub(crate) struct Unanswered {
 struct Data {
     run: i64,
     bucket: u32,
-    points: Vec<(i64, Short, Short)>,
-    slow: Vec<(i64, Short, &'static str, u64)>,
+    points: Vec<(i64, RoundedNumber, RoundedNumber)>,
+    slow: Vec<(i64, RoundedNumber, &'static str, u64)>,
     gaps: Vec<(i64, i64, u64)>,
     /// Starts of episodes, without the first.
     borders: Vec<i64>,
@@ -169,7 +169,7 @@ impl Stored<'_> {
     }
 
     /// Returns the statistics of quantities that are not durations.
-    pub(crate) fn others(&self) -> Vec<Other> {
+    pub(crate) fn others(&self) -> Vec<OtherStatistics> {
         // Counts are shown above, as a share or a sum: quantiles of counts have little meaning.
         let counts = [SKIPPED_STARTS, UNKNOWN_LABEL, DEADLINE_MISSED].into_iter().chain(ACCURACIES);
         let counted = |stage: &StageStatistics| counts.clone().any(|name| stage.stage == *name);
@@ -184,22 +184,22 @@ impl Stored<'_> {
             let figures = &stage.figures;
             let [mean, p50, max] =
                 [figures.mean, figures.p50, figures.max].map(|value| figure(value * factor));
-            Other { name: stage.stage.to_string(), mean, p50, max, unit }
+            OtherStatistics { name: stage.stage.to_string(), mean, p50, max, unit }
         });
         shown.chain(self.sent()).collect()
     }
 
     /// Returns the speed while sending and traffic of both directions.
-    fn sent(&self) -> Vec<Other> {
+    fn sent(&self) -> Vec<OtherStatistics> {
         let transfers = self.known.transfers();
-        let row = |name, value: Option<String>| Other {
+        let row = |name, value: Option<String>| OtherStatistics {
             name,
             mean: value.unwrap_or_else(|| NONE.to_owned()),
             p50: NONE.to_owned(),
             max: NONE.to_owned(),
             unit: "MB/s".to_owned(),
         };
-        let ways = [(Way::Up, "upload"), (Way::Down, "download")];
+        let ways = [(NetworkDirection::Up, "upload"), (NetworkDirection::Down, "download")];
         let sent = ways.into_iter().filter_map(|(way, name)| Some((way, name, way.of(&transfers)?)));
         sent.flat_map(|(way, name, transfer)| {
             let traffic = self.counted_seconds().and_then(|seconds| transfer.traffic(seconds));
@@ -212,7 +212,7 @@ impl Stored<'_> {
     }
 
     /// Returns the speed while sending: a figure, or its interval where the delays are known only within a wide bound.
-    fn speed(&self, way: Way, transfer: Transfer) -> Option<String> {
+    fn speed(&self, way: NetworkDirection, transfer: Transfer) -> Option<String> {
         let speed = transfer.speed()?;
         let bound = self.known.bounds.iter().find(|bound| bound.stage == *way.delay());
         match bound.and_then(clocks::verdict) {
@@ -235,11 +235,11 @@ impl Stored<'_> {
     }
 
     /// Returns the slowest iterations, on one scale.
-    pub(crate) fn slow_rows(&self, zone: Zone) -> Vec<Slow> {
+    pub(crate) fn slow_rows(&self, zone: Zone) -> Vec<SlowIteration> {
         let scale = self.scale();
         let rows = self.slowest.iter().take(SLOWEST).map(|row| {
             let stack = Stack::of_iteration(row);
-            Slow {
+            SlowIteration {
                 number: row.number,
                 label: count(row.number),
                 at: zone.moment(row.started),
@@ -264,11 +264,15 @@ impl Stored<'_> {
         let all = |times: &[WallTime]| times.iter().copied().map(milliseconds).collect();
         let warm_up = episodes.first.zip(episodes.warm_up_until).filter(|(from, until)| until > from);
         let points = series.stages.iter().flat_map(|stage| &stage.points).map(|point| {
-            (milliseconds(point.at), Short(Some(point.p50 * 1e3)), Short(point.p95.map(|p95| p95 * 1e3)))
+            (
+                milliseconds(point.at),
+                RoundedNumber(Some(point.p50 * 1e3)),
+                RoundedNumber(point.p95.map(|p95| p95 * 1e3)),
+            )
         });
         let slow = slowest.iter().map(|row| {
             let look = row.causes.first().map_or("total", |cause| look::class(cause.name.as_str()));
-            (milliseconds(row.started), Short(row.total.map(|total| total * 1e3)), look, row.number)
+            (milliseconds(row.started), RoundedNumber(row.total.map(|total| total * 1e3)), look, row.number)
         });
         let gaps = series.gaps.iter().map(|gap| (milliseconds(gap.from), milliseconds(gap.to), gap.count));
         JsonBlock::new(&Data {

@@ -11,7 +11,7 @@ use super::chip::{Chip, Tone};
 use super::notes::Note;
 use super::{counted, place, rehearsal};
 use crate::error::WebError;
-use crate::zone::{Moment, Zone};
+use crate::zone::{Zone, ZonedTime};
 
 /// Chip of a pinned run, of which retention deletes nothing.
 pub(crate) const PINNED: Chip = Chip::new(Tone::Quiet, "pin", "pinned");
@@ -24,7 +24,7 @@ pub(crate) enum End {
     /// The run ended, for this reason.
     Told(String),
     /// The run ended without a report, because its agent was killed or is away: start of its last stored iteration.
-    Untold(Option<Moment>),
+    Untold(Option<ZonedTime>),
 }
 
 impl End {
@@ -46,7 +46,7 @@ impl End {
 pub(crate) struct Labels {
     pub name: String,
     pub id: String,
-    /// `Where = cloud, Resize = yes, repeat 2`.
+    /// `NodeLocation = cloud, Resize = yes, repeat 2`.
     pub text: String,
 }
 
@@ -65,7 +65,7 @@ pub(crate) struct RunLine {
     pub pipeline: String,
     pub route: String,
     pub model: String,
-    pub started: Moment,
+    pub started: ZonedTime,
     pub lasted: String,
     pub end: End,
     pub iterations: String,

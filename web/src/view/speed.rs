@@ -18,12 +18,12 @@ const MINUTE_S: i64 = 60;
 
 /// A direction of the network.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Way {
+pub(crate) enum NetworkDirection {
     Up,
     Down,
 }
 
-impl Way {
+impl NetworkDirection {
     /// Returns the name of the delay's node.
     pub(crate) const fn delay(self) -> &'static str {
         match self {
@@ -42,13 +42,13 @@ impl Way {
 }
 
 /// Returns the reason why there is no single figure for a direction; `None` when there is one.
-pub(crate) fn obstacle(window: &Window, way: Way) -> Option<&'static str> {
+pub(crate) fn obstacle(window: &Window, way: NetworkDirection) -> Option<&'static str> {
     let bound = window.bounds.iter().find(|bound| bound.stage == *way.delay());
     told(bound.and_then(clocks::verdict), window.counts.ok)
 }
 
 /// Returns the reason for a chart of these seconds, by the last minute with answered iterations, however long ago that is.
-pub(crate) fn obstacle_in(series: &[Arc<LiveSecond>], way: Way) -> Option<&'static str> {
+pub(crate) fn obstacle_in(series: &[Arc<LiveSecond>], way: NetworkDirection) -> Option<&'static str> {
     let last = series.iter().rfind(|second| second.counts.ok > 0).map(|second| second.at);
     let minute = || series.iter().filter(|second| last.is_some_and(|last| second.at > last - MINUTE_S));
     let given = |verdict: &Verdict| {
@@ -71,7 +71,7 @@ fn told(verdict: Option<Verdict>, ok: u64) -> Option<&'static str> {
 }
 
 /// Returns the speed while sending in a direction in MB/s; over a delay that is known within a wide bound, the interval.
-pub(crate) fn cell(kind: PlacementKind, window: &Window, way: Way) -> Cell {
+pub(crate) fn cell(kind: PlacementKind, window: &Window, way: NetworkDirection) -> Cell {
     if kind != PlacementKind::Remote {
         return Cell::none("one host: nothing is sent");
     }
@@ -97,7 +97,7 @@ pub(crate) fn traffic(kind: PlacementKind, window: &Window) -> Cell {
     if kind != PlacementKind::Remote {
         return Cell::none("one host: nothing is sent");
     }
-    let ways = [Way::Up, Way::Down].map(|way| carried(window, way));
+    let ways = [NetworkDirection::Up, NetworkDirection::Down].map(|way| carried(window, way));
     if ways.iter().all(Option::is_none) {
         return Cell::none("no successful iteration in this time");
     }
@@ -106,7 +106,7 @@ pub(crate) fn traffic(kind: PlacementKind, window: &Window) -> Cell {
 }
 
 /// Returns the traffic of a direction in bits per second.
-pub(crate) fn carried(window: &Window, way: Way) -> Option<f64> {
+pub(crate) fn carried(window: &Window, way: NetworkDirection) -> Option<f64> {
     way.of(&window.transfers)?.traffic(window.covered_s)
 }
 
@@ -127,18 +127,19 @@ mod tests {
             let mut line = samples::pipeline("line", hz, 1.0, verdict, &[]);
             // Nothing was measured for a minute.
             line.windows = [1, 10, 60].map(|seconds| samples::window(seconds, 0.0, 1.0, verdict));
-            [Way::Up, Way::Down].map(|way| obstacle_in(&line.series, way))
+            [NetworkDirection::Up, NetworkDirection::Down].map(|way| obstacle_in(&line.series, way))
         };
         assert_eq!(of(5.0, Verdict::Ok), [None; 2]);
         assert_eq!(of(5.0, Verdict::Limited), [Some("known only within its clock bound"); 2]);
         assert_eq!(of(0.0, Verdict::Ok), [Some("no successful iteration in this time"); 2]);
-        assert_eq!(obstacle_in(&[], Way::Up), Some("no successful iteration in this time"));
+        assert_eq!(obstacle_in(&[], NetworkDirection::Up), Some("no successful iteration in this time"));
     }
 
     #[test]
     fn a_throughput_over_a_limited_delay_is_an_interval() {
-        let text =
-            |verdict| cell(PlacementKind::Remote, &samples::window(10, 30.0, 1.0, verdict), Way::Up).text;
+        let text = |verdict| {
+            cell(PlacementKind::Remote, &samples::window(10, 30.0, 1.0, verdict), NetworkDirection::Up).text
+        };
         assert_eq!(text(Verdict::Ok), "23.8");
         assert_eq!(text(Verdict::Limited), "21.5 – 26.5");
         assert_eq!(text(Verdict::Inconsistent), "—");

@@ -10,7 +10,7 @@ use super::chip::Chip;
 use super::link::basis::{brief, source_words};
 use crate::look;
 use crate::svg::{Scale, WaterfallRow};
-use crate::timeline::{Placed, Timeline, Where};
+use crate::timeline::{NodeLocation, Placed, Timeline};
 
 /// One node in the waterfall and in its table. Times in ms.
 #[derive(Clone, Debug, PartialEq)]
@@ -115,7 +115,8 @@ impl Left {
     /// Splits the total as the API does: by the agent's own sum, which a step of a clock does not change.
     fn of(detail: &IterationDetail, timeline: &Timeline, total: f64) -> Self {
         let row = &detail.row;
-        let open = timeline.nodes.iter().any(|node| node.at == Where::Network && node.length.is_none());
+        let open =
+            timeline.nodes.iter().any(|node| node.at == NodeLocation::Network && node.length.is_none());
         let known = |one_way: bool| {
             let counted = row.stages.iter().filter(|(name, _)| one_way || !look::is_one_way(name.as_str()));
             counted.map(|(_, seconds)| seconds).sum::<f64>()
@@ -150,9 +151,9 @@ fn group(rows: &mut [Row]) {
 impl Row {
     fn of(node: &Placed, hosts: &[String], strong: bool, bar: WaterfallRow) -> Self {
         let (host, class) = match node.at {
-            Where::Network => ("network".to_owned(), "net"),
-            Where::Host(0) => (hosts.first().cloned().unwrap_or_default(), ""),
-            Where::Host(index) => (dash(hosts.get(usize::from(index)).cloned()), "cloud"),
+            NodeLocation::Network => ("network".to_owned(), "net"),
+            NodeLocation::Host(0) => (hosts.first().cloned().unwrap_or_default(), ""),
+            NodeLocation::Host(index) => (dash(hosts.get(usize::from(index)).cloned()), "cloud"),
         };
         let bounds = node.delay.and_then(|delay| delay.bounds);
         let difference = node.length.zip(node.median).map(|(length, median)| difference_ms(length - median));

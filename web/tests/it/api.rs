@@ -6,7 +6,7 @@ use axum::body::Body;
 use axum::http::{Method, Request, StatusCode};
 use serde_json::{Value, json};
 
-use crate::bed::{Bed, ITERATIONS};
+use crate::bed::{ITERATIONS, TestDashboard};
 use crate::factory::Line;
 
 /// Every route, with an address that exists when two lines are stored.
@@ -41,7 +41,7 @@ const CHANGES: [&str; 1] = ["/api/v1/runs/{run}/pin"];
 
 #[tokio::test]
 async fn the_document_describes_every_route_and_every_route_answers() {
-    let (bed, _factory) = Bed::with(vec![Line::local(), Line::full()]).await;
+    let (bed, _factory) = TestDashboard::with(vec![Line::local(), Line::full()]).await;
     let document = bed.get("/api/openapi.json").await.json();
     let paths = document["paths"].as_object().expect("paths");
     let described: BTreeSet<&str> = paths.keys().map(String::as_str).collect();
@@ -72,7 +72,7 @@ async fn the_document_describes_every_route_and_every_route_answers() {
 
 #[tokio::test]
 async fn live_and_stored_figures_are_served() {
-    let (bed, _factory) = Bed::with(vec![Line::local(), Line::full()]).await;
+    let (bed, _factory) = TestDashboard::with(vec![Line::local(), Line::full()]).await;
 
     let pipelines = bed.get("/api/v1/pipelines").await.json();
     let full = &pipelines["pipelines"][1];
@@ -138,7 +138,7 @@ async fn live_and_stored_figures_are_served() {
 
 #[tokio::test]
 async fn percentiles_over_time_are_of_buckets_that_hold_sixty_iterations() {
-    let (bed, _factory) = Bed::with(vec![Line::full()]).await;
+    let (bed, _factory) = TestDashboard::with(vec![Line::full()]).await;
     let one = bed.get("/api/v1/pipelines/cam-2/offload-full").await.json();
     let over_time = &one["total_over_time"];
     assert_eq!(over_time["bucket_s"], 5, "150 iterations at 30 Hz; 2 s would hold 60 or 59: {over_time}");
@@ -162,7 +162,7 @@ async fn percentiles_over_time_are_of_buckets_that_hold_sixty_iterations() {
 
 #[tokio::test]
 async fn speed_while_sending_is_bytes_over_transfer_times() {
-    let (bed, _factory) = Bed::with(vec![Line::local(), Line::full()]).await;
+    let (bed, _factory) = TestDashboard::with(vec![Line::local(), Line::full()]).await;
     let one = bed.get("/api/v1/pipelines/cam-2/offload-full").await.json();
     let minute = &one["windows"][2];
     let mean = |name: &str| {
@@ -187,7 +187,7 @@ async fn speed_while_sending_is_bytes_over_transfer_times() {
 
 #[tokio::test]
 async fn a_controller_asks_for_one_window_and_a_few_stages() {
-    let (bed, _factory) = Bed::with(vec![Line::local(), Line::full()]).await;
+    let (bed, _factory) = TestDashboard::with(vec![Line::local(), Line::full()]).await;
     let all = bed.get("/api/v1/pipelines").await;
     let few = bed.get("/api/v1/pipelines?window=10&stage=total,upload").await;
     assert!(few.text().len() * 4 < all.text().len(), "{} of {}", few.text().len(), all.text().len());
@@ -215,7 +215,7 @@ async fn a_controller_asks_for_one_window_and_a_few_stages() {
 
 #[tokio::test]
 async fn lists_are_paged_without_loss_or_repetition() {
-    let (bed, mut factory) = Bed::with(vec![Line::local()]).await;
+    let (bed, mut factory) = TestDashboard::with(vec![Line::local()]).await;
     for _ in 0..4 {
         factory.store_runs(5, true).await;
     }
@@ -252,7 +252,7 @@ async fn lists_are_paged_without_loss_or_repetition() {
 
 #[tokio::test]
 async fn a_run_is_exported_as_one_row_per_iteration() {
-    let (bed, _factory) = Bed::with(vec![Line::full()]).await;
+    let (bed, _factory) = TestDashboard::with(vec![Line::full()]).await;
     let answer = bed.get("/api/v1/runs/1/export?format=csv").await;
     assert!(answer.header("content-type").starts_with("text/csv"));
     assert_eq!(answer.header("content-disposition"), "attachment; filename=\"offload-full-1.csv\"");
@@ -295,7 +295,7 @@ async fn a_run_is_exported_as_one_row_per_iteration() {
 
 #[tokio::test]
 async fn a_direction_without_a_value_stands_in_the_sum_of_both() {
-    let (bed, _factory) = Bed::with(vec![Line::unrelated()]).await;
+    let (bed, _factory) = TestDashboard::with(vec![Line::unrelated()]).await;
     let iteration = bed.get("/api/v1/runs/1/iterations/100").await.json();
     let number = |value: &Value| value.as_f64().expect("a number");
     let stages = iteration["stages"].as_array().expect("stages");
@@ -320,7 +320,7 @@ async fn a_direction_without_a_value_stands_in_the_sum_of_both() {
 
 #[tokio::test]
 async fn runs_with_a_rehearsed_clock_are_marked_in_every_list() {
-    let (bed, _factory) = Bed::with(vec![Line::local(), Line::rehearsed()]).await;
+    let (bed, _factory) = TestDashboard::with(vec![Line::local(), Line::rehearsed()]).await;
     let runs = bed.get("/api/v1/runs").await.json();
     let marks: Vec<&Value> =
         runs["runs"].as_array().expect("runs").iter().map(|run| &run["rehearsed"]).collect();
@@ -338,7 +338,7 @@ async fn runs_with_a_rehearsed_clock_are_marked_in_every_list() {
 
 #[tokio::test]
 async fn problems_have_the_standard_form_and_name_the_parameter() {
-    let (bed, _factory) = Bed::with(vec![Line::local()]).await;
+    let (bed, _factory) = TestDashboard::with(vec![Line::local()]).await;
     for (address, status, word) in [
         ("/api/v1/runs?limit=0", 400, "limit"),
         ("/api/v1/runs?limit=many", 400, "limit: \"many\" is not a whole number from 1 to 1000"),
@@ -391,7 +391,7 @@ async fn problems_have_the_standard_form_and_name_the_parameter() {
 
 #[tokio::test]
 async fn links_and_clocks_are_served() {
-    let (bed, _factory) = Bed::with(vec![Line::local(), Line::rehearsed()]).await;
+    let (bed, _factory) = TestDashboard::with(vec![Line::local(), Line::rehearsed()]).await;
     let links = bed.get("/api/v1/links").await.json();
     let link = &links["links"][0];
     assert_eq!((&link["name"], &link["connected"]), (&json!("cam-3~rack-a"), &json!(true)));

@@ -17,7 +17,7 @@ use crate::factory::{Factory, Line};
 /// Iterations of each stored run.
 pub(crate) const ITERATIONS: u64 = 400;
 
-pub(crate) struct Bed {
+pub(crate) struct TestDashboard {
     pub(crate) aggregator: Aggregator,
     pub(crate) clock: SharedClock,
     pub(crate) stop: CancellationToken,
@@ -49,7 +49,7 @@ impl Answer {
     }
 }
 
-impl Bed {
+impl TestDashboard {
     /// Starts an aggregator to which no host has reported.
     pub(crate) async fn empty() -> Self {
         let clock: SharedClock = Arc::new(SystemClock::new(ClockIdentity::new("rack-a", "system")));

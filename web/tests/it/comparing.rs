@@ -4,12 +4,12 @@ use axum::http::StatusCode;
 use peernet_analysis::compare::{Comparison, Differences};
 use peernet_results::ResultFolder;
 
-use crate::bed::Bed;
+use crate::bed::TestDashboard;
 use crate::factory::Line;
 
 #[tokio::test]
 async fn a_run_says_whether_it_can_be_published_and_why_not() {
-    let (bed, mut factory) = Bed::with(vec![Line::local(), Line::full()]).await;
+    let (bed, mut factory) = TestDashboard::with(vec![Line::local(), Line::full()]).await;
     let trust = bed.get("/api/v1/runs/1/trust").await.json();
     let about = |subject: &str| {
         let sentences = trust["sentences"].as_array().expect("sentences");
@@ -38,7 +38,7 @@ async fn a_run_says_whether_it_can_be_published_and_why_not() {
 
 #[tokio::test]
 async fn starts_that_were_skipped_before_unanswered_iterations_are_told_everywhere() {
-    let (bed, mut factory) = Bed::with(vec![Line::local()]).await;
+    let (bed, mut factory) = TestDashboard::with(vec![Line::local()]).await;
     // Twenty are of the warm-up, ten of the others had no answer.
     factory.store_skipping(0, 120, 7).await;
     assert_eq!(bed.get("/api/v1/runs/1").await.json()["skipped_starts"], 0);
@@ -71,7 +71,7 @@ fn distributions(page: &str) -> &str {
 
 #[tokio::test]
 async fn an_experiment_is_compared_with_its_repeats_together() {
-    let (bed, mut factory) = Bed::with(vec![Line::local(), Line::full(), Line::resized()]).await;
+    let (bed, mut factory) = TestDashboard::with(vec![Line::local(), Line::full(), Line::resized()]).await;
     assert_eq!(bed.get("/api/v1/experiments").await.json()["experiments"], serde_json::json!([]));
     assert!(bed.get("/compare").await.text().contains("No run of an experiment is stored yet"));
     assert!(
@@ -144,7 +144,7 @@ async fn an_experiment_is_compared_with_its_repeats_together() {
 
 #[tokio::test]
 async fn many_users_are_one_configuration_and_many_configurations_one_page() {
-    let (bed, mut factory) = Bed::with(vec![Line::local(), Line::full(), Line::resized()]).await;
+    let (bed, mut factory) = TestDashboard::with(vec![Line::local(), Line::full(), Line::resized()]).await;
     factory.store_users(100, &[1, 3]).await;
     let listed = bed.get("/api/v1/experiments").await.json();
     let id = listed["experiments"][0]["id"].as_str().expect("an id");
@@ -167,7 +167,7 @@ async fn many_users_are_one_configuration_and_many_configurations_one_page() {
 
 #[tokio::test]
 async fn two_runs_have_a_difference_that_says_whether_it_is_chance() {
-    let (bed, _factory) = Bed::with(vec![Line::local(), Line::full()]).await;
+    let (bed, _factory) = TestDashboard::with(vec![Line::local(), Line::full()]).await;
     let compared = bed.get("/api/v1/compare?runs=1,2").await.json();
     let total = &compared["differences"][0];
     assert_eq!((&total["name"], &total["certain"]), (&"total".into(), &true.into()), "{compared}");
@@ -212,7 +212,7 @@ async fn two_runs_have_a_difference_that_says_whether_it_is_chance() {
 /// (standard deviation), and ends differ by less than half of it.
 #[tokio::test]
 async fn files_of_runs_and_store_give_the_same_comparison() {
-    let (bed, _factory) = Bed::with(vec![Line::local(), Line::full()]).await;
+    let (bed, _factory) = TestDashboard::with(vec![Line::local(), Line::full()]).await;
     let folder = tempfile::tempdir().expect("a temporary folder");
     let mut runs = Vec::new();
     for run in [1, 2] {
@@ -257,7 +257,7 @@ async fn files_of_runs_and_store_give_the_same_comparison() {
 
 #[tokio::test]
 async fn a_run_that_was_interrupted_and_done_again_counts_once() {
-    let (bed, mut factory) = Bed::with(vec![Line::local(), Line::full()]).await;
+    let (bed, mut factory) = TestDashboard::with(vec![Line::local(), Line::full()]).await;
     factory.store_attempts(100, &["stopped", "finished"]).await;
     let listed = bed.get("/api/v1/experiments").await.json();
     let (id, first) =

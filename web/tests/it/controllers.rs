@@ -5,7 +5,7 @@ use std::process::{Command, Stdio};
 
 use serde_json::{Value, json};
 
-use crate::bed::Bed;
+use crate::bed::TestDashboard;
 use crate::factory::Line;
 
 /// Reads lines of an answer and two pipelines each, and decides.
@@ -21,7 +21,7 @@ print(decide(ask()))
 
 #[tokio::test]
 async fn the_example_of_the_documents_decides_by_what_is_known() {
-    let (bed, _factory) = Bed::with(vec![Line::local(), Line::full()]).await;
+    let (bed, _factory) = TestDashboard::with(vec![Line::local(), Line::full()]).await;
     let mut answer = bed.get("/api/v1/pipelines?window=10&stage=total").await.json();
     for pipeline in answer["pipelines"].as_array_mut().expect("pipelines") {
         // However long this machine took to come here.

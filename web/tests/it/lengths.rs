@@ -1,6 +1,6 @@
 //! Response length against latency, over stored data.
 
-use crate::bed::Bed;
+use crate::bed::TestDashboard;
 use crate::factory::Line;
 
 const HEADING: &str = "Response length against latency</h2>";
@@ -19,7 +19,7 @@ fn exported(csv: &str) -> Vec<(String, String)> {
 
 #[tokio::test]
 async fn answers_of_different_length_are_drawn_as_they_stand_in_the_run_s_file() {
-    let (bed, _factory) = Bed::with(vec![Line::talking(), Line::full()]).await;
+    let (bed, _factory) = TestDashboard::with(vec![Line::talking(), Line::full()]).await;
     let rows = exported(bed.get("/api/v1/runs/1/export").await.text());
     assert!(rows.len() > 300 && rows.len() < 400, "{}", rows.len());
     let pairs = bed.aggregator.store().pairs(1, ["download-bytes", "inference"], 1_000).await;
@@ -38,7 +38,7 @@ async fn answers_of_different_length_are_drawn_as_they_stand_in_the_run_s_file()
 
 #[tokio::test]
 async fn of_a_long_run_a_sample_is_drawn() {
-    let (bed, mut factory) = Bed::with(vec![Line::talking()]).await;
+    let (bed, mut factory) = TestDashboard::with(vec![Line::talking()]).await;
     factory.store_experiment(900, 2).await;
     let listed = bed.get("/api/v1/experiments").await.json();
     let id = listed["experiments"][0]["id"].as_str().expect("an id");

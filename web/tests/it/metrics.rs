@@ -4,7 +4,7 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use peernet_clock::Span;
 
-use crate::bed::Bed;
+use crate::bed::TestDashboard;
 use crate::factory::Line;
 
 /// Lines of one metric.
@@ -98,7 +98,7 @@ fn read(text: &str) -> BTreeMap<String, Family> {
 
 #[tokio::test]
 async fn every_line_is_valid_and_counters_only_grow() {
-    let (bed, mut factory) = Bed::with(vec![Line::local(), Line::full(), Line::unrelated()]).await;
+    let (bed, mut factory) = TestDashboard::with(vec![Line::local(), Line::full(), Line::unrelated()]).await;
     let answer = bed.get("/metrics").await;
     assert_eq!(answer.header("content-type"), "application/openmetrics-text; version=1.0.0; charset=utf-8");
     let first = read(answer.text());
@@ -169,7 +169,7 @@ async fn every_line_is_valid_and_counters_only_grow() {
 
 #[tokio::test]
 async fn the_document_lists_what_is_served_and_nothing_else() {
-    let (bed, _factory) = Bed::with(vec![Line::full()]).await;
+    let (bed, _factory) = TestDashboard::with(vec![Line::full()]).await;
     let served = read(bed.get("/metrics").await.text());
     let document = include_str!("../../../docs/metrics.md");
     let document = document.split("## Worth an alert").next().expect("the tables");
@@ -196,7 +196,7 @@ async fn the_document_lists_what_is_served_and_nothing_else() {
 
 #[tokio::test]
 async fn an_aggregator_without_hosts_has_metrics_too() {
-    let bed = Bed::empty().await;
+    let bed = TestDashboard::empty().await;
     let families = read(bed.get("/metrics").await.text());
     assert_eq!(families["peernet_aggregator_known_hosts"].samples["peernet_aggregator_known_hosts"], 0.0);
     assert!(families["peernet_host_produced_events"].samples.is_empty());

@@ -1,6 +1,6 @@
 //! Runs over time with their episodes, over stored data.
 
-use crate::bed::Bed;
+use crate::bed::TestDashboard;
 use crate::factory::Line;
 
 /// Returns attribute `d` of the first SVG path with this class.
@@ -11,7 +11,7 @@ fn path<'a>(html: &'a str, class: &str) -> &'a str {
 
 #[tokio::test]
 async fn runs_with_episodes_stand_side_by_side_over_time() {
-    let (bed, mut factory) = Bed::with(vec![Line::local(), Line::full()]).await;
+    let (bed, mut factory) = TestDashboard::with(vec![Line::local(), Line::full()]).await;
     factory.store_episodes(400, 100).await;
     let listed = bed.get("/api/v1/experiments").await.json();
     let (id, first) = (&listed["experiments"][0]["id"], &listed["experiments"][0]["oldest"]);
@@ -39,7 +39,7 @@ async fn runs_with_episodes_stand_side_by_side_over_time() {
 
 #[tokio::test]
 async fn runs_without_episodes_have_no_words_of_them() {
-    let (bed, _factory) = Bed::with(vec![Line::local(), Line::full()]).await;
+    let (bed, _factory) = TestDashboard::with(vec![Line::local(), Line::full()]).await;
     let page = bed.get("/compare?runs=1,2").await;
     let panel = page.text().split("id=\"cc-h\"").nth(1).expect("a panel");
     let panel = panel.split("</section>").next().expect("its end");

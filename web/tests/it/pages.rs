@@ -2,12 +2,12 @@
 
 use axum::http::StatusCode;
 
-use crate::bed::Bed;
+use crate::bed::TestDashboard;
 use crate::factory::Line;
 
 #[tokio::test]
 async fn every_page_is_there_and_complete_without_a_script() {
-    let (bed, _factory) = Bed::with(vec![Line::local(), Line::full(), Line::resized()]).await;
+    let (bed, _factory) = TestDashboard::with(vec![Line::local(), Line::full(), Line::resized()]).await;
     let slowest = bed.get("/api/v1/runs/3/iterations?order=slowest&limit=1").await.json();
     let slowest = format!("/runs/3/iterations/{}", slowest["iterations"][0]["number"]);
     let pages = [
@@ -53,7 +53,7 @@ async fn every_page_is_there_and_complete_without_a_script() {
 
 #[tokio::test]
 async fn an_empty_aggregator_says_how_to_fill_it() {
-    let bed = Bed::empty().await;
+    let bed = TestDashboard::empty().await;
     let home = bed.get("/").await;
     assert!(home.text().contains("No host has reported yet"));
     assert!(home.text().contains(&bed.listening) && home.text().contains("peernetd check configs/edge.toml"));
@@ -72,7 +72,7 @@ async fn an_empty_aggregator_says_how_to_fill_it() {
 
 #[tokio::test]
 async fn clocks_that_were_never_related_show_dashes_and_an_exact_sum() {
-    let (bed, _factory) = Bed::with(vec![Line::unrelated()]).await;
+    let (bed, _factory) = TestDashboard::with(vec![Line::unrelated()]).await;
     let run = bed.get("/runs/1").await;
     assert!(run.text().contains("unsynchronised"), "{}", run.text());
     assert!(run.text().contains(">up + down </tspan>"), "{}", run.text());
@@ -86,7 +86,7 @@ async fn clocks_that_were_never_related_show_dashes_and_an_exact_sum() {
 
 #[tokio::test]
 async fn what_is_not_there_is_said_on_a_page() {
-    let bed = Bed::empty().await;
+    let bed = TestDashboard::empty().await;
     for path in [
         "/nothing",
         "/runs/7",
@@ -109,7 +109,7 @@ async fn what_is_not_there_is_said_on_a_page() {
 
 #[tokio::test]
 async fn what_of_a_run_was_not_recorded_is_said_with_its_reason() {
-    let (bed, mut factory) = Bed::with(vec![Line::local()]).await;
+    let (bed, mut factory) = TestDashboard::with(vec![Line::local()]).await;
     assert!(!bed.get("/runs/1").await.text().contains("of this run were not recorded"));
     factory.store_gaps(0, 3).await;
     let page = bed.get("/runs/1").await;
@@ -119,7 +119,7 @@ async fn what_of_a_run_was_not_recorded_is_said_with_its_reason() {
 
 #[tokio::test]
 async fn a_run_goes_on_only_as_long_as_its_host_says_so() {
-    let (bed, mut factory) = Bed::with(vec![Line::local()]).await;
+    let (bed, mut factory) = TestDashboard::with(vec![Line::local()]).await;
     factory.store_runs(30, false).await;
     for current in [Some(2), None] {
         if current.is_none() {
@@ -142,7 +142,7 @@ async fn links_of_all_kinds_are_told_apart() {
         Line { host: "cam-4", ..Line::unrelated() },
         Line { host: "cam-5", ..Line::one_clock() },
     ];
-    let (bed, _factory) = Bed::with(lines).await;
+    let (bed, _factory) = TestDashboard::with(lines).await;
     for (path, text) in [
         ("/links", "3 links: 1 can be trusted, 1 known only as intervals in part, 1 cannot be trusted"),
         ("/links/cam-4~rack-a", "the two clocks were never related, so one-way delays are not known"),

@@ -7,7 +7,7 @@ use serde_json::json;
 use sqlx::sqlite::SqliteConnectOptions;
 use sqlx::{ConnectOptions, SqliteConnection};
 
-use crate::bed::Bed;
+use crate::bed::TestDashboard;
 use crate::factory::{Factory, Line};
 
 /// Lets nine days pass on the storage clock, in which retention counts.
@@ -18,7 +18,7 @@ async fn let_days_pass(database: &mut SqliteConnection) {
 
 #[tokio::test]
 async fn what_was_deleted_is_said_and_what_remains_is_shown() {
-    let bed = Bed::empty().await;
+    let bed = TestDashboard::empty().await;
     let mut factory = Factory::new(&bed.listening, bed.clock.clone(), vec![Line::local()]).await;
     factory.store_runs(200, true).await;
     factory.store_runs(100, true).await;

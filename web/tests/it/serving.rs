@@ -7,11 +7,11 @@ use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::net::{TcpSocket, TcpStream};
 use tokio_util::sync::CancellationToken;
 
-use crate::bed::Bed;
+use crate::bed::TestDashboard;
 
 #[tokio::test]
 async fn a_server_stops_with_a_stream_open() {
-    let bed = Bed::empty().await;
+    let bed = TestDashboard::empty().await;
     let stop = CancellationToken::new();
     let server =
         peernet_web::serve(bed.config.clone(), bed.aggregator.clone(), bed.clock.clone(), stop.clone(), 16)
@@ -59,7 +59,7 @@ async fn until(stream: &mut TcpStream, sign: &str) -> String {
 #[tokio::test]
 async fn streams_leave_connections_to_other_requests() {
     const LIVE: &str = "GET /api/v1/live HTTP/1.1\r\nHost: localhost";
-    let bed = Bed::empty().await;
+    let bed = TestDashboard::empty().await;
     let (config, aggregator, clock) = (bed.config.clone(), bed.aggregator.clone(), bed.clock.clone());
     let server =
         peernet_web::serve(config, aggregator, clock, bed.stop.clone(), 16).await.expect("serves").address();
@@ -97,7 +97,7 @@ async fn streams_leave_connections_to_other_requests() {
 
 #[tokio::test]
 async fn host_that_is_no_name_or_address_is_refused() {
-    let bed = Bed::empty().await;
+    let bed = TestDashboard::empty().await;
     let (config, aggregator, clock) = (bed.config.clone(), bed.aggregator.clone(), bed.clock.clone());
     let server =
         peernet_web::serve(config, aggregator, clock, bed.stop.clone(), 16).await.expect("serves").address();
@@ -119,7 +119,7 @@ async fn host_that_is_no_name_or_address_is_refused() {
 
 #[tokio::test]
 async fn a_port_in_use_is_named() {
-    let bed = Bed::empty().await;
+    let bed = TestDashboard::empty().await;
     let taken = tokio::net::TcpListener::bind("127.0.0.1:0").await.expect("binds");
     let listen = taken.local_addr().expect("an address").to_string();
     let config = WebConfig { listen: listen.clone(), ..bed.config.clone() };
@@ -135,7 +135,7 @@ async fn a_port_in_use_is_named() {
 
 #[tokio::test]
 async fn foreign_names_are_refused_also_where_everybody_may_ask() {
-    let bed = Bed::empty().await;
+    let bed = TestDashboard::empty().await;
     let server_names = vec!["dash.example.org".to_owned()];
     let open = WebConfig { allow_unauthenticated: true, server_names, ..bed.config.clone() };
     for config in [&bed.config, &open] {
@@ -167,7 +167,7 @@ async fn foreign_names_are_refused_also_where_everybody_may_ask() {
 
 #[tokio::test]
 async fn static_files_are_kept_for_ever_under_the_hash_of_their_contents() {
-    let bed = Bed::empty().await;
+    let bed = TestDashboard::empty().await;
     let home = bed.get("/").await;
     let start = home.text().find("/static/").expect("an address");
     let folder = home.text()[start..].split('/').take(3).collect::<Vec<_>>().join("/");
@@ -203,7 +203,7 @@ async fn static_files_are_kept_for_ever_under_the_hash_of_their_contents() {
 
 #[tokio::test]
 async fn health_is_told_in_a_word() {
-    let bed = Bed::empty().await;
+    let bed = TestDashboard::empty().await;
     assert_eq!(bed.get("/healthz").await.text(), "alive\n");
     assert_eq!(bed.get("/readyz").await.text(), "ready\n");
 }

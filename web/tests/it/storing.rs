@@ -7,18 +7,18 @@ use serde_json::{Value, json};
 use sqlx::ConnectOptions;
 use sqlx::sqlite::SqliteConnectOptions;
 
-use crate::bed::{Answer, Bed};
+use crate::bed::{Answer, TestDashboard};
 use crate::factory::Line;
 
 /// Waits until the aggregator is ready or not.
-async fn until(bed: &Bed, ready: bool) {
+async fn until(bed: &TestDashboard, ready: bool) {
     let mut readiness = bed.aggregator.readiness();
     readiness.wait_for(|now| (*now == Readiness::Ready) == ready).await.expect("the aggregator runs");
 }
 
 #[tokio::test]
 async fn a_database_that_is_gone_is_told_everywhere_until_it_is_back() {
-    let bed = Bed::empty().await;
+    let bed = TestDashboard::empty().await;
     assert_eq!(
         (bed.get("/readyz").await.status, bed.get("/readyz").await.text()),
         (StatusCode::OK, "ready\n")
@@ -58,7 +58,7 @@ async fn a_database_that_is_gone_is_told_everywhere_until_it_is_back() {
 
 #[tokio::test]
 async fn answers_from_a_damaged_database_say_what_readiness_says() {
-    let (bed, _factory) = Bed::with(vec![Line::local()]).await;
+    let (bed, _factory) = TestDashboard::with(vec![Line::local()]).await;
     let options = SqliteConnectOptions::new().filename(bed.database());
     let mut connection = options.connect().await.expect("opens");
     // From then on the file itself is read.
@@ -84,7 +84,7 @@ async fn answers_from_a_damaged_database_say_what_readiness_says() {
 
 #[tokio::test]
 async fn both_accounts_agree_at_rest() {
-    let (bed, _factory) = Bed::with(vec![Line::local(), Line::full()]).await;
+    let (bed, _factory) = TestDashboard::with(vec![Line::local(), Line::full()]).await;
     let picture = bed
         .until(|picture| {
             let rests = |host: &peernet_aggregator::HostSnapshot| {
@@ -115,7 +115,7 @@ async fn both_accounts_agree_at_rest() {
     assert!(page.text().contains("produced = acknowledged + waiting + lost"), "{}", page.text());
 }
 
-async fn pin(bed: &Bed, method: Method, run: &str, site: Option<&str>) -> Answer {
+async fn pin(bed: &TestDashboard, method: Method, run: &str, site: Option<&str>) -> Answer {
     let mut request = Request::builder().method(method).uri(format!("/api/v1/runs/{run}/pin"));
     if let Some(site) = site {
         request = request.header("sec-fetch-site", site);
@@ -125,7 +125,7 @@ async fn pin(bed: &Bed, method: Method, run: &str, site: Option<&str>) -> Answer
 
 #[tokio::test]
 async fn pinned_run_is_marked_until_it_is_unpinned() {
-    let (bed, _factory) = Bed::with(vec![Line::local()]).await;
+    let (bed, _factory) = TestDashboard::with(vec![Line::local()]).await;
     let pinned = async || bed.get("/api/v1/runs/1").await.json()["pinned"].clone();
     assert_eq!(pinned().await, json!(false));
     let page = bed.get("/runs/1").await;
@@ -157,7 +157,7 @@ async fn pinned_run_is_marked_until_it_is_unpinned() {
 
 #[tokio::test]
 async fn nothing_is_changed_for_other_sites_nor_by_looking() {
-    let (bed, _factory) = Bed::with(vec![Line::local()]).await;
+    let (bed, _factory) = TestDashboard::with(vec![Line::local()]).await;
     for site in ["cross-site", "same-site"] {
         let answer = pin(&bed, Method::PUT, "1", Some(site)).await;
         assert_eq!(answer.status, StatusCode::FORBIDDEN, "{site}");

@@ -6,7 +6,7 @@ use futures::StreamExt;
 use peernet_clock::Span;
 use serde_json::Value;
 
-use crate::bed::Bed;
+use crate::bed::TestDashboard;
 use crate::factory::Line;
 
 /// Reads events from a body as they come.
@@ -16,7 +16,7 @@ struct Events {
 }
 
 impl Events {
-    async fn of(bed: &Bed, topics: &str) -> Self {
+    async fn of(bed: &TestDashboard, topics: &str) -> Self {
         let address = format!("/api/v1/live?topics={topics}");
         let response = bed.send(Request::get(address).body(Body::empty()).expect("a request")).await;
         assert_eq!(response.status(), StatusCode::OK);
@@ -58,7 +58,7 @@ impl Events {
 
 #[tokio::test]
 async fn figures_arrive_as_they_are_reported() {
-    let (bed, mut factory) = Bed::with(vec![Line::local(), Line::full()]).await;
+    let (bed, mut factory) = TestDashboard::with(vec![Line::local(), Line::full()]).await;
     let mut events = Events::of(&bed, "picture,overview").await;
     let status = events.until("status").await;
     assert_eq!((&status["connected"], &status["hosts"]), (&Value::from(3), &Value::from(3)));
@@ -80,7 +80,7 @@ async fn figures_arrive_as_they_are_reported() {
 
 #[tokio::test]
 async fn a_slow_listener_gets_the_newest_picture_and_none_of_those_between() {
-    let (bed, mut factory) = Bed::with(vec![Line::local()]).await;
+    let (bed, mut factory) = TestDashboard::with(vec![Line::local()]).await;
     let mut events = Events::of(&bed, "picture").await;
     let first = events.until("picture").await;
     // Many pictures are made while the listener does not read.
@@ -105,7 +105,7 @@ async fn a_slow_listener_gets_the_newest_picture_and_none_of_those_between() {
 
 #[tokio::test]
 async fn pages_of_one_pipeline_and_one_host_are_kept_live() {
-    let (bed, _factory) = Bed::with(vec![Line::full()]).await;
+    let (bed, _factory) = TestDashboard::with(vec![Line::full()]).await;
     for (topic, part) in [
         ("pipeline/cam-2/offload-full/10", "title"),
         ("host/cam-2", "title"),
@@ -121,7 +121,7 @@ async fn pages_of_one_pipeline_and_one_host_are_kept_live() {
 
 #[tokio::test]
 async fn a_part_that_did_not_change_is_not_sent_again() {
-    let (bed, mut factory) = Bed::with(vec![Line::full()]).await;
+    let (bed, mut factory) = TestDashboard::with(vec![Line::full()]).await;
     let mut events = Events::of(&bed, "link/cam-2~rack-a/10min/removed").await;
     let ids = |page: &Value| -> Vec<String> {
         let parts = page["parts"].as_array().expect("parts").iter();
@@ -142,7 +142,7 @@ async fn a_part_that_did_not_change_is_not_sent_again() {
 
 #[tokio::test]
 async fn a_listener_without_topics_still_hears_that_the_aggregator_is_there() {
-    let bed = Bed::empty().await;
+    let bed = TestDashboard::empty().await;
     let mut events = Events::of(&bed, "").await;
     assert_eq!(events.until("status").await["hosts"], 0);
     let (name, _) = events.next().await.expect("the stream goes on");
@@ -151,7 +151,7 @@ async fn a_listener_without_topics_still_hears_that_the_aggregator_is_there() {
 
 #[tokio::test]
 async fn the_stream_ends_when_the_server_stops() {
-    let bed = Bed::empty().await;
+    let bed = TestDashboard::empty().await;
     let mut events = Events::of(&bed, "picture").await;
     events.until("status").await;
     bed.stop.cancel();

@@ -85,6 +85,8 @@ impl Unlogged {
 mod tests {
     use super::*;
 
+    const NO_LINES: [String; 0] = [];
+
     fn at(seconds: i64) -> MonoTime {
         MonoTime::from_nanos(seconds * 1_000_000_000)
     }
@@ -93,9 +95,9 @@ mod tests {
     fn first_failure_of_each_kind_is_logged_at_once() {
         let mut log = FailureLog::default();
         let failed = Outcome::Failed("no such file".to_owned());
-        assert_eq!(log.record(1, &Outcome::Ok, at(0)), [String::new(); 0]);
+        assert_eq!(log.record(1, &Outcome::Ok, at(0)), NO_LINES);
         assert_eq!(log.record(2, &failed, at(1)), ["iteration 2: failed: no such file"]);
-        assert_eq!(log.record(3, &failed, at(2)), [String::new(); 0]);
+        assert_eq!(log.record(3, &failed, at(2)), NO_LINES);
         assert_eq!(log.record(4, &Outcome::Timeout, at(3)), ["iteration 4: without an answer in time"]);
         let lost = Outcome::Lost("the connection broke".to_owned());
         assert_eq!(log.record(5, &lost, at(4)), ["iteration 5: lost: the connection broke"]);
@@ -110,12 +112,12 @@ mod tests {
             .flat_map(|n| log.record(n, &failed(&format!("reason {n}")), at(n.cast_signed() / 10)))
             .collect();
         assert_eq!(lines, ["599 more iterations failed in 60 s; the latest, iteration 600: reason 600"]);
-        assert_eq!(log.record(601, &failed("last"), at(61)), [String::new(); 0]);
+        assert_eq!(log.record(601, &failed("last"), at(61)), NO_LINES);
         assert_eq!(
             log.record(602, &Outcome::Ok, at(120)),
             ["1 more iteration failed in 60 s; the latest, iteration 601: last"]
         );
-        assert_eq!(log.finish(at(121)), [String::new(); 0]);
+        assert_eq!(log.finish(at(121)), NO_LINES);
     }
 
     #[test]

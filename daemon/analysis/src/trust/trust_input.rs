@@ -16,7 +16,7 @@ use crate::rows::{LATENESS, Outcome, RowRef, Rows};
 const REHEARSAL: &str = "Rehearsal";
 
 /// Function that returns a row's message in one direction.
-type Way = fn(&RowRef<'_>) -> Option<Passage>;
+type PassageReader = fn(&RowRef<'_>) -> Option<Passage>;
 
 /// Input of a run's judgement. A field whose value is unknown is empty.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -108,7 +108,7 @@ impl TrustInput {
         let count = |outcome: Outcome| {
             rows.iter().filter(|row| !row.warm_up() && row.outcome() == outcome).count() as u64
         };
-        let ways: [(Name, Way); 2] =
+        let ways: [(Name, PassageReader); 2] =
             [(stage::UPLOAD, |row| row.upload()), (stage::DOWNLOAD, |row| row.download())];
         Self {
             conditions: conditions.to_vec(),

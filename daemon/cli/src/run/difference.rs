@@ -41,7 +41,7 @@ fn compare(path: &str, before: &Value, now: &Value, found: &mut Vec<String>) {
         }
         (before, now) if before == now => {}
         (before, now) => {
-            found.push(format!("{path}: {} before, {} now", show_value(before), show_value(now)))
+            found.push(format!("{path}: {} before, {} now", show_value(before), show_value(now)));
         }
     }
 }

@@ -7,9 +7,9 @@ use peernet_statistics::SplitMix64;
 use peernet_stream::ExperimentPlace;
 
 /// Random numbers with a fixed seed, so that every run has the same.
-pub(crate) struct Dice(SplitMix64);
+pub(crate) struct TestRng(SplitMix64);
 
-impl Dice {
+impl TestRng {
     const fn new(seed: u64) -> Self {
         Self(SplitMix64::new(seed))
     }
@@ -65,7 +65,7 @@ fn values(stages: &[(&'static str, f64)]) -> Vec<(Column, f64)> {
 
 /// Returns a run with a model in the cloud.
 pub(crate) fn remote(model: &str, network: &str, count: u64) -> Loaded {
-    let mut dice = Dice::new(7);
+    let mut dice = TestRng::new(7);
     let mut at = 0.0;
     let mut all = Vec::new();
     for number in 1..=count {
@@ -114,7 +114,7 @@ fn place(run: &mut Loaded, model: &str, kind: &str, device: &str, network: Optio
 
 /// Returns runs of three models on the robot and in the cloud: the paper's first experiment.
 pub(crate) fn experiment() -> Vec<Loaded> {
-    let mut dice = Dice::new(3);
+    let mut dice = TestRng::new(3);
     let mut runs = Vec::new();
     for (model, local) in
         [("efficientnet_v2_s", 62e-3), ("efficientnet_v2_m", 95e-3), ("efficientnet_v2_l", 151e-3)]
@@ -160,7 +160,7 @@ pub(crate) fn teleoperation() -> Vec<Loaded> {
         ("no", "A100", "CAN", [0.79, 102.48, 7.19, 3.16], [0.27, 26.40, 3.38, 8.95]),
         ("yes", "A100", "CAN", [4.83, 15.13, 6.71, 3.59], [1.08, 7.63, 3.05, 4.83]),
     ];
-    let mut dice = Dice::new(5);
+    let mut dice = TestRng::new(5);
     let run = |(resize, gpu, network, means, stds): (&str, &str, &str, [f64; 4], [f64; 4])| {
         let names = ["sensing", "upload", "inference", "download"];
         let rows = (1..=500).map(|number| {
@@ -182,11 +182,11 @@ pub(crate) fn teleoperation() -> Vec<Loaded> {
 
 /// Returns a run with payloads of seven sizes.
 pub(crate) fn payload() -> Loaded {
-    let mut dice = Dice::new(9);
+    let mut dice = TestRng::new(9);
     let sizes = [1e3, 3e3, 1e4, 3e4, 1e5, 3e5, 1e6];
     let rows = (1..=1400).map(|number| {
         let size = sizes[number as usize % sizes.len()];
-        let delay = |dice: &mut Dice, bytes: f64| dice.late(0.21e-3 + bytes / 110e6, 0.06);
+        let delay = |dice: &mut TestRng, bytes: f64| dice.late(0.21e-3 + bytes / 110e6, 0.06);
         let (up, down) = (delay(&mut dice, size + 300.0), delay(&mut dice, size + 400.0));
         let mut values = values(&[("sensing", 1e-4), ("upload", up), ("download", down)]);
         values.extend([
@@ -204,7 +204,7 @@ pub(crate) fn payload() -> Loaded {
 
 /// Returns runs of one model of 40 ms and another of 12 ms with one worker each, used by up to sixteen edges at the same time.
 pub(crate) fn users() -> Vec<Loaded> {
-    let mut dice = Dice::new(11);
+    let mut dice = TestRng::new(11);
     let mut runs = Vec::new();
     for (model, service) in [("efficientnet_v2_s", 12e-3), ("efficientnet_v2_l", 40e-3)] {
         for edges in [1_u32, 2, 4, 8, 16] {

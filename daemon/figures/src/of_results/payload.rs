@@ -32,7 +32,7 @@ struct Size {
 }
 
 /// Messages in one direction.
-struct Way {
+struct DirectionData {
     name: &'static str,
     sizes: Vec<Size>,
     fit: Option<Fit>,
@@ -42,7 +42,7 @@ struct Way {
 
 /// The messages over one link.
 struct Study {
-    ways: Vec<Way>,
+    ways: Vec<DirectionData>,
     /// Name of the link, for the title.
     whose: String,
     notes: Vec<String>,
@@ -61,21 +61,22 @@ pub(super) fn drawings(runs: &[Loaded]) -> Result<Vec<Drawing>, MissingData> {
             None => links.push((link, vec![number])),
         }
     }
-    let ways = |runs_of: &[usize]| -> [Way; 2] {
+    let ways = |runs_of: &[usize]| -> [DirectionData; 2] {
         let rows = runs_of.iter().flat_map(|number| &runs[*number].rows).filter(|row| row.counts());
         let rows: Vec<RowRef<'_>> = rows.collect();
-        ["upload", "download"].map(|name| Way::of(name, &rows))
+        ["upload", "download"].map(|name| DirectionData::of(name, &rows))
     };
     let configurations = Configurations::of(runs);
     let studied = links.into_iter().map(|(_, runs_of)| {
         let rows = runs_of.iter().flat_map(|number| &runs[*number].rows);
         let notes = [pooled(&configurations, &runs_of), left_out(&rows), too_large(rows, &SHOWN)];
-        let (ways, others): (Vec<Way>, Vec<Way>) = ways(&runs_of).into_iter().partition(Way::is_varied);
-        let untold = ways.iter().flat_map(Way::untold);
+        let (ways, others): (Vec<DirectionData>, Vec<DirectionData>) =
+            ways(&runs_of).into_iter().partition(DirectionData::is_varied);
+        let untold = ways.iter().flat_map(DirectionData::untold);
         Study {
             notes: notes.into_iter().flatten().chain(untold).collect(),
             whose: whose(&runs[runs_of[0]].record),
-            missing: others.iter().filter_map(Way::why_not).collect(),
+            missing: others.iter().filter_map(DirectionData::why_not).collect(),
             ways,
         }
     });
@@ -138,7 +139,7 @@ fn pooled(configurations: &Configurations, runs: &[usize]) -> Option<String> {
     })
 }
 
-impl Way {
+impl DirectionData {
     /// Returns whether its sizes differ enough to show their effect.
     fn is_varied(&self) -> bool {
         let ends = self.sizes.first().zip(self.sizes.last());

@@ -420,7 +420,7 @@ fn read_tlvs(key: Option<&Key>, sequence: u32, tlvs: &[u8]) -> TlvValues {
         if place.flags & tlv::UNRECOGNISED == 0 {
             match place.kind {
                 tlv::EXTRA_PADDING => {
-                    tlv_values.nonce = tlv_values.nonce.or(tlvs[place.value].try_into().ok())
+                    tlv_values.nonce = tlv_values.nonce.or(tlvs[place.value].try_into().ok());
                 }
                 tlv::FOLLOW_UP => tlv_values.follow_up = FollowUp::from_value(&tlvs[place.value]),
                 tlv::ORIGIN => tlv_values.origin = Origin::from_value(&tlvs[place.value]),

@@ -13,7 +13,7 @@ use self::schema::{Comparison, Experiment, ExperimentList};
 use crate::error::{ProblemDetails, WebError};
 use crate::parameters::{Parameters, bounded};
 use crate::state::App;
-use crate::view::compare::{Differences, Which, gather, run_means};
+use crate::view::compare::{CompareSelection, Differences, gather, run_means};
 
 /// Returns the operations of this resource.
 pub(super) fn routes() -> OpenApiRouter<App> {
@@ -50,7 +50,7 @@ async fn compare(
     Parameters(query): Parameters<Vec<(String, String)>>,
 ) -> Result<Json<Comparison>, WebError> {
     let (baseline, query): (Vec<_>, Vec<_>) = query.into_iter().partition(|(name, _)| name == "baseline");
-    let which = Which::of(&query, "runs or experiment, and with either baseline")?;
+    let which = CompareSelection::of(&query, "runs or experiment, and with either baseline")?;
     let which = which.ok_or_else(|| {
         WebError::BadRequest("query parameter runs: name runs, or an experiment".to_owned())
     })?;

@@ -51,7 +51,7 @@ pub(crate) struct Host {
     pub last_seen: String,
     pub description: Description,
     /// Current state; null for a host that is not in the live picture.
-    pub now: Option<Now>,
+    pub now: Option<HostNow>,
     /// The host's wall clock by its own account; null for a host that is not in the live picture.
     pub clock: Option<HostClock>,
     pub stored: Stored,
@@ -79,7 +79,8 @@ pub(crate) struct Description {
 
 /// Current state of a host. Values that the host cannot read are null.
 #[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
-pub(crate) struct Now {
+#[schema(as = Now)]
+pub(crate) struct HostNow {
     /// Difference between its wall clock and the aggregator's, seconds, by its last update. It includes the update's time on the network,
     /// so it is a hint and not a measurement.
     pub clock_ahead_s: f64,
@@ -242,7 +243,7 @@ impl From<&HostSnapshot> for Host {
             connected: host.connected,
             last_seen: time(host.last_seen),
             description: Description::from(&host.description),
-            now: Some(Now {
+            now: Some(HostNow {
                 clock_ahead_s: host.clock_ahead.seconds(),
                 behind_s: host.behind.map(Span::seconds),
                 catching_up: host.catching_up.map(|found| CatchingUp {

@@ -34,11 +34,11 @@ pub(crate) struct IterationSummary {
     /// Ratio of `total` to the run's median of it.
     pub factor: Option<f64>,
     /// First element of `causes`; null if `causes` is empty.
-    pub blame: Option<Blame>,
+    pub blame: Option<SlowPart>,
     /// Causes of a slow iteration: the parts with the largest excess over their own medians, largest first, until they explain 80 % of
     /// the excess of `total`. A part is a stage, `lateness`, `unattributed` (without lateness), or `upload + download`. Empty where the
     /// iteration took no longer than the run's median.
-    pub causes: Vec<Blame>,
+    pub causes: Vec<SlowPart>,
     /// Seconds per stage, in their order.
     pub stages: Vec<StageTime>,
     /// Time of `total` that its stages do not account for, seconds.
@@ -112,14 +112,15 @@ impl StageTime {
 
 /// A part of an iteration that took longer than the median of its run.
 #[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
-pub(crate) struct Blame {
+#[schema(as = Blame)]
+pub(crate) struct SlowPart {
     pub name: String,
     pub seconds: f64,
     /// Median of the run.
     pub median: f64,
 }
 
-impl From<&Cause> for Blame {
+impl From<&Cause> for SlowPart {
     fn from(cause: &Cause) -> Self {
         Self { name: cause.name.to_string(), seconds: cause.value, median: cause.median }
     }
@@ -137,8 +138,8 @@ impl From<&store::IterationRow> for IterationSummary {
             started: time(row.started),
             total: row.total,
             factor: row.factor,
-            blame: row.causes.first().map(Blame::from),
-            causes: row.causes.iter().map(Blame::from).collect(),
+            blame: row.causes.first().map(SlowPart::from),
+            causes: row.causes.iter().map(SlowPart::from).collect(),
             stages: StageTime::all(row),
             unattributed: row.unattributed,
             both_ways: row.both_ways,

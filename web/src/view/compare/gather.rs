@@ -20,14 +20,14 @@ pub(crate) const MOST_RUNS: u32 = 200;
 
 /// Selection of what to compare, as in an address.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub(crate) enum Which {
+pub(crate) enum CompareSelection {
     /// These runs; each is a separate configuration.
     Runs(Vec<i64>),
     /// All valid runs of an experiment, repeats together.
     Experiment(String),
 }
 
-impl Which {
+impl CompareSelection {
     /// Reads `runs=1,2&runs=3` or `experiment=ID`. `None` without a selection.
     ///
     /// # Errors
@@ -71,9 +71,9 @@ impl Which {
 ///
 /// # Errors
 /// Returns an error when a run or the experiment is not stored, or the store cannot be read.
-pub(crate) async fn gather(store: &Store, which: &Which) -> Result<Comparison, WebError> {
+pub(crate) async fn gather(store: &Store, which: &CompareSelection) -> Result<Comparison, WebError> {
     let (experiment, details, left_out, cut) = match which {
-        Which::Runs(numbers) => {
+        CompareSelection::Runs(numbers) => {
             let mut details = Vec::with_capacity(numbers.len());
             for number in numbers {
                 let run = store.run(*number).await?;
@@ -81,7 +81,7 @@ pub(crate) async fn gather(store: &Store, which: &Which) -> Result<Comparison, W
             }
             (None, details, Vec::new(), false)
         }
-        Which::Experiment(id) => {
+        CompareSelection::Experiment(id) => {
             let mut runs = store.runs_of_experiment(id, MOST_RUNS + 1).await?;
             let cut = runs.len() > MOST_RUNS as usize;
             runs.truncate(MOST_RUNS as usize);

@@ -25,7 +25,7 @@ mod users;
 pub(crate) use ask::{commands, doubts, unknown_labels};
 pub(crate) use differences::{Differences, RunMeans, StageDifference, run_means};
 pub(crate) use distributions::{Address, Distributions, distributions};
-pub(crate) use gather::{MOST_RUNS, Which, gather};
+pub(crate) use gather::{CompareSelection, MOST_RUNS, gather};
 pub(crate) use lengths::{Lengths, answers, lengths};
 pub(crate) use pairwise::{PairwiseRow, pairwise};
 pub(crate) use payload::{accuracy, payload};

@@ -7,7 +7,7 @@ use std::slice;
 
 use super::{Comparison, Configuration, order};
 use crate::look;
-use crate::svg::{Axis, Bar, BoxPlot, Five, Part, Scale};
+use crate::svg::{Axis, Bar, BoxPlot, BoxStatistics, Part, Scale};
 use crate::view::place;
 use crate::view::stack::Stack;
 
@@ -139,12 +139,12 @@ pub(crate) fn pairs(comparison: &Comparison) -> (Vec<Pair>, Axes) {
         has(PlacementKind::Local) && has(PlacementKind::Remote)
     };
     models.retain(both);
-    let five = |one: &Configuration| Five::of(one.known(&stage::INFERENCE)?);
+    let five = |one: &Configuration| BoxStatistics::of(one.known(&stage::INFERENCE)?);
     let measured = models.iter().flat_map(|model| of(model));
     let reach = measured.filter_map(five).map(|five| five.top()).fold(0.0, f64::max);
     let scale = Scale::fit(reach * 1e3, 6);
     let row = |one: &Configuration| {
-        let (figures, five): (_, Five) = (one.figures(&stage::INFERENCE)?, five(one)?);
+        let (figures, five): (_, BoxStatistics) = (one.figures(&stage::INFERENCE)?, five(one)?);
         let wher = if one.kind() == Some(PlacementKind::Local) { "on board" } else { "cloud" };
         let place = format!("{wher}, {}", routes(one));
         let label = format!("{}, {place}, inference", one.name);

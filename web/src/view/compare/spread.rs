@@ -4,7 +4,7 @@ use peernet_logger::stage;
 use peernet_statistics::number::milliseconds;
 
 use super::{Axes, Comparison, Configuration};
-use crate::svg::{BoxPlot, Five, Scale};
+use crate::svg::{BoxPlot, BoxStatistics, Scale};
 
 /// A configuration's total as a box.
 pub(crate) struct BoxRow {
@@ -17,9 +17,10 @@ pub(crate) struct BoxRow {
 /// Returns the total of each configuration, its runs together, all on one scale.
 pub(crate) fn boxes(comparison: &Comparison) -> (Vec<BoxRow>, Axes) {
     let known = comparison.configurations.iter();
-    let known: Vec<_> = known.filter_map(|one| Some((one, Five::of(one.known(&stage::TOTAL)?)?))).collect();
+    let known: Vec<_> =
+        known.filter_map(|one| Some((one, BoxStatistics::of(one.known(&stage::TOTAL)?)?))).collect();
     let scale = Scale::fit(known.iter().map(|(_, five)| five.top()).fold(0.0, f64::max) * 1e3, 6);
-    let row = |(one, five): &(&Configuration, Five)| {
+    let row = |(one, five): &(&Configuration, BoxStatistics)| {
         let [p25, p50, p75] = five.middle.map(milliseconds);
         BoxRow {
             name: one.name.clone(),

@@ -141,11 +141,14 @@ pub(crate) fn run_courses(comparison: &Comparison) -> RunCourses {
 fn addresses_name_runs_or_an_experiment() {
     let of = |pairs: &[(&str, &str)]| {
         let pairs: Vec<_> = pairs.iter().map(|(a, b)| ((*a).to_owned(), (*b).to_owned())).collect();
-        Which::of(&pairs, "runs")
+        CompareSelection::of(&pairs, "runs")
     };
     assert_eq!(of(&[]).expect("fine"), None);
-    assert_eq!(of(&[("runs", "3,#5, 3"), ("runs", "7")]).expect("fine"), Some(Which::Runs(vec![3, 5, 7])));
-    assert_eq!(of(&[("experiment", "x")]).expect("fine"), Some(Which::Experiment("x".to_owned())));
+    assert_eq!(
+        of(&[("runs", "3,#5, 3"), ("runs", "7")]).expect("fine"),
+        Some(CompareSelection::Runs(vec![3, 5, 7]))
+    );
+    assert_eq!(of(&[("experiment", "x")]).expect("fine"), Some(CompareSelection::Experiment("x".to_owned())));
     for wrong in [&[("runs", "3,x")][..], &[("run", "3")], &[("runs", "3"), ("experiment", "x")]] {
         assert!(of(wrong).is_err(), "{wrong:?}");
     }

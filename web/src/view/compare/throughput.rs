@@ -41,7 +41,7 @@ pub(crate) struct ThroughputRow {
 }
 
 /// One point, bit/s.
-struct Known<'a> {
+struct ThroughputPoint<'a> {
     one: &'a Configuration,
     bytes: f64,
     delay: f64,
@@ -50,7 +50,7 @@ struct Known<'a> {
     ends: Option<(f64, Option<f64>)>,
 }
 
-impl<'a> Known<'a> {
+impl<'a> ThroughputPoint<'a> {
     fn of(one: &'a Configuration, way: &Name, sizes: &[Name; 2]) -> Option<Self> {
         let size = one.figures(&sizes[0])?.mean;
         let bytes = size + one.figures(&sizes[1]).map_or(0.0, |figures| figures.mean);
@@ -87,12 +87,12 @@ impl<'a> Known<'a> {
 /// Returns the throughput of each direction whose payloads have at least three sizes.
 pub(crate) fn throughput(comparison: &Comparison) -> Option<Throughput> {
     let ways = WAYS.iter().filter_map(|(way, sizes)| {
-        let known: Vec<Known<'_>> =
-            comparison.configurations.iter().filter_map(|one| Known::of(one, way, sizes)).collect();
+        let known: Vec<ThroughputPoint<'_>> =
+            comparison.configurations.iter().filter_map(|one| ThroughputPoint::of(one, way, sizes)).collect();
         let sizes = distinct_sizes(known.iter().map(|it| it.bytes));
         (sizes >= FEWEST_SIZES).then_some((way, known))
     });
-    let ways: Vec<(&Name, Vec<Known<'_>>)> = ways.collect();
+    let ways: Vec<(&Name, Vec<ThroughputPoint<'_>>)> = ways.collect();
     let all = || ways.iter().flat_map(|(_, known)| known);
     ways.first()?;
     // An upper end that is far above all values would compress the points at the bottom.
@@ -105,7 +105,7 @@ pub(crate) fn throughput(comparison: &Comparison) -> Option<Throughput> {
         let sized: Group<'_> = known.iter().map(|it| (it.one, it.bytes)).collect();
         let groups = groups(comparison, &sized);
         let lines = groups.iter().filter_map(|group| level(comparison, way, group, &mut said)).collect();
-        let name = |it: &Known<'_>| name_in(comparison, &groups, it.one);
+        let name = |it: &ThroughputPoint<'_>| name_in(comparison, &groups, it.one);
         let points = known.iter().map(|it| it.point(up.end() * 1.02, name(it))).collect();
         ScatterSeries { look: look::class(way), name: way.to_string(), points, lines }
     });

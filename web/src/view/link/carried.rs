@@ -6,7 +6,7 @@ use peernet_statistics::number::{NONE, bytes, rate};
 
 use super::super::now::Cell;
 use super::super::place;
-use super::super::speed::{self, Way};
+use super::super::speed::{self, NetworkDirection};
 use super::{LATELY, Subject};
 
 /// One pipeline that uses the link.
@@ -41,7 +41,7 @@ impl CarriedRow {
             href: place::pipeline_href(pipeline.host_name.as_str(), pipeline.pipeline.as_str()),
             rate: rate(window.rate_hz),
             sizes: [size(&stage::UPLOAD_BYTES), size(&stage::DOWNLOAD_BYTES)],
-            speeds: [Way::Up, Way::Down].map(|way| speed::cell(kind, window, way)),
+            speeds: [NetworkDirection::Up, NetworkDirection::Down].map(|way| speed::cell(kind, window, way)),
             traffic: speed::traffic(kind, window),
         })
     }

@@ -8,7 +8,7 @@ use serde::Deserialize;
 
 use super::super::chip::Chip;
 use super::super::incidents::IncidentLine;
-use super::super::speed::Way;
+use super::super::speed::NetworkDirection;
 use super::course::Course;
 use super::delays::{bounds, of_point};
 use super::{Subject, known, offset};
@@ -128,7 +128,7 @@ pub(crate) fn tracks(
         label: finding(subject, &plan, incidents.len()),
         signs: signs(&plan, incidents, zone),
         gaps: plan.gaps.iter().map(|(from, to)| gap(&plan, *from, *to)).collect(),
-        strips: [Way::Up, Way::Down].map(|way| strip(&plan, way)).to_vec(),
+        strips: [NetworkDirection::Up, NetworkDirection::Down].map(|way| strip(&plan, way)).to_vec(),
         tracks: all,
         times: times(course, zone),
     }
@@ -161,7 +161,7 @@ fn signs(plan: &Plan<'_>, incidents: &[IncidentRow], zone: Zone) -> Vec<RailSign
     signs.collect()
 }
 
-fn strip(plan: &Plan<'_>, way: Way) -> Strip {
+fn strip(plan: &Plan<'_>, way: NetworkDirection) -> Strip {
     let half = plan.course.bucket as f64 / plan.course.seconds().max(1.0);
     let mut segments: Vec<(f64, f64, Verdict)> = Vec::new();
     for point in &plan.course.points {
@@ -183,7 +183,7 @@ fn strip(plan: &Plan<'_>, way: Way) -> Strip {
 
 fn delays(plan: &Plan<'_>) -> Track {
     let points = &plan.coarse.points;
-    let both = [Way::Up, Way::Down];
+    let both = [NetworkDirection::Up, NetworkDirection::Down];
     let upper = || {
         let medians =
             points.iter().flat_map(|point| both.map(|way| of_point(point, way).and_then(|one| one.median)));
@@ -195,9 +195,10 @@ fn delays(plan: &Plan<'_>) -> Track {
     track.note = "whiskers: contain the true value".to_owned();
     track.beyond = beyond(upper(), &ruler, "ms");
     let half = plan.coarse.bucket as f64 / plan.course.seconds().max(1.0) / 2.0;
-    for (way, whiskers, dots) in
-        [(Way::Up, "whiskers up", "dots up"), (Way::Down, "whiskers down", "dots down")]
-    {
+    for (way, whiskers, dots) in [
+        (NetworkDirection::Up, "whiskers up", "dots up"),
+        (NetworkDirection::Down, "whiskers down", "dots down"),
+    ] {
         let known: Vec<(f64, f64, f64, f64)> = points
             .iter()
             .filter_map(|point| {
@@ -269,7 +270,7 @@ fn finding(subject: &Subject<'_>, plan: &Plan<'_>, incidents: usize) -> String {
     if course.points.is_empty() {
         return format!("{text} Nothing was reported.");
     }
-    for way in [Way::Up, Way::Down] {
+    for way in [NetworkDirection::Up, NetworkDirection::Down] {
         let seconds = plan.coarse.points.iter().filter_map(|point| of_point(point, way));
         let worst = seconds.clone().map(|second| second.verdict).max_by_key(|verdict| severity(*verdict));
         if let Some(range) =

@@ -7,7 +7,7 @@ use peernet_clock::{Offset, RelatedClocks, Span, WallTime};
 use peernet_store::{ClockPoint, ClockSeries};
 use peernet_stream::{DelaySecond, ProbeCounts};
 
-use super::super::speed::Way;
+use super::super::speed::NetworkDirection;
 use super::delays::Delays;
 
 /// Points between two moments of the edge's wall clock.
@@ -104,7 +104,7 @@ fn widest(points: &[ClockPoint]) -> Option<Offset> {
     known.max_by_key(|offset| offset.bounds.width()).cloned()
 }
 
-fn delays(points: &[ClockPoint], way: Way) -> Option<DelaySecond> {
+fn delays(points: &[ClockPoint], way: NetworkDirection) -> Option<DelaySecond> {
     let delays = Delays::of(way, points);
     let count = u32::try_from(delays.count).unwrap_or(u32::MAX);
     Some(DelaySecond { count, median: delays.median, verdict: delays.verdict? })
@@ -124,8 +124,8 @@ fn merged(points: &[ClockPoint]) -> Option<ClockPoint> {
         offset: widest(&points[begin..]),
         probes: sum(points.iter().map(|point| point.probes)),
         round_trip: round_trip(points.iter().filter_map(|point| point.round_trip)),
-        up: delays(points, Way::Up),
-        down: delays(points, Way::Down),
+        up: delays(points, NetworkDirection::Up),
+        down: delays(points, NetworkDirection::Down),
         clocks: last.clocks,
         proven_skew_ppm: last.proven_skew_ppm,
         grown_window: points.iter().filter_map(|point| point.grown_window).max(),

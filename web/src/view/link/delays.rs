@@ -8,12 +8,12 @@ use peernet_stream::{DelayPoint, DelaySecond};
 
 use super::super::chip::Chip;
 use super::super::clocks;
-use super::super::speed::Way;
+use super::super::speed::NetworkDirection;
 
 /// Statistics of the judged delays of one direction.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Delays {
-    pub way: Way,
+    pub way: NetworkDirection,
     /// Number of judged delays.
     pub count: u64,
     /// Median, with the bounds of the same delay.
@@ -23,10 +23,10 @@ pub(crate) struct Delays {
 }
 
 /// Returns the delays of a direction within one point.
-pub(crate) fn of_point(point: &ClockPoint, way: Way) -> Option<&DelaySecond> {
+pub(crate) fn of_point(point: &ClockPoint, way: NetworkDirection) -> Option<&DelaySecond> {
     match way {
-        Way::Up => point.up.as_ref(),
-        Way::Down => point.down.as_ref(),
+        NetworkDirection::Up => point.up.as_ref(),
+        NetworkDirection::Down => point.down.as_ref(),
     }
 }
 
@@ -42,14 +42,14 @@ pub(super) fn digits(point: &DelayPoint) -> String {
 
 impl Delays {
     /// Returns the delays of some points.
-    pub(crate) fn of<'a>(way: Way, points: impl IntoIterator<Item = &'a ClockPoint>) -> Self {
+    pub(crate) fn of<'a>(way: NetworkDirection, points: impl IntoIterator<Item = &'a ClockPoint>) -> Self {
         let seconds: Vec<DelaySecond> =
             points.into_iter().filter_map(|point| of_point(point, way).copied()).collect();
         Self::merge(way, &seconds)
     }
 
     /// Merges several seconds into one.
-    pub(crate) fn merge(way: Way, seconds: &[DelaySecond]) -> Self {
+    pub(crate) fn merge(way: NetworkDirection, seconds: &[DelaySecond]) -> Self {
         let sum: DelaySum = seconds.iter().collect();
         Self { way, count: sum.count(), median: sum.median(), verdict: sum.verdict() }
     }
@@ -57,8 +57,8 @@ impl Delays {
     /// Returns the name of the stage, as a sentence begins with it.
     pub(crate) const fn title(&self) -> &'static str {
         match self.way {
-            Way::Up => "Upload",
-            Way::Down => "Download",
+            NetworkDirection::Up => "Upload",
+            NetworkDirection::Down => "Download",
         }
     }
 

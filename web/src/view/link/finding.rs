@@ -5,7 +5,7 @@ use peernet_statistics::number::{SPACE, bound, ends_ms, interval_ms};
 
 use super::super::chip::Chip;
 use super::super::clocks;
-use super::super::speed::Way;
+use super::super::speed::NetworkDirection;
 use super::delays::{Delays, bounds, digits};
 use super::list::{TOO_YOUNG, no_offset};
 use super::{CONTRADICTION, Subject, is_young};
@@ -43,7 +43,7 @@ pub(crate) fn title(subject: &Subject<'_>, zone: Zone) -> String {
         }
         _ => {}
     }
-    let [up, down] = [Way::Up, Way::Down].map(|way| subject.delays(way).verdict);
+    let [up, down] = [NetworkDirection::Up, NetworkDirection::Down].map(|way| subject.delays(way).verdict);
     match (up, down) {
         (None, None) => {
             format!("{route}: the clocks are known to {bound}; nothing was sent in the last 10{SPACE}s")
@@ -86,7 +86,11 @@ pub(crate) struct Meaning {
 /// Returns both directions.
 pub(crate) fn meanings(subject: &Subject<'_>) -> Vec<Meaning> {
     let young = subject.offset().is_some_and(is_young);
-    [Way::Up, Way::Down].map(|way| subject.delays(way)).iter().map(|delays| meaning(delays, young)).collect()
+    [NetworkDirection::Up, NetworkDirection::Down]
+        .map(|way| subject.delays(way))
+        .iter()
+        .map(|delays| meaning(delays, young))
+        .collect()
 }
 
 fn meaning(delays: &Delays, young: bool) -> Meaning {

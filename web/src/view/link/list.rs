@@ -11,7 +11,7 @@ use super::super::now::Cell;
 use super::super::rehearsal::{self, Rehearsed};
 use super::stats::ppm;
 use super::{CONTRADICTION, Subject, course, is_live, is_young, known, panels};
-use crate::zone::{Moment, Zone};
+use crate::zone::{Zone, ZonedTime};
 
 /// One link, now.
 #[derive(Clone, Debug, PartialEq)]
@@ -22,7 +22,7 @@ pub(crate) struct LinkLine {
     /// Meaning of the verdict.
     pub meaning: &'static str,
     /// `last seen …`, for a link whose edge does not report.
-    pub away: Option<Moment>,
+    pub away: Option<ZonedTime>,
     pub rehearsal: Option<Chip>,
     pub network: String,
     pub bound: Cell,
@@ -39,7 +39,7 @@ pub(crate) struct LinkLine {
 pub(crate) struct PastLine {
     pub name: String,
     pub href: String,
-    pub last: Moment,
+    pub last: ZonedTime,
 }
 
 fn cell(known: Option<String>, why: &str) -> Cell {

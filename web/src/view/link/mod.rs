@@ -22,7 +22,7 @@ use peernet_clock::{Offset, RelatedClocks, Span, Verdict, WallTime};
 use peernet_store::{ClockPoint, DelayAssumptions, LinkKey, LinkRow};
 use peernet_stream::{NetworkName, Placement, PlacementKind};
 
-use super::speed::Way;
+use super::speed::NetworkDirection;
 use crate::error::WebError;
 use delays::Delays;
 
@@ -244,7 +244,7 @@ impl<'a> Subject<'a> {
 
     /// Returns the delays of data of the last ten seconds. Those that were judged before the clocks were known as they are now
     /// do not count: a link is not to be coloured by its first moments.
-    pub(crate) fn delays(&self, way: Way) -> Delays {
+    pub(crate) fn delays(&self, way: NetworkDirection) -> Delays {
         let since = self.end - LATELY;
         let lately = self.history().iter().rev().take_while(|point| point.at > since);
         let mut settled: Vec<&ClockPoint> = lately.map(|point| &**point).collect();
@@ -266,8 +266,9 @@ impl<'a> Subject<'a> {
             (false, Some(offset)) => offset.verdict,
             (false, None) => return self.live.map(|_| Verdict::Unsynchronised),
         };
-        let limited =
-            [Way::Up, Way::Down].into_iter().any(|way| self.delays(way).verdict == Some(Verdict::Limited));
+        let limited = [NetworkDirection::Up, NetworkDirection::Down]
+            .into_iter()
+            .any(|way| self.delays(way).verdict == Some(Verdict::Limited));
         Some(if clocks == Verdict::Ok && limited { Verdict::Limited } else { clocks })
     }
 

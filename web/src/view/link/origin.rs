@@ -21,7 +21,7 @@ pub(crate) struct SourceRow {
 /// Origin of the bound.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub(crate) struct Origin {
-    /// `Where ±0.65 ms comes from`.
+    /// `NodeLocation ±0.65 ms comes from`.
     pub title: String,
     pub rows: Vec<SourceRow>,
     /// Sentences.

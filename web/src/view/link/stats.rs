@@ -7,7 +7,7 @@ use peernet_statistics::number::{
 use peernet_stream::ProbeCounts;
 
 use super::super::chip::Chip;
-use super::super::speed::Way;
+use super::super::speed::NetworkDirection;
 use super::course::Course;
 use super::list::no_offset;
 use super::{CONTRADICTION, Subject, known};
@@ -42,7 +42,7 @@ impl Stat {
 
 /// Returns all figures.
 pub(crate) fn all(subject: &Subject<'_>, course: &Course) -> Vec<Stat> {
-    let mut stats = vec![delay(subject, Way::Up), delay(subject, Way::Down)];
+    let mut stats = vec![delay(subject, NetworkDirection::Up), delay(subject, NetworkDirection::Down)];
     if !subject.same_clock() {
         stats.extend([offset(subject), drift(subject)]);
     }
@@ -52,7 +52,7 @@ pub(crate) fn all(subject: &Subject<'_>, course: &Course) -> Vec<Stat> {
     stats
 }
 
-fn delay(subject: &Subject<'_>, way: Way) -> Stat {
+fn delay(subject: &Subject<'_>, way: NetworkDirection) -> Stat {
     let delays = subject.delays(way);
     let known = delays.median.is_some().then(|| delays.value());
     let line = match delays.interval() {

@@ -4,17 +4,17 @@ use peernet_statistics::number::{NONE, bound_ms, count, offset_ms, trip_ms};
 use peernet_store::ClockPoint;
 
 use super::super::chip::Sign;
-use super::super::speed::Way;
+use super::super::speed::NetworkDirection;
 use super::course::Course;
 use super::delays::Delays;
 use super::known;
 use super::stats::ppm;
-use crate::zone::{Moment, Zone};
+use crate::zone::{Zone, ZonedTime};
 
 /// One stretch of time; times in ms.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Row {
-    pub at: Moment,
+    pub at: ZonedTime,
     pub up: Direction,
     pub down: Direction,
     pub offset: String,
@@ -58,8 +58,8 @@ impl Row {
         let trip = point.round_trip;
         Self {
             at: zone.moment(point.at),
-            up: Direction::of(&Delays::of(Way::Up, [point])),
-            down: Direction::of(&Delays::of(Way::Down, [point])),
+            up: Direction::of(&Delays::of(NetworkDirection::Up, [point])),
+            down: Direction::of(&Delays::of(NetworkDirection::Down, [point])),
             offset: within.map_or_else(dash, |(estimate, half)| offset_ms(estimate, half)),
             bound: within.map_or_else(dash, |(_, half)| bound_ms(half)),
             drift: within.and(offset).and_then(|offset| offset.skew_ppm).map_or_else(dash, ppm),

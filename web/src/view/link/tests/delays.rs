@@ -14,20 +14,21 @@ fn second(count: u32, value_ms: f64, verdict: Verdict) -> DelaySecond {
 #[test]
 fn the_median_counts_each_delay_and_a_rare_verdict_does_not_colour_the_rest() {
     let many = [second(98, 6.0, Verdict::Ok), second(1, 60.0, Verdict::Ok), second(1, 1.0, Verdict::Stepped)];
-    let all = Delays::merge(Way::Up, &many);
+    let all = Delays::merge(NetworkDirection::Up, &many);
     assert_eq!((all.value().as_str(), all.verdict, all.count), ("6.00", Some(Verdict::Ok), 100));
-    let worse = Delays::merge(Way::Up, &[second(90, 6.0, Verdict::Ok), second(10, 6.0, Verdict::Stale)]);
+    let worse =
+        Delays::merge(NetworkDirection::Up, &[second(90, 6.0, Verdict::Ok), second(10, 6.0, Verdict::Stale)]);
     assert_eq!(worse.verdict, Some(Verdict::Stale));
 }
 
 #[test]
 fn a_negative_delay_is_never_shown() {
-    let delays = Delays::merge(Way::Down, &[second(10, -0.4, Verdict::Limited)]);
+    let delays = Delays::merge(NetworkDirection::Down, &[second(10, -0.4, Verdict::Limited)]);
     assert_eq!((delays.value().as_str(), delays.interval()), ("—", None));
     let mut low = second(10, 0.2, Verdict::Limited);
     low.median = low.median.map(|point| DelayPoint {
         bounds: Interval { lo: Span::from_micros(-450), hi: Span::from_micros(850) },
         ..point
     });
-    assert_eq!(Delays::merge(Way::Down, &[low]).interval().as_deref(), Some("0.00 – 0.85"));
+    assert_eq!(Delays::merge(NetworkDirection::Down, &[low]).interval().as_deref(), Some("0.00 – 0.85"));
 }

@@ -62,9 +62,12 @@ fn a_young_link_says_so_and_its_first_moments_do_not_colour_it() {
     let first = Arc::make_mut(&mut link.history[0]);
     first.up = first.up.map(|second| DelaySecond { verdict: Verdict::Stale, ..second });
     let subject = Subject::live(&link);
-    assert_eq!((subject.verdict(), subject.delays(Way::Up).verdict), (Some(Verdict::Ok), Some(Verdict::Ok)));
+    assert_eq!(
+        (subject.verdict(), subject.delays(NetworkDirection::Up).verdict),
+        (Some(Verdict::Ok), Some(Verdict::Ok))
+    );
     // One that was judged so while the clocks were known counts.
     let later = Arc::make_mut(&mut link.history[3]);
     later.up = later.up.map(|second| DelaySecond { verdict: Verdict::Stepped, ..second });
-    assert_eq!(Subject::live(&link).delays(Way::Up).verdict, Some(Verdict::Stepped));
+    assert_eq!(Subject::live(&link).delays(NetworkDirection::Up).verdict, Some(Verdict::Stepped));
 }
