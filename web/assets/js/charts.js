@@ -204,7 +204,7 @@ const PEER = (() => {
 
   // --- the bucket of a mean follows the time range and the rate alone, so that every screen shows the same figures:
   // the shortest one that holds an iteration even by bad luck, and of which the range has no more than a small screen shows
-  const BUCKETS = [1, 2, 5, 10, 30, 60], MOST = 300;
+  const BUCKETS = [1, 2, 5, 10, 30, 60], MOST = 150;
   const bucket = (range, rate) => BUCKETS.find((size) => range / size <= MOST && (!(rate > 0) || rate * size >= 1.5)) || 60;
   const ticks = ({ max, interval }) => Array.from({ length: Math.round(max / interval) + 1 }, (_, step) => NUMBERS.tick(step * interval));
   // A round end of an axis that holds a value in at most five steps of 1, 2 or 5 times a power of ten.
