@@ -18,6 +18,7 @@ use tokio::sync::{mpsc, oneshot, watch};
 use tokio::time::MissedTickBehavior;
 use tokio_util::sync::CancellationToken;
 
+use super::backoff::Backoff;
 use super::connection_log::ConnectionLog;
 use super::preparing::PreparedWork;
 use super::reopening::Reopening;
@@ -28,10 +29,6 @@ use peernet_store::writing::{
     CommitError, Committed, Integrity, OpenDatabase, PendingIncidents, Step, StoredState, Work, Writer,
 };
 use peernet_store::{AggregatorIncidentKind, StoreError};
-
-/// The first pause after a failed attempt, and the longest one.
-const FIRST_PAUSE: Duration = Duration::from_millis(200);
-const LONGEST_PAUSE: Duration = Duration::from_secs(5);
 
 /// Interval of checking the database's files while no work arrives.
 const CHECK_EVERY: Duration = Duration::from_secs(1);
@@ -79,23 +76,6 @@ pub(crate) enum StoreEvent {
     Closed,
     /// The database was reopened and contains this state.
     Opened(Box<StoredState>),
-}
-
-/// Exponential backoff: each pause is twice as long as the previous one, up to `LONGEST_PAUSE`.
-#[derive(Debug)]
-pub(super) struct Backoff(Duration);
-
-impl Backoff {
-    const fn new() -> Self {
-        Self(FIRST_PAUSE)
-    }
-
-    /// Returns the next pause.
-    pub(super) fn next(&mut self) -> Duration {
-        let pause = self.0;
-        self.0 = (pause * 2).min(LONGEST_PAUSE);
-        pause
-    }
 }
 
 /// The channels and shared objects of the writer's task.

@@ -2,6 +2,7 @@
 //! ([`socket`]), a bounded [`queue`], the thread that turns batches into rows ([`preparing`]), the task that commits
 //! them ([`committing`]), and the reopening of a database whose file fails or is replaced ([`reopening`]).
 
+mod backoff;
 pub(crate) mod committing;
 mod connection_log;
 mod hosts;

@@ -9,7 +9,8 @@
 use std::path::PathBuf;
 use std::time::Duration;
 
-use super::committing::{Backoff, StoreEvent, TaskContext, WriterRequest, not_storing, set_readiness};
+use super::backoff::Backoff;
+use super::committing::{StoreEvent, TaskContext, WriterRequest, not_storing, set_readiness};
 use crate::readiness::Readiness;
 use peernet_store::writing::{CommitError, Integrity, OpenDatabase};
 use peernet_store::{RetentionConfig, Store, StoreError};
