@@ -30,7 +30,7 @@ pub fn any_xml_rpc(data: &[u8]) {
 /// parsed as a subscriber's header and as a publisher's.
 ///
 /// # Panics
-/// If more memory is reserved than the bytes that arrived justify, or a header that was read cannot be sent.
+/// If more than four times the limit of a frame is reserved, or a header that was read cannot be sent.
 pub fn any_connection(data: &[u8]) {
     let Some((&step, data)) = data.split_first() else { return };
     let publication = Publication {
@@ -61,14 +61,14 @@ pub fn any_connection(data: &[u8]) {
             };
             let Ok(header) = ConnectionHeader::decode(&frame) else { continue };
             assert_eq!(ConnectionHeader::decode(&header.encode()[4..]).as_ref(), Ok(&header));
+            // Accepting and refusing are both right; only a crash is a failure.
+            let _ = subscription.accept(&header);
             let error = match publication.answer(&header) {
                 Ok(_) => continue,
                 Err(error) => error.to_string(),
             };
             ConnectionHeader::decode(&ConnectionHeader::error(&error).encode()[4..])
                 .expect("an error is a header");
-            // Accepting and refusing are both right; only a crash is a failure.
-            let _ = subscription.accept(&header);
         }
     }
 }
@@ -76,7 +76,7 @@ pub fn any_connection(data: &[u8]) {
 /// Parses the bytes as a message of each type in both wire forms.
 ///
 /// # Panics
-/// If a message that was read is longer than the bytes that arrived once it is written.
+/// If a ROS 1 message is not written with the length that was read.
 pub fn any_message(data: &[u8]) {
     fn read<M: Message>(form: WireForm, data: &Bytes) {
         let Ok(message) = M::decode(form, data.clone()) else { return };

@@ -40,7 +40,7 @@ impl Remark {
 pub(crate) struct Step {
     pub name: &'static str,
     pub number: String,
-    /// Number of events of the previous step that have not reached this one, in words.
+    /// Note below the number, mostly the events of the previous step that have not reached this one.
     pub about: String,
 }
 

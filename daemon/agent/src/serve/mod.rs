@@ -202,7 +202,7 @@ fn conditions(context: &ServeContext) -> Vec<Condition> {
     found
 }
 
-/// Data by which a peer reaches the process whose clock it must relate to.
+/// Facts about this process that its sessions need.
 #[derive(Clone, Debug)]
 struct ServeIdentity {
     /// Ports for probes, one for each listener.
@@ -211,7 +211,7 @@ struct ServeIdentity {
     instance: u64,
     /// Key that authenticates probes if none is configured.
     probe_key: Option<ProbeKey>,
-    /// Model whose answers do not count.
+    /// Built-in model for calibrations, whose answers are not counted as served.
     built_in: Option<Slug>,
 }
 

@@ -91,7 +91,7 @@ pub struct Line {
     pub labels: Vec<String>,
     /// Indices of the results in this line.
     pub runs: Vec<usize>,
-    /// Number of runs. Edges that were measured at the same time belong to one run.
+    /// Number of repeats. Results of edges that were measured at the same time belong to one repeat.
     pub repeats: usize,
     /// Maximum number of edges that were measured at the same time.
     pub edges: usize,
@@ -179,7 +179,7 @@ impl Line {
     }
 
     fn fill(&mut self, runs: &[Loaded], by: &str) {
-        // The repeat of each run, and the number of its edges.
+        // One entry for each repeat: its number, and the number of its results (edges).
         let mut repeats: Vec<(Option<u32>, usize)> = Vec::new();
         for Loaded { record, rows, .. } in self.runs.iter().map(|run| &runs[*run]) {
             self.count += rows.iter().filter(|row| row.counts()).count() as u64;

@@ -6,9 +6,9 @@ use super::style::{Fill, Style, TextStyle};
 
 /// Name of the part of `total` beyond its stages.
 pub const UNATTRIBUTED: &str = "unattributed";
-/// Class of the time from the intended start of an iteration to the real one: a named part of the unattributed time.
+/// Name of the time from the intended start of an iteration to the real one: a named part of the unattributed time.
 pub const LATENESS: &str = "lateness";
-/// Class of both directions of the network together, if the clocks cannot separate them.
+/// Name of both directions of the network together, if the clocks cannot separate them.
 const NETWORK: &str = "network";
 /// Class of totals, which are all stages together.
 const TOTAL: &str = "total";
@@ -101,7 +101,7 @@ pub fn stage(name: &str) -> Stage {
 }
 
 impl Stage {
-    /// Returns whether it is a stage of [`STAGES`], which are the only ones with a specific colour.
+    /// Returns whether it is a stage of [`STAGES`], each of which has a colour of its own.
     pub fn has_colour(&self) -> bool {
         STAGES.iter().any(|stage| stage.name == self.name)
     }

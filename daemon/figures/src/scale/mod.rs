@@ -88,7 +88,7 @@ impl Scale {
         Self { signed: true, ..self }
     }
 
-    /// Returns the same scale widened to the next ticks, about `ticks` steps apart. A logarithmic scale is not changed.
+    /// Returns the same scale widened to the next ticks of a division into about `ticks` steps. A logarithmic scale is not changed.
     #[must_use]
     pub fn widened(self, ticks: usize) -> Self {
         if self.spread == Spread::Logarithmic {
@@ -141,7 +141,7 @@ impl Scale {
         (0..=steps).map(move |step| this.between(this.lo, this.hi, f64::from(step) / f64::from(steps)))
     }
 
-    /// Returns at most about `most` marked places: round numbers. Those of a logarithmic scale are powers of ten. If these are fewer than
+    /// Returns about `most` marked places at most, up to twice as many on a logarithmic scale: round numbers. Those of a logarithmic scale are powers of ten. If these are fewer than
     /// three, 2 and 5 times them are added; if there are still fewer than three, the places are round numbers at even distances.
     pub fn ticks(&self, most: usize) -> Vec<Tick> {
         match self.spread {

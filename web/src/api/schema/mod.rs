@@ -1,6 +1,6 @@
 //! Schema that several resources share. It is separate from the aggregator's own types, so that answers stay the same when those change.
 //!
-//! Values are in SI base units (seconds, bytes, bits per second, watts, °C), names with hyphens, times in RFC
+//! Values are in units without prefixes (seconds, bytes, bits per second, watts, °C), names with hyphens, times in RFC
 //! 3339 with nanoseconds, in UTC.
 
 mod assumptions;

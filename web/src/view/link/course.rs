@@ -32,7 +32,8 @@ impl Course {
         Self { from, to, bucket: 1, points: shown.collect() }.thinned(2)
     }
 
-    /// Converts stored samples of a link. The range begins with the first point if that is later: nothing was lost before it.
+    /// Converts stored samples of a link. The range begins with the first point if that is later, because nothing was lost before it, and has at
+    /// least a minute.
     pub(crate) fn stored(series: ClockSeries, from: WallTime, to: WallTime) -> Self {
         let bucket = i64::from(series.bucket_s.max(1));
         let first = series.points.first().map(|point| point.at - Span::from_seconds(bucket));

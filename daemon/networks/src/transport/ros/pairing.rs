@@ -88,7 +88,7 @@ impl Pairing {
                     _ => return None,
                 }
             }
-            // Two halves of the same kind have one stamp, and it is unknown which one is right.
+            // Two halves of the same kind have one stamp, and it is unknown which one is right: the newer one is kept.
             Some(other) => lost.push(other.half.loss()),
             None => {}
         }

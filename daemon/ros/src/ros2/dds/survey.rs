@@ -49,7 +49,8 @@ impl Ros2Node {
         self.state.discovery().endpoints_of(&dds_topic(topic))
     }
 
-    /// Returns an address of the host of a participant with a publisher; `None` for this host.
+    /// Returns an address of the host of a participant with a publisher; `None` for this host, and for a
+    /// participant that is unknown.
     pub fn host_of(&self, participant: ParticipantId) -> Option<IpAddr> {
         let own = own_addresses().unwrap_or_default();
         let found = self.parts.as_ref()?.participant.discovered_writers().into_iter();
