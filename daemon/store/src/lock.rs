@@ -90,11 +90,14 @@ impl DatabaseLock {
 fn holder(file: &Metadata) -> Option<u32> {
     let (device, inode) = (file.dev(), file.ino());
     let place = format!("{:02x}:{:02x}:{inode}", rustix::fs::major(device), rustix::fs::minor(device));
-    let locks = std::fs::read_to_string("/proc/locks").ok()?;
-    locks.lines().find_map(|line| {
-        let mut words = line.split_whitespace().skip(1);
-        let (kind, process, at) = (words.next()?, words.nth(2)?, words.next()?);
-        (kind == "FLOCK" && at == place).then(|| process.parse().ok()).flatten()
+    // The kernel gives out the list in parts: a line is missing if locks before it are released between two parts.
+    (0..5).find_map(|_| {
+        let locks = std::fs::read_to_string("/proc/locks").ok()?;
+        locks.lines().find_map(|line| {
+            let mut words = line.split_whitespace().skip(1);
+            let (kind, process, at) = (words.next()?, words.nth(2)?, words.next()?);
+            (kind == "FLOCK" && at == place).then(|| process.parse().ok()).flatten()
+        })
     })
 }
 
