@@ -150,7 +150,8 @@ impl Network {
         let commands = self.wire.as_ref().expect("a wire");
         let mut stream = until("the wire", || UnixStream::connect(commands).ok());
         for delay in [up.delay("LR"), down.delay("RL")] {
-            writeln!(stream, "delay {delay}").expect("the wire listens");
+            // In one write: the wire takes what one read returns for a whole command.
+            stream.write_all(format!("delay {delay}\n").as_bytes()).expect("the wire listens");
             let mut answer = Vec::new();
             // Each answer ends with a code, which is 1000 for success, and a prompt.
             while !answer.windows(4).any(|code| code == b"1000") {
