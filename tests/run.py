@@ -95,7 +95,8 @@ def run(program: Program, threads: int, filters: list[str], *, shows: bool = Fal
     with subprocess.Popen(
         command,
         cwd=program.folder,
-        env={**os.environ, "RUSTC_BOOTSTRAP": "1"},
+        # ONNX Runtime would keep an identifier in the user's home and send events; the programs switch that off themselves.
+        env={**os.environ, "RUSTC_BOOTSTRAP": "1", "ORT_DISABLE_TELEMETRY": "1"},
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,
         text=True,

@@ -3,12 +3,15 @@
 mod arguments;
 mod commands;
 mod configuration;
+mod library_telemetry;
 mod lifecycle;
 mod log;
 
 use std::process::ExitCode;
 
 use clap::Parser;
+
+pub use self::library_telemetry::disable_library_telemetry;
 
 use self::arguments::{Arguments, Command};
 use peernet_cli::output;

@@ -2,7 +2,7 @@
 
 use std::net::TcpListener;
 
-use peernet_tests::LoopbackDeployment;
+use peernet_tests::{LoopbackDeployment, program, root};
 
 const USAGE: i32 = 64;
 const CONFIGURATION: i32 = 78;
@@ -188,4 +188,18 @@ fn invalid_log_level_and_endless_file_are_refused() {
     let ended = deployment.peernetd(&["check", "/dev/zero"]).ended();
     assert_eq!(ended.code(), CONFIGURATION, "{}", ended.log);
     assert!(ended.log.contains("right file"), "{}", ended.log);
+}
+
+/// ONNX Runtime's own telemetry would write an identifier there, and send what it finds to its makers.
+#[test]
+fn loaded_model_library_leaves_home_empty() {
+    let home = tempfile::tempdir().expect("writable");
+    let mut check = std::process::Command::new(program("peernetd"));
+    // The library looks for a machine of continuous integration, and sends nothing from there.
+    check.args(["check", "configs/cloud.toml"]).current_dir(root()).env("HOME", home.path());
+    for variable in ["ORT_DISABLE_TELEMETRY", "CI", "GITHUB_ACTIONS", "XDG_CACHE_HOME"] {
+        check.env_remove(variable);
+    }
+    assert!(check.status().expect("it was built").success());
+    assert_eq!(std::fs::read_dir(home.path()).expect("it is ours").count(), 0);
 }

@@ -3,5 +3,6 @@
 use std::process::ExitCode;
 
 fn main() -> ExitCode {
+    peernetd::disable_library_telemetry();
     peernet_cli::main()
 }
