@@ -19,11 +19,12 @@ help:
 	@sed -n 's/^# //p' $(firstword $(MAKEFILE_LIST)) | head -10
 
 demo: setup
-	$(CARGO) build --profile demo --locked --package peernetd
+	$(CARGO) build --profile demo --locked --package peernetd --bin peernetd
+	ln -sf peernetd target/demo/peernet
 	deploy/demo.sh target/demo/peernetd
 
 rehearsal: setup
-	$(CARGO) build --profile demo --locked --package peernetd
+	$(CARGO) build --profile demo --locked --package peernetd --bin peernetd
 	mkdir -p data/rehearsal
 	cp configs/aggregator.toml configs/cloud.toml configs/edge.toml data/rehearsal/
 	printf '\n[rehearsal]\noffset_ms = 1200.0\ndrift_ppm = 25.0\n' >> data/rehearsal/edge.toml
@@ -84,11 +85,15 @@ api: setup build
 # Of the programs that were built for the tests: how it installs does not depend on how they are optimised.
 package: setup build
 	@deploy/debian/build.sh target/debug
-	@deploy/debian/test.sh target/debian/*.deb
+	@deploy/debian/test.sh target/debian/peernet_*.deb
+
+.PHONY: deb-tools
+deb-tools:
+	@deploy/install-tools.sh deb
 
 # With what the default build leaves out because it is heavy.
-deb: setup
-	$(CARGO) build --release --locked --package peernetd --features ros2
+deb: deb-tools setup
+	$(CARGO) build --release --locked --package peernetd --bin peernetd --features ros2
 	@deploy/debian/build.sh
 
 # --- foreign peers --------------------------------------------------------------------------------------------

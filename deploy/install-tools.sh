@@ -1,7 +1,7 @@
 #!/bin/sh
 # Installs the tools that building, testing and benchmarking need, by name, and says which and why. Touches nothing
 # that is there already; takes a moment then. Debian and Ubuntu; elsewhere it lists what to install.
-# Usage: install-tools.sh build|test|interop|bench…      (each includes build)
+# Usage: install-tools.sh build|deb|test|interop|bench…      (each includes build)
 set -eu
 
 cargo_deny=0.20.2
@@ -48,9 +48,12 @@ rosmaster     python3-rosmaster  a real master of ROS 1
 sqlite3       sqlite3           people open the store with it, so the tests do
 curl          curl              the documents ask the REST API with it, so the tests do
 systemd-analyze  systemd        the units are checked with it
+'
+deb_packages='
 dpkg-deb      dpkg              the Debian package
 dpkg-shlibdeps   dpkg-dev       the Debian package
-strip         binutils          the Debian package
+objcopy       binutils          the Debian package
+readelf       binutils          the Debian package
 '
 interop_packages='
 rosmaster     python3-rosmaster       a real master of ROS 1
@@ -208,13 +211,14 @@ unpack_chrony() {
 
 # --------------------------------------------------------------------------------------------------------------------
 
-[ $# -gt 0 ] || fail "usage: install-tools.sh build|test|interop|bench…"
+[ $# -gt 0 ] || fail "usage: install-tools.sh build|deb|test|interop|bench…"
 packages=$build_packages
 for set in "$@"; do
     case $set in
         build) ;;
+        deb) packages=$packages$deb_packages ;;
         test)
-            packages=$packages$test_packages
+            packages=$packages$test_packages$deb_packages
             wants_chrony=1
             wants_api=1
             wants_venv=1
@@ -225,7 +229,7 @@ for set in "$@"; do
             wants_venv=1
             ;;
         bench) wants_venv=1 ;;
-        *) fail "unknown set '$set'; known are build, test, interop and bench" ;;
+        *) fail "unknown set '$set'; known are build, deb, test, interop and bench" ;;
     esac
 done
 install_packages "$packages"

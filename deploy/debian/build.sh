@@ -1,6 +1,7 @@
 #!/bin/sh
-# Makes target/debian/peernet_VERSION_ARCHITECTURE.deb of the programs in a folder, target/release unless another is named, and
-# of ONNX Runtime's library, with Debian's own programs. Usage: build.sh [FOLDER]      (`make deb` builds both first)
+# Makes two packages in target/debian, with Debian's own programs: peernet_VERSION_ARCHITECTURE.deb of the program in a folder
+# (target/release unless another is named) and ONNX Runtime's library, and peernet-dbgsym_… of the program's debug symbols.
+# Usage: build.sh [FOLDER]      (`make deb` builds the program and fetches the library first)
 set -eu
 
 root=$(cd "$(dirname "$0")/../.." && pwd)
@@ -11,16 +12,17 @@ cd "$root"
 programs=${1:-target/release}
 
 fail() { echo "build.sh: $*" >&2; exit 69; }
-for tool in dpkg-deb dpkg-shlibdeps strip; do
-    command -v "$tool" >/dev/null || fail "$tool is not there: deploy/install-tools.sh test"
+for tool in dpkg-deb dpkg-shlibdeps objcopy readelf; do
+    command -v "$tool" >/dev/null || fail "$tool is missing; to install it: deploy/install-tools.sh deb"
 done
-for file in "$programs/peernetd" "$programs/peernet" onnxruntime/lib/libonnxruntime.so; do
-    [ -e "$file" ] || fail "$file is not there: make deb builds it"
+for file in "$programs/peernetd" onnxruntime/lib/libonnxruntime.so; do
+    [ -e "$file" ] || fail "$file is missing; make deb builds it"
 done
 
 version=$(sed -n 's/^version = "\(.*\)"/\1/p' Cargo.toml | head -1)-1
 architecture=$(dpkg --print-architecture)
-rm -rf "$stage"
+symbols_stage=$out/peernet-dbgsym
+rm -rf "$stage" "$symbols_stage"
 
 # put MODE FOLDER FILE…
 put() {
@@ -30,10 +32,19 @@ put() {
     install -m "$mode" "$@" "$folder"
 }
 
-put 755 usr/bin "$programs/peernetd" "$programs/peernet"
-strip --strip-unneeded "$stage"/usr/bin/*
-ln -s peernet "$stage/usr/bin/PEERNet"
-ln -s peernet "$stage/usr/bin/peernet_cli"
+# The program takes the command line's part under these names.
+put 755 usr/bin "$programs/peernetd"
+for name in peernet PEERNet peernet_cli; do ln -s peernetd "$stage/usr/bin/$name"; done
+
+# Debuggers and `perf` find the symbols by the program's build id.
+build_id=$(readelf --notes "$programs/peernetd" | sed -n 's/^ *Build ID: //p')
+[ -n "$build_id" ] || fail "$programs/peernetd has no build id; is it linked with --build-id?"
+symbols=usr/lib/debug/.build-id/$(echo "$build_id" | cut -c1-2)
+install -d -m 755 "$symbols_stage/$symbols"
+symbols=$symbols_stage/$symbols/$(echo "$build_id" | cut -c3-).debug
+objcopy --only-keep-debug --compress-debug-sections=zlib "$programs/peernetd" "$symbols"
+chmod 644 "$symbols"
+objcopy --strip-unneeded --add-gnu-debuglink="$symbols" "$stage/usr/bin/peernetd"
 
 put 644 etc/peernet "$here"/etc/*.toml
 put 644 usr/lib/systemd/system deploy/systemd/*.service
@@ -46,15 +57,20 @@ cp --no-dereference onnxruntime/lib/libonnxruntime*.so* "$stage/usr/lib/peernet"
 
 put 755 usr/share/peernet models/export_torchvision.py
 put 644 usr/share/peernet/models/quality-control models/quality-control/model.onnx models/quality-control/model.toml
+put 644 usr/share/peernet/models/quality-control/pictures models/quality-control/pictures/*
 
 doc=usr/share/doc/peernet
 put 644 $doc README.md CHANGELOG.md
 install -m 644 deploy/README.md "$stage/$doc/deploy.md"
+put 644 $doc/docs docs/*.md
 put 644 $doc/onnxruntime onnxruntime/lib/LICENSE onnxruntime/lib/ThirdPartyNotices.txt
 put 644 $doc/examples configs/*.toml
 put 644 $doc/examples/experiments configs/experiments/*.toml
 put 644 $doc/examples/experiments/networks configs/experiments/networks/*.yaml
 put 644 $doc/examples/python configs/python/*.py
+# Paths in a checkout become those of the package.
+find "$stage/$doc/examples" -name '*.toml' -exec sed -i \
+    -e "s|\"models/|\"/usr/share/peernet/models/|" -e "s|configs/|/$doc/examples/|" {} +
 {
     printf 'Copyright: the PEERNet authors\nLicense: MIT or Apache-2.0, whichever you choose\n\n'
     cat LICENSE-MIT LICENSE-APACHE
@@ -66,7 +82,7 @@ sources=$(mktemp -d)
 trap 'rm -rf "$sources"' EXIT
 mkdir "$sources/debian"
 printf 'Source: peernet\n\nPackage: peernet\nArchitecture: any\n' >"$sources/debian/control"
-libraries=$(cd "$sources" && dpkg-shlibdeps -O "$stage"/usr/bin/peernetd "$stage"/usr/bin/peernet \
+libraries=$(cd "$sources" && dpkg-shlibdeps -O "$stage"/usr/bin/peernetd \
     "$stage"/usr/lib/peernet/libonnxruntime.so | sed -n 's/^shlibs:Depends=//p')
 [ -n "$libraries" ] || fail "dpkg-shlibdeps found no library"
 
@@ -96,8 +112,26 @@ Description: profiles networked robots, live and stage by stage
 END
 chmod 644 "$stage/DEBIAN/control" "$stage/DEBIAN/conffiles" "$stage/DEBIAN/md5sums"
 
-package=$out/peernet_${version}_$architecture.deb
+install -d -m 755 "$symbols_stage/DEBIAN"
+(cd "$symbols_stage" && find usr -type f -print0 | xargs -0 md5sum) >"$symbols_stage/DEBIAN/md5sums"
+cat >"$symbols_stage/DEBIAN/control" <<END
+Package: peernet-dbgsym
+Version: $version
+Architecture: $architecture
+Maintainer: The PEERNet authors <maintainers@peernet.invalid>
+Installed-Size: $(du -sk --exclude=DEBIAN "$symbols_stage" | cut -f1)
+Depends: peernet (= $version)
+Section: debug
+Priority: optional
+Build-Ids: $build_id
+Description: debug symbols for peernet
+END
+chmod 644 "$symbols_stage/DEBIAN/control" "$symbols_stage/DEBIAN/md5sums"
+
 rm -f "$out"/*.deb
-dpkg-deb --build --root-owner-group -Zzstd "$stage" "$package" >/dev/null
-rm -rf "$stage"
-echo "$package"
+for package in peernet-dbgsym peernet; do
+    file=$out/${package}_${version}_$architecture.deb
+    dpkg-deb --build --root-owner-group -Zzstd "$out/$package" "$file" >/dev/null
+    rm -rf "${out:?}/$package"
+    echo "$file"
+done

@@ -20,11 +20,8 @@ step() { echo "--- $*"; }
 
 check_installed() {
     step "programs"
-    peernetd --version
-    peernet --version
-    for name in PEERNet peernet_cli; do
-        [ "$(readlink -f "/usr/bin/$name")" = /usr/bin/peernet ] || fail "/usr/bin/$name does not lead to peernet"
-    done
+    expect_program peernetd
+    for name in peernet PEERNet peernet_cli; do expect_program "$name" peernet; done
     [ -e /usr/lib/peernet/libonnxruntime.so.1 ] || fail "the ONNX Runtime library is not in /usr/lib/peernet"
 
     step "user and folders"
@@ -37,11 +34,12 @@ check_installed() {
     expect_owner /etc/peernet/keys "root peernet 750"
 
     step "configurations, read as the user that the units have"
-    for role in agent aggregator; do
-        setpriv --reuid=peernet --regid=peernet --clear-groups \
-            env HOME=/var/lib/peernet STATE_DIRECTORY="/var/lib/peernet/$role" sh -c \
-            "cd /var/lib/peernet/$role && exec peernetd check /etc/peernet/$role.toml"
-    done
+    for role in agent aggregator; do as_unit "$role" peernetd check "/etc/peernet/$role.toml"; done
+
+    step "examples, where they are installed"
+    examples=/usr/share/doc/peernet/examples
+    for file in "$examples"/*.toml; do as_unit agent peernetd check "$file"; done
+    for file in "$examples"/experiments/*.toml; do as_unit agent peernet run --check "$file"; done
 
     step "units"
     for unit in agent aggregator; do
@@ -53,9 +51,80 @@ check_installed() {
     done
 }
 
+# as_unit ROLE COMMAND…: as the user and in the folder that the unit of a role has.
+as_unit() {
+    state=/var/lib/peernet/$1
+    shift
+    setpriv --reuid=peernet --regid=peernet --clear-groups \
+        env --chdir="$state" HOME=/var/lib/peernet STATE_DIRECTORY="$state" "$@"
+}
+
+# expect_program NAME [NAME-IN-ITS-ANSWER]
+expect_program() {
+    version=$("$1" --version)
+    echo "$1: $version"
+    [ "${version%% *}" = "${2:-$1}" ] || fail "$1 is not ${2:-$1}"
+}
+
 expect_owner() {
     found=$(stat -c '%U %G %a' "$1")
     [ "$found" = "$2" ] || fail "$1 is $found, not $2"
+}
+
+# The configurations of docs/two-machines.md: prints that of step $1.
+documented() {
+    awk -v step="$1." '/^[0-9]+\. /{ within = $1 == step } within && sub(/^       /, "")' /usr/share/doc/peernet/docs/two-machines.md
+}
+
+# Both machines of the documented instructions are this one, in a network that has the cloud's address.
+two_machines() {
+    ip link set lo up
+    ip address add 10.0.0.2/32 dev lo
+    install -d -o peernet -g peernet /var/lib/peernet/robot /var/lib/peernet/cloud
+    cp -r /usr/share/peernet/models/quality-control/pictures /var/lib/peernet/pictures
+    processes=
+    step=0
+    for role in aggregator cloud robot; do
+        step=$((step + 1))
+        documented $step >"/tmp/$role.toml"
+        [ -s "/tmp/$role.toml" ] || fail "docs/two-machines.md has no configuration in step $step"
+        as_unit "$role" peernetd check "/tmp/$role.toml"
+        # Each has its own name and its own state, as on a machine of its own.
+        unshare --uts --mount sh "$0" --machine "$role" >"/tmp/$role.log" 2>&1 &
+        processes="$processes $!"
+    done
+    # shellcheck disable=SC2086
+    trap "kill $processes; wait" EXIT
+    expect_running robot/inspection http://10.0.0.2:8040
+}
+
+# expect_running PIPELINE DASHBOARD: the pipeline gets answers within a minute.
+expect_running() {
+    answers="^$1 .* running +[0-9.]+ +[0-9]"
+    for _ in $(seq 120); do
+        peernet status --url "$2" >/tmp/status 2>&1 || true
+        grep -Eq "$answers" /tmp/status && break
+        sleep 0.5
+    done
+    cat /tmp/status
+    grep -Eq "$answers" /tmp/status || fail "$1 gets no answers: $(tail -n 5 /tmp/*.log)"
+}
+
+# The example that needs no other machine.
+all_in_one() {
+    ip link set lo up
+    cd /tmp
+    peernetd run /usr/share/doc/peernet/examples/all-in-one.toml >/tmp/all-in-one.log 2>&1 &
+    # shellcheck disable=SC2064
+    trap "kill $!; wait" EXIT
+    expect_running all-in-one/over-the-network http://127.0.0.1:8040
+}
+
+machine() {
+    hostname "$1"
+    [ "$1" = aggregator ] || mount --bind "/var/lib/peernet/$1" /var/lib/peernet/agent
+    exec setpriv --reuid=peernet --regid=peernet --clear-groups \
+        env --chdir="/var/lib/peernet/$1" HOME=/var/lib/peernet peernetd run "/tmp/$1.toml"
 }
 
 inside() {
@@ -67,6 +136,10 @@ inside() {
     step "install"
     install_package "$deb"
     check_installed
+    step "the instructions for two machines"
+    unshare --net sh "$0" --two-machines
+    step "the example on one machine"
+    unshare --net sh "$0" --all-in-one
 
     step "an upgrade keeps edited configurations and what was enabled"
     systemctl enable --quiet peernet-agent
@@ -122,6 +195,9 @@ mount_overlay() {
 
 case "${1:-}" in
     --inside) inside "$2" ;;
+    --two-machines) two_machines ;;
+    --all-in-one) all_in_one ;;
+    --machine) machine "$2" ;;
     --overlay)
         mount_overlay "$2" "$3" || exit 75
         echo "test.sh: in an overlay of /"

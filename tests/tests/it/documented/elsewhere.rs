@@ -7,7 +7,7 @@ use peernet_tests::root;
 /// Commands, with the file that executes them and the words by which it does. Differences from the documents: fewer
 /// iterations; random weights, which need no download; a package that is installed in a disposable copy of the
 /// machine.
-pub(super) const ELSEWHERE: [(&[&str], &str, &str); 9] = [
+pub(super) const ELSEWHERE: [(&[&str], &str, &str); 10] = [
     (
         &[
             "PEERNet --server --name cluster --network zmq-tcp --network-config net_config.yaml --model-name efficientnet_v2_s --device cuda:6 --iterations 10005",
@@ -25,15 +25,11 @@ pub(super) const ELSEWHERE: [(&[&str], &str, &str); 9] = [
         "tests/tests/it/models/torchvision.rs",
         "#[test]\nfn an_exported_model_answers_as_torchvision_does()",
     ),
+    (&["deploy/install-tools.sh test"], "Makefile", "\n\t@deploy/install-tools.sh test\n"),
     (
-        &["deploy/install-tools.sh test", "deploy/install-tools.sh test && make deb"],
+        &["cargo build --release --locked --package peernetd --bin peernetd"],
         "Makefile",
-        "\n\t@deploy/install-tools.sh test\n",
-    ),
-    (
-        &["cargo build --release --locked --package peernetd"],
-        "Makefile",
-        "\n\t$(CARGO) build --release --locked --package peernetd\n",
+        "\n\t$(CARGO) build --release --locked --package peernetd --bin peernetd --features ros2\n",
     ),
     (
         &["tests/bench/run.sh python", "tests/bench/run.sh stream", "tests/bench/run.sh --quick loop"],
@@ -41,6 +37,11 @@ pub(super) const ELSEWHERE: [(&[&str], &str, &str); 9] = [
         "\n\ttests/bench/run.sh\n",
     ),
     (&["apt install ./peernet_*.deb"], "deploy/debian/test.sh", "apt-get install "),
+    (
+        &["peernetd run /usr/share/doc/peernet/examples/all-in-one.toml"],
+        "deploy/debian/test.sh",
+        "    peernetd run /usr/share/doc/peernet/examples/all-in-one.toml ",
+    ),
     (&["apt remove peernet"], "deploy/debian/test.sh", "dpkg --remove peernet\n"),
     (&["apt purge peernet"], "deploy/debian/test.sh", "dpkg --purge peernet\n"),
     (

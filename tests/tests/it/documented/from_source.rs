@@ -3,8 +3,9 @@
 use peernet_tests::network::Host;
 use peernet_tests::{Api, Document, DocumentedCommands, ProcessEnd};
 
-pub(crate) const COMMANDS: [&str; 12] = [
-    PROGRAMS,
+pub(crate) const COMMANDS: [&str; 13] = [
+    PROGRAM,
+    "ln -sf peernetd /usr/bin/peernet",
     "install -m 644 -D -t /etc/systemd/system deploy/systemd/*.service",
     "install -m 644 -D deploy/sysusers.d/peernet.conf /etc/sysusers.d/peernet.conf",
     "install -m 644 -D deploy/tmpfiles.d/peernet.conf /etc/tmpfiles.d/peernet.conf",
@@ -18,7 +19,7 @@ pub(crate) const COMMANDS: [&str; 12] = [
     DEMO,
 ];
 
-const PROGRAMS: &str = "install -m 755 target/release/peernetd target/release/peernet /usr/bin/";
+const PROGRAM: &str = "install -m 755 -s target/release/peernetd /usr/bin/";
 const LIBRARY: &str = "deploy/onnxruntime/fetch.py --dest /usr/lib/peernet";
 const DEMO: &str = "deploy/demo.sh target/demo/peernetd FOLDER";
 
@@ -55,7 +56,7 @@ fn manual_installation_matches_paths_of_units() {
     let [users, folders] = ["sysusers", "tmpfiles"].map(|tool| format!("systemd-{tool} --root={root}"));
     let mine: [(&str, &str); 3] =
         [("/usr/bin/", &programs), ("systemd-sysusers", &users), ("systemd-tmpfiles", &folders)];
-    for command in &COMMANDS[..9] {
+    for command in &COMMANDS[..10] {
         let changes: Vec<_> = mine.into_iter().filter(|(from, _)| command.contains(from)).collect();
         assert_success(&machines.on_edge(command, &changes).ended());
     }
