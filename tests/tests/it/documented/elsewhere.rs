@@ -7,7 +7,7 @@ use peernet_tests::root;
 /// Commands, with the file that executes them and the words by which it does. Differences from the documents: fewer
 /// iterations; random weights, which need no download; a package that is installed in a disposable copy of the
 /// machine.
-pub(super) const ELSEWHERE: [(&[&str], &str, &str); 10] = [
+pub(super) const ELSEWHERE: [(&[&str], &str, &str); 9] = [
     (
         &[
             "PEERNet --server --name cluster --network zmq-tcp --network-config net_config.yaml --model-name efficientnet_v2_s --device cuda:6 --iterations 10005",
@@ -25,7 +25,6 @@ pub(super) const ELSEWHERE: [(&[&str], &str, &str); 10] = [
         "tests/tests/it/models/torchvision.rs",
         "#[test]\nfn an_exported_model_answers_as_torchvision_does()",
     ),
-    (&["deploy/install-tools.sh test"], "Makefile", "\n\t@deploy/install-tools.sh test\n"),
     (
         &["cargo build --release --locked --package peernetd --bin peernetd"],
         "Makefile",
