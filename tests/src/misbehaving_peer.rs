@@ -233,6 +233,6 @@ impl InventedHost {
         let events_before = self.events;
         let head = BatchHead { host, stream, process, number, before, chain, events, events_before };
         self.events = head.events_through();
-        codec::batch_frame(&head, body, compress)
+        codec::encode_batch(&head, body, compress)
     }
 }

@@ -106,11 +106,11 @@ impl Aggregator {
         let (ready_in, ready) = watch::channel(Readiness::Ready);
         // A batch without room in the queue has to be sent again, which costs more than waiting; so the window never
         // exceeds the queue's room.
-        let (budget_bytes, most_window) = (ingest::ROOM_BYTES as u64, ingest::MOST_WINDOW);
+        let (budget_bytes, max_window) = (ingest::ROOM_BYTES as u64, ingest::MOST_WINDOW);
         let challenges = Challenges::new(name.clone());
         let hosts = Hosts::new(config.max_hosts, known);
         let receiving =
-            Receiving::new(ReceivingConfig { budget_bytes, most_window, ..ReceivingConfig::new(name) });
+            Receiving::new(ReceivingConfig { budget_bytes, max_window, ..ReceivingConfig::new(name) });
         let session = IngestSession::new(receiving, challenges, hosts, queue, streams, unknown);
         let store = Store::new(Readers::open(
             &config.database,

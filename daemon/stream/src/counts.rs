@@ -8,23 +8,23 @@ use peernet_logger::{RunId, Slug};
 use crate::Gap;
 
 /// Largest number of runs that are counted separately: one per pipeline, and some that have just ended.
-pub const MOST_COUNTED_RUNS: usize = 256;
+pub const MAX_COUNTED_RUNS: usize = 256;
 
 /// Reason of the gap in place of events that were lost with their process.
-pub const KILLED: &str = "the agent was killed before these events reached its spool";
+pub const KILLED_REASON: &str = "the agent was killed before these events reached its spool";
 
 /// Numbers of events: of all, and of each run.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct RunCounts {
     /// Number of all events, including those without a run.
     pub all: u64,
-    /// Number of events of each run, for at most [`MOST_COUNTED_RUNS`] runs.
+    /// Number of events of each run, for at most [`MAX_COUNTED_RUNS`] runs.
     pub runs: BTreeMap<RunId, u64>,
 }
 
 /// Events that were handed in to this process, by result.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub struct HandedInEvents {
+pub struct SubmittedEvents {
     /// Events in batches.
     pub taken: RunCounts,
     /// Dropped events.
@@ -91,7 +91,7 @@ impl RunCounts {
     pub fn add(&mut self, run: Option<RunId>, events: u64) {
         self.all += events;
         let Some(run) = run else { return };
-        if self.runs.len() < MOST_COUNTED_RUNS || self.runs.contains_key(&run) {
+        if self.runs.len() < MAX_COUNTED_RUNS || self.runs.contains_key(&run) {
             *self.runs.entry(run).or_default() += events;
         }
     }
@@ -102,7 +102,7 @@ impl RunCounts {
     }
 }
 
-impl HandedInEvents {
+impl SubmittedEvents {
     /// Returns the counts that the spool records.
     pub fn settled(&self) -> SettledEvents {
         let mut events = self.taken.clone();
@@ -135,7 +135,7 @@ impl CountedEvents {
         let mut left = lost;
         let gap = |pipeline, run, count, to: WallTime| {
             let from = settled.last.unwrap_or(to).min(to);
-            Gap { pipeline, run, from, to, count, reason: KILLED.to_owned() }
+            Gap { pipeline, run, from, to, count, reason: KILLED_REASON.to_owned() }
         };
         let mut gaps = Vec::new();
         for CountedRun { run, pipeline, events, last } in &self.runs {

@@ -75,7 +75,7 @@ pub struct HelloExtension {
 
 impl HelloExtension {
     /// Returns the extension for an agent that supports these versions.
-    pub fn of(versions: &VersionRange) -> Option<Self> {
+    pub fn from_versions(versions: &VersionRange) -> Option<Self> {
         // PEERNet 0.1.0 cannot read a hello with an extension, so that it is omitted for version 5 alone.
         let is_first = (versions.oldest(), versions.newest()) == (FIRST_VERSION, FIRST_VERSION);
         (!is_first).then_some(Self { newest: versions.newest, since: versions.since })

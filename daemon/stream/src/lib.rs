@@ -61,8 +61,8 @@ pub use connection::{
     Connection, ConnectionStatistics, DirectionStatistics, NetworkInterface, TransportRoundTrip,
 };
 pub use counts::{
-    CountedEvents, CountedRun, HandedInEvents, KILLED, MOST_COUNTED_RUNS, RunCounts, SentUnspooled,
-    SettledEvents,
+    CountedEvents, CountedRun, KILLED_REASON, MAX_COUNTED_RUNS, RunCounts, SentUnspooled, SettledEvents,
+    SubmittedEvents,
 };
 pub use end_reason::EndReason;
 pub use estimate_basis::EstimateBasis;
@@ -73,17 +73,17 @@ pub use host::{Hardware, HostDescription, HostMetrics};
 pub use live::{
     Accounting, LiveUpdate, OutcomeCounts, PipelineLive, PipelineState, Placement, PlacementKind, Second,
 };
-pub use message::{Batch, BatchHead, MOST_UNDER_WAY, Proof, ToAgent, ToAggregator, batch_weight};
+pub use message::{Batch, BatchHead, MAX_IN_FLIGHT_BATCHES, Proof, ToAgent, ToAggregator, batch_weight};
 pub use network_name::NetworkName;
 pub use receiving::{
-    Arrival, Challenges, Greeting, LackingBatches, Mark, MissingBatches, ProofResult, Receiving,
+    Arrival, Challenges, Greeting, Mark, MissingBatches, MissingPreviousBatches, ProofResult, Receiving,
     ReceivingConfig, StreamRecord,
 };
 pub use secret::{HostSecret, InvalidSecret, Nonce, ProofCode};
 pub use sending::{Action, Compression, Notice, Sending, SendingConfig};
 pub use spool::{SpoolState, SpooledBatch, Usage};
 pub use totals::{NewestSentBatch, Totals};
-pub use unresolved::{MOST_SENT_UNSPOOLED, UnresolvedBatches};
+pub use unresolved::{MAX_SENT_UNSPOOLED, UnresolvedBatches};
 pub use versions::{Release, VersionMismatch, VersionRange};
 
 #[cfg(test)]

@@ -7,7 +7,7 @@ use peernet_logger::{HostId, Slug};
 use crate::{Chain, Event, Hello, HostSecret, LiveUpdate, Nonce, ProofCode, StreamId};
 
 /// Largest number of batches of one agent in flight, however small they are.
-pub const MOST_UNDER_WAY: usize = 1_024;
+pub const MAX_IN_FLIGHT_BATCHES: usize = 1_024;
 
 /// Returns the weight of a batch in a window: the bytes of its body, and at least 1 KiB, because a small batch also
 /// takes space in memory and in queues.
@@ -17,8 +17,8 @@ pub fn batch_weight(body_bytes: usize) -> u64 {
 
 /// Messages from the agent to the aggregator. The host id is in the message, never in the transport's routing id.
 ///
-/// Batches of the durable lane are frames of another kind ([`super::codec::batch_frame`]): their hash is checked before
-/// they are decoded. A batch that is long for its link is sent in parts ([`super::codec::part_frame`]), so that live
+/// Batches of the durable lane are frames of another kind ([`super::codec::encode_batch`]): their hash is checked before
+/// they are decoded. A batch that is long for its link is sent in parts ([`super::codec::encode_part`]), so that live
 /// updates can be sent between them.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub enum ToAggregator {
@@ -100,7 +100,7 @@ pub enum ToAgent {
         /// Number of the last stored batch.
         through: u64,
         /// New window of batches in flight, in units of a batch of [`Hello::batch_bytes`], at least 1. The sum of the
-        /// weights ([`batch_weight`]) of batches in flight may not exceed it, nor their number [`MOST_UNDER_WAY`]; one
+        /// weights ([`batch_weight`]) of batches in flight may not exceed it, nor their number [`MAX_IN_FLIGHT_BATCHES`]; one
         /// batch is always allowed.
         window: u32,
     },

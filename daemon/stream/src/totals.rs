@@ -1,7 +1,7 @@
 //! Counts since a spool was created, and the newest batch of each process.
 
 use crate::Gap;
-use crate::counts::HandedInEvents;
+use crate::counts::SubmittedEvents;
 
 /// Newest batch that a process may have sent.
 ///
@@ -30,7 +30,7 @@ pub struct Totals {
     /// Number of dropped events that gaps have reported. The others must still be reported, after a restart as well.
     pub told: u64,
     /// Events that were handed in to the current process.
-    pub handed_in: HandedInEvents,
+    pub handed_in: SubmittedEvents,
     /// Newest batch that the current process may have sent; `None` before the aggregator has accepted it. The spool
     /// then keeps its records of this and other processes.
     pub reached: Option<NewestSentBatch>,

@@ -7,11 +7,11 @@ use std::collections::VecDeque;
 
 use crate::counts::{CountedEvents, SentUnspooled, SettledEvents};
 use crate::totals::Totals;
-use crate::{Gap, MOST_UNDER_WAY};
+use crate::{Gap, MAX_IN_FLIGHT_BATCHES};
 
 /// Number of batches for which [`SentUnspooled`] must be kept: those that may be in flight, and the last acknowledged
 /// one.
-pub const MOST_SENT_UNSPOOLED: usize = MOST_UNDER_WAY + 1;
+pub const MAX_SENT_UNSPOOLED: usize = MAX_IN_FLIGHT_BATCHES + 1;
 
 /// The last batches of a process, some of which may be stored although its spool does not contain them.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -113,7 +113,7 @@ mod tests {
     use peernet_clock::WallTime;
 
     use super::*;
-    use crate::{CountedRun, KILLED, RunCounts, SpoolState, StreamId};
+    use crate::{CountedRun, KILLED_REASON, RunCounts, SpoolState, StreamId};
     use peernet_logger::RunId;
 
     const PROCESS: u64 = 7;
@@ -143,7 +143,7 @@ mod tests {
     ) -> (u64, u64) {
         let mut owed = VecDeque::new();
         unresolved.unreported(resolved, &mut owed, &mut earlier_drops);
-        assert!(owed.iter().all(|gap| gap.reason == KILLED));
+        assert!(owed.iter().all(|gap| gap.reason == KILLED_REASON));
         let (named, unnamed): (Vec<_>, Vec<_>) = owed.iter().partition(|gap| gap.run.is_some());
         let sum = |gaps: Vec<&Gap>| gaps.iter().map(|gap| gap.count).sum();
         (sum(named), earlier_drops + sum(unnamed))

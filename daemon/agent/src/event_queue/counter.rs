@@ -31,7 +31,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use peernet_clock::WallTime;
 use peernet_logger::{RunId, Slug};
-use peernet_stream::{CountedEvents, CountedRun, MOST_COUNTED_RUNS, MOST_SENT_UNSPOOLED, SentUnspooled};
+use peernet_stream::{CountedEvents, CountedRun, MAX_COUNTED_RUNS, MAX_SENT_UNSPOOLED, SentUnspooled};
 use rustix::fs::{OFlags, statfs};
 use uuid::Uuid;
 
@@ -54,10 +54,10 @@ const NUMBERS: usize = 24;
 const NAME: usize = NUMBERS + 16;
 /// Offset of the slots of batches that were sent without being in the spool; the slot is selected by the batch's
 /// number. Each has five numbers: the process, the number of the batch, and three counts up to it.
-const SENT: usize = RECORD * (1 + MOST_COUNTED_RUNS);
+const SENT: usize = RECORD * (1 + MAX_COUNTED_RUNS);
 const SENT_BYTES: usize = 40;
 /// Offset of the identity of the spool that the counts belong to.
-const OWNER: usize = SENT + SENT_BYTES * MOST_SENT_UNSPOOLED;
+const OWNER: usize = SENT + SENT_BYTES * MAX_SENT_UNSPOOLED;
 const FILE_BYTES: usize = OWNER + OWNER_BYTES;
 
 /// Counter of queued events. Clones share it; without a file nothing is counted.
@@ -95,7 +95,7 @@ impl EventCounter {
         let owner = owner.encoded();
         bytes[OWNER..OWNER + owner.len()].copy_from_slice(&owner);
         file.write_all_at(&bytes, 0)?;
-        let free = (1..=MOST_COUNTED_RUNS).rev().collect();
+        let free = (1..=MAX_COUNTED_RUNS).rev().collect();
         let counting =
             CountFile { file, name, all: 0, runs: BTreeMap::new(), free, sent: None, failed: false };
         Ok(Self(Some(Arc::new(Mutex::new(counting)))))
@@ -121,7 +121,7 @@ impl EventCounter {
             let SentUnspooled { process, number, taken, told, events } = sent;
             let bytes = [process, number, taken, told, events].map(u64::to_be_bytes).concat();
             // A ring: a batch overwrites the one that is as many numbers older.
-            let place = SENT as u64 + number % MOST_SENT_UNSPOOLED as u64 * SENT_BYTES as u64;
+            let place = SENT as u64 + number % MAX_SENT_UNSPOOLED as u64 * SENT_BYTES as u64;
             let written = counting.file.write_all_at(&bytes, place);
             counting.check(written);
         }

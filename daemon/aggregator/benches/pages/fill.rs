@@ -171,7 +171,7 @@ impl Agent {
         let head =
             BatchHead { host, stream, process: 1, number, before, chain, events: count, events_before };
         self.events = head.events_through();
-        let frame = Bytes::from(codec::batch_frame(&head, &body, false));
+        let frame = Bytes::from(codec::encode_batch(&head, &body, false));
         self.socket.send(Message::single(frame)).await.expect("sends");
     }
 

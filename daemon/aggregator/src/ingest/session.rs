@@ -66,16 +66,16 @@ impl IngestSession {
     /// Processes a frame of a connection.
     pub(super) fn frame(&mut self, from: &Peer, frame: &Bytes, now: Stamp) {
         // The kind of a frame is decided by its first bytes, so that batches are not decoded twice.
-        if let Some(part) = codec::part(frame) {
+        if let Some(part) = codec::decode_part(frame) {
             if self.has_session(from, part.host)
-                && let Some(frame) = self.receiving.part(&part, now.mono)
-                && let Some(head) = codec::batch_head(&frame)
+                && let Some(frame) = self.receiving.handle_part(&part, now.mono)
+                && let Some(head) = codec::decode_batch_head(&frame)
             {
                 self.batch(from, head, &frame, now);
             }
             return;
         }
-        if let Some(head) = codec::batch_head(frame) {
+        if let Some(head) = codec::decode_batch_head(frame) {
             self.batch(from, head, frame, now);
             return;
         }
@@ -83,7 +83,8 @@ impl IngestSession {
             Ok(ToAggregator::Hello(hello)) => self.hello(from, hello, now),
             Ok(ToAggregator::Proof(proof)) => self.proof(from, proof, now),
             Ok(ToAggregator::Live(update)) => {
-                if self.has_session(from, update.host) && self.receiving.live(update.host, now.mono).is_none()
+                if self.has_session(from, update.host)
+                    && self.receiving.handle_live(update.host, now.mono).is_none()
                 {
                     self.name_runs(&update, now.mono);
                     self.output.announce(LiveEvent::Update(Box::new(update)));
@@ -91,12 +92,12 @@ impl IngestSession {
             }
             Ok(ToAggregator::Echo { host, bytes }) => {
                 if self.has_session(from, host) {
-                    self.output.reply(from.connection, self.receiving.echo(host, bytes, now.mono));
+                    self.output.reply(from.connection, self.receiving.handle_echo(host, bytes, now.mono));
                 }
             }
             Ok(ToAggregator::Goodbye(host)) => {
                 if self.has_session(from, host) && !self.forget_newcomer(host) {
-                    self.receiving.goodbye(host);
+                    self.receiving.handle_goodbye(host);
                     self.routes.leave(host);
                     // Without room, the next hello of the host ends its runs.
                     if let Some(slot) = self.queue.reserve(0) {
@@ -167,7 +168,7 @@ impl IngestSession {
             drop(before);
             return self.defer(head);
         };
-        let body = codec::batch_body(frame.clone());
+        let body = codec::decode_batch_body(frame.clone());
         let size = body.as_ref().map_or(frame.len(), Bytes::len);
         // Decompressed events need more room than their frame.
         let Some(slot) = slot.grown_to(size) else {
@@ -178,7 +179,7 @@ impl IngestSession {
             self.output.reject_damaged(head.host);
         }
         // Room is reserved before: a batch that is accepted must not be lost afterwards.
-        let arrival = self.receiving.batch(&head, body.is_ok(), now.mono);
+        let arrival = self.receiving.handle_batch(&head, body.is_ok(), now.mono);
         if matches!(arrival, Arrival::Accept | Arrival::AcceptDamaged)
             && let (Some((greeting, hole)), Some(newcomer)) = (before, self.hosts.store(head.host))
         {
@@ -203,10 +204,10 @@ impl IngestSession {
                 }
                 self.output.announce(LiveEvent::Duplicate(head.host));
             }
-            (Arrival::Hole(Some(reply)) | Arrival::Unknown(reply), _) => {
+            (Arrival::Rejected(Some(reply)) | Arrival::Unknown(reply), _) => {
                 self.output.reply(from.connection, reply);
             }
-            (Arrival::Pending | Arrival::Hole(None) | Arrival::Accept | Arrival::AcceptDamaged, _) => {}
+            (Arrival::Pending | Arrival::Rejected(None) | Arrival::Accept | Arrival::AcceptDamaged, _) => {}
         }
     }
 
@@ -222,10 +223,10 @@ impl IngestSession {
         let host = introduction.host.id;
         if missing.is_some() {
             // The missing range will not be stored, so nothing has to wait for it.
-            self.receiving.failed(introduction.stream);
+            self.receiving.handle_failed_store(introduction.stream);
         }
         if !self.hosts.is_newcomer(host) {
-            self.receiving.goodbye(host);
+            self.receiving.handle_goodbye(host);
             self.routes.leave(host);
             self.output.announce(LiveEvent::Forget(host));
         }
@@ -233,13 +234,13 @@ impl IngestSession {
 
     /// Treats a batch without room as if it had not arrived.
     fn defer(&mut self, head: BatchHead) {
-        self.receiving.deferred(head.stream);
+        self.receiving.defer_batch(head.stream);
         self.output.defer_batch(head.host);
     }
 
     /// Requests deferred batches as far as there is room now.
     fn ask_for_deferred(&mut self) {
-        for (host, request) in self.receiving.room(self.queue.room_for(USUAL_BATCH)) {
+        for (host, request) in self.receiving.request_deferred(self.queue.room_for(USUAL_BATCH)) {
             if let Some(route) = self.routes.of(host) {
                 self.output.reply(route, request);
             }
@@ -259,7 +260,7 @@ impl IngestSession {
     fn committed(&mut self, committed: Committed) {
         for (stream, mark) in committed.marks {
             self.store.streams.marks.insert(stream, mark);
-            let listener = self.receiving.stored(stream, mark);
+            let listener = self.receiving.handle_stored(stream, mark);
             if let Some((route, reply)) =
                 listener.and_then(|(host, reply)| Some((self.routes.of(host)?, reply)))
             {

@@ -87,7 +87,7 @@ impl ScriptedAgent {
         let events_before = self.events;
         let head = BatchHead { host, stream, process, number, before, chain, events, events_before };
         self.events = head.events_through();
-        codec::batch_frame(&head, body, number.is_multiple_of(2))
+        codec::encode_batch(&head, body, number.is_multiple_of(2))
     }
 
     /// Sends the next batch.

@@ -124,7 +124,7 @@ async fn events_of_quarantined_batches_count_as_missing() {
         let number = test_store.next;
         test_store.next += 1;
         let head = BatchHead { events, ..test_store.head(number, &body, 2) };
-        let mut frame = codec::batch_frame(&head, &body, false);
+        let mut frame = codec::encode_batch(&head, &body, false);
         frame.truncate(frame.len() / 2);
         let reason = "cut off".into();
         Work::UnstorableBatch(Box::new(UnstorableBatch { head, frame: frame.into(), body: None, reason }))

@@ -2,8 +2,8 @@
 
 use peernet_logger::{HostId, RunId};
 use peernet_stream::{
-    Chain, Event, Gap, Hello, Iteration, LackingBatches, Mark, MissingBatches, STREAM_VERSIONS, StreamId,
-    StreamRecord,
+    Chain, Event, Gap, Hello, Iteration, Mark, MissingBatches, MissingPreviousBatches, STREAM_VERSIONS,
+    StreamId, StreamRecord,
 };
 
 use super::rollups::{assert_same, table};
@@ -312,7 +312,7 @@ async fn batches_of_left_stream_missing_in_backup_are_one_gap() {
     let known = StreamRecord { last: Some(old), previous: Some(mark), ..StreamRecord::default() };
     assert_eq!(test_store.writer.streams().known(&hello, None), known);
     let (host, lacking) =
-        (hello.host, Some(LackingBatches { stream: old, from: 2, through: 4, events: Some(17) }));
+        (hello.host, Some(MissingPreviousBatches { stream: old, from: 2, through: 4, events: Some(17) }));
     let (process, previous, first, replaced) = (1, Some(old), 5, None);
     let came = Introduction { host, process, stream: new, previous, first, replaced, lacking, secret: None };
     for _ in 0..2 {

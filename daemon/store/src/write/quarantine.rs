@@ -25,15 +25,15 @@ impl<'a> RejectedBatch<'a> {
     /// Makes it of a batch that was found invalid before it reached the database.
     pub(super) fn unstorable(unstorable: &'a UnstorableBatch) -> Self {
         let events =
-            unstorable.body.as_ref().and_then(|body| codec::events(body, unstorable.head.events).ok());
+            unstorable.body.as_ref().and_then(|body| codec::decode_events(body, unstorable.head.events).ok());
         Self { head: unstorable.head, frame: unstorable.frame.clone(), events, reason: &unstorable.reason }
     }
 
     /// Makes it of a batch that the database refused.
     pub(super) fn refused(batch: &Prepared, reason: &'a str) -> Self {
         let (head, body) = (batch.head, &batch.body);
-        let frame = Bytes::from(codec::batch_frame(&head, body, false));
-        Self { head, frame, events: codec::events(body, head.events).ok(), reason }
+        let frame = Bytes::from(codec::encode_batch(&head, body, false));
+        Self { head, frame, events: codec::decode_events(body, head.events).ok(), reason }
     }
 
     /// Returns the reason why it cannot be stored.

@@ -4,7 +4,7 @@ use std::collections::{HashMap, HashSet};
 
 use peernet_clock::WallTime;
 use peernet_logger::HostId;
-use peernet_stream::{BatchHead, Chain, Hello, LackingBatches, Mark, StreamId, StreamRecord};
+use peernet_stream::{BatchHead, Chain, Hello, Mark, MissingPreviousBatches, StreamId, StreamRecord};
 use sqlx::{Arguments, FromRow, SqliteConnection};
 
 use super::entities::id;
@@ -138,7 +138,7 @@ impl AdvancedStreams {
             );
             (reason, None)
         });
-        let lacking = came.lacking.map(|LackingBatches { stream, from, through, events }| {
+        let lacking = came.lacking.map(|MissingPreviousBatches { stream, from, through, events }| {
             let reason = format!(
                 "batches {from} to {through} of stream {stream} are not here: they were stored in a newer database \
                  than this one, which is an older copy"

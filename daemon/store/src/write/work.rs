@@ -3,7 +3,8 @@
 use bytes::Bytes;
 use peernet_logger::{HostId, RunId, Slug};
 use peernet_stream::{
-    BatchHead, HostDescription, HostSecret, LackingBatches, MissingBatches, Placement, StreamId, codec,
+    BatchHead, HostDescription, HostSecret, MissingBatches, MissingPreviousBatches, Placement, StreamId,
+    codec,
 };
 
 use super::prepared::Prepared;
@@ -43,7 +44,7 @@ pub struct Introduction {
     /// The host's stream before, if this one does not continue it: its spool was deleted or replaced.
     pub replaced: Option<StreamId>,
     /// Batches that this database lacks of the continued stream.
-    pub lacking: Option<LackingBatches>,
+    pub lacking: Option<MissingPreviousBatches>,
     /// The secret that it proved to have; stored unless there is one.
     pub secret: Option<HostSecret>,
 }
@@ -80,7 +81,7 @@ impl Work {
         match Prepared::new(head, body.clone()) {
             Ok(batch) => Self::Batch(Box::new(batch)),
             Err(error) => {
-                let frame = Bytes::from(codec::batch_frame(&head, &body, false));
+                let frame = Bytes::from(codec::encode_batch(&head, &body, false));
                 Self::UnstorableBatch(Box::new(UnstorableBatch {
                     head,
                     frame,

@@ -46,7 +46,7 @@ fn at_an_aggregator(script: &mut Script<'_>) {
                 let (came, previous) = (last == Some(hello.stream), mark.filter(|mark| mark.stored & 1 == 0));
                 let known =
                     StreamRecord { mark, came, last, previous, seniority: mark.map(|mark| mark.stored) };
-                if let Greeting::Welcome { reply, missing, .. } = end.hello(&hello, known, now) {
+                if let Greeting::Welcome { reply, missing, .. } = end.handle_hello(&hello, known, now) {
                     assert!(matches!(reply, ToAgent::Welcome { window: 1.., .. }));
                     // The mark may be ahead of the accepted batches. The stream is followed from here on.
                     accepted.remove(&hello.stream);
@@ -58,7 +58,7 @@ fn at_an_aggregator(script: &mut Script<'_>) {
             }
             1..=5 => {
                 let (head, intact) = (script.head(), !script.byte().is_multiple_of(4));
-                let arrival = end.batch(&head, intact, now);
+                let arrival = end.handle_batch(&head, intact, now);
                 if matches!(arrival, Arrival::Accept | Arrival::AcceptDamaged) {
                     let before = accepted.insert(head.stream, head.number);
                     assert!(before.is_none_or(|before| head.number == before + 1), "accepted out of order");
@@ -73,26 +73,26 @@ fn at_an_aggregator(script: &mut Script<'_>) {
             6 => {
                 let (stream, owner) = (script.stream(), script.host());
                 let mark = script.mark(owner);
-                end.stored(stream, mark);
+                end.handle_stored(stream, mark);
                 accepted.entry(stream).and_modify(|number| *number = mark.stored.max(*number));
             }
             7 => {
                 let stream = script.stream();
-                end.failed(stream);
+                end.handle_failed_store(stream);
                 accepted.remove(&stream);
             }
             8 => {
                 let stream = script.stream();
-                end.deferred(stream);
+                end.defer_batch(stream);
                 let most = usize::from(script.byte() % 4);
-                assert!(end.room(most).len() <= most);
+                assert!(end.request_deferred(most).len() <= most);
             }
             _ => {
                 now = now + Span::from_millis(i64::from(script.byte()) * 4);
                 end.forget_silent(Span::from_millis(400), now);
-                end.live(script.host(), now);
+                end.handle_live(script.host(), now);
                 if script.byte() & 1 == 0 {
-                    end.goodbye(script.host());
+                    end.handle_goodbye(script.host());
                 }
                 accepted.clear();
             }
@@ -132,9 +132,9 @@ fn at_an_agent(script: &mut Script<'_>) {
         agent.step(script, sent);
         while let Some(action) = agent.sending.next(agent.now.mono) {
             match action {
-                Action::Send(frame) => match codec::batch_head(&frame) {
+                Action::Send(frame) => match codec::decode_batch_head(&frame) {
                     Some(head) => sent = (head.stream, head.chain, head.number),
-                    None if codec::part(&Bytes::from(frame.clone())).is_some() => {}
+                    None if codec::decode_part(&Bytes::from(frame.clone())).is_some() => {}
                     None => match codec::decode(&frame) {
                         Ok(ToAggregator::Hello(hello)) => {
                             sent = (hello.stream, hello.before, hello.oldest - 1);

@@ -104,7 +104,7 @@ impl Receiving {
     fn namesake(&self, hello: &Hello, now: MonoTime) -> Option<(HostId, &Session)> {
         let host = &hello.host;
         let held =
-            |session: &Session| session.name == host.name && now - session.heard <= self.config.name_held;
+            |session: &Session| session.name == host.name && now - session.heard <= self.config.name_timeout;
         let named = self.hosts.iter().find(|(other, session)| **other != host.id && held(session));
         named.map(|(other, session)| (*other, session))
     }

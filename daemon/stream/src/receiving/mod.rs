@@ -13,7 +13,7 @@ use peernet_clock::{MonoTime, Span};
 
 use self::admission::{Admission, Session};
 pub use self::challenges::{Challenges, ProofResult};
-use self::deferred::DeferredStreams;
+use self::defer_batch::DeferredStreams;
 use self::parts::PartAssembler;
 use self::progress::Progress;
 use super::codec::Part;
@@ -22,7 +22,7 @@ use peernet_logger::{HostId, Slug};
 
 /// Largest number of streams of one host with batches that are accepted and not stored: the current one, and those that
 /// it left recently.
-const MOST_UNSETTLED: usize = 8;
+const MAX_UNSETTLED_STREAMS: usize = 8;
 
 /// Configuration of the receiving end.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -32,12 +32,12 @@ pub struct ReceivingConfig {
     /// Silence after which an agent no longer keeps its host id from another process: three of its live updates.
     pub silence: Span,
     /// Silence after which an agent no longer keeps its name.
-    pub name_held: Span,
+    pub name_timeout: Span,
     /// Bytes of batches in flight from all agents together, which limit the aggregator's memory. Each agent is allowed
     /// at least one batch.
     pub budget_bytes: u64,
     /// Largest window of one agent, in units of its batches' usual length.
-    pub most_window: u32,
+    pub max_window: u32,
 }
 
 impl ReceivingConfig {
@@ -46,9 +46,9 @@ impl ReceivingConfig {
         Self {
             aggregator,
             silence: Span::from_millis(750),
-            name_held: Span::from_seconds(10),
+            name_timeout: Span::from_seconds(10),
             budget_bytes: 64 << 20,
-            most_window: 8,
+            max_window: 8,
         }
     }
 }
@@ -120,7 +120,7 @@ pub enum Greeting {
         /// Batches that were once stored in the stream that this one continues, but are not in this database, which is
         /// older than they are. To be stored as a gap. The mark of that stream stays, because another copy of the spool
         /// may still hold them.
-        lacking: Option<LackingBatches>,
+        lacking: Option<MissingPreviousBatches>,
         /// Another host with the name of this one, which has been stored for longer. The other host's session ended.
         displaced: Option<HostId>,
     },
@@ -160,7 +160,7 @@ pub struct MissingBatches {
 
 /// Batches of an earlier stream that this database lacks.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct LackingBatches {
+pub struct MissingPreviousBatches {
     /// Stream of the batches.
     pub stream: StreamId,
     /// Number of the first batch; 1 if nothing of the stream is known.
@@ -174,7 +174,7 @@ pub struct LackingBatches {
 /// Result of the arrival of a batch.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Arrival {
-    /// It is the next batch. Store it, and then call [`Receiving::stored`].
+    /// It is the next batch. Store it, and then call [`Receiving::handle_stored`].
     Accept,
     /// It is the next batch, but its bytes did not match its hash in several attempts. It is to be quarantined
     /// unchanged, like a batch that cannot be decoded, and to be marked as stored.
@@ -184,7 +184,7 @@ pub enum Arrival {
     /// It is already accepted, and about to be stored.
     Pending,
     /// Batches before it are missing, or it was damaged in transit. The message, if any, requests them again.
-    Hole(Option<ToAgent>),
+    Rejected(Option<ToAgent>),
     /// The process has no session with that stream, or the batch contradicts accepted batches. The message requests a
     /// hello.
     Unknown(ToAgent),
@@ -197,7 +197,7 @@ pub enum Arrival {
 /// database.
 ///
 /// Its memory is bounded: a session for each recently active host, and for each stream the chains of batches that are
-/// accepted and not stored. These are little more than twice [`MOST_UNDER_WAY`](super::MOST_UNDER_WAY).
+/// accepted and not stored. These are little more than twice [`MAX_IN_FLIGHT_BATCHES`](super::MAX_IN_FLIGHT_BATCHES).
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Receiving {
     config: ReceivingConfig,
@@ -227,7 +227,7 @@ impl Receiving {
 
     /// Returns the reason to refuse a hello before anything is proven; `None` for an agent that may be challenged
     /// ([`Challenges`]).
-    pub fn refuses_version(hello: &Hello) -> Option<String> {
+    pub fn version_refusal(hello: &Hello) -> Option<String> {
         admission::wrong_version(hello)
     }
 
@@ -237,7 +237,7 @@ impl Receiving {
     /// The mark decides, not the agent's statement: batches after it that the agent does not hold are [`MissingBatches`], even
     /// if the agent states that its stream began later than the mark. A stream whose oldest batch is before its first
     /// is refused.
-    pub fn hello(&mut self, hello: &Hello, known: StreamRecord, now: MonoTime) -> Greeting {
+    pub fn handle_hello(&mut self, hello: &Hello, known: StreamRecord, now: MonoTime) -> Greeting {
         let StreamRecord { mark, last, seniority, .. } = known;
         let (host, stream) = (hello.host.id, hello.stream);
         match self.admission(hello, known, now) {
@@ -250,7 +250,7 @@ impl Receiving {
         // Batches from an earlier process of the host are stored first, so that the welcome's statement about them
         // stays true.
         let unsettled = |progress: &Progress| progress.awaits_other_than(hello.process);
-        if self.has_too_much_unsettled(host, stream) || self.streams.get(&stream).is_some_and(unsettled) {
+        if self.has_too_many_unsettled(host, stream) || self.streams.get(&stream).is_some_and(unsettled) {
             return Greeting::Wait;
         }
         // A stream is new only once, so that its gap is recorded once however often the agent reconnects.
@@ -264,7 +264,12 @@ impl Receiving {
                 hello.events_before_first.zip(stored).map(|(all, stored)| all.saturating_sub(stored));
             // Batches after the last one in the spool may have been stored from the memory of a dead process.
             let lacks = from <= through || events.is_some_and(|events| events > 0);
-            lacks.then_some(LackingBatches { stream: previous, from, through: through.max(from), events })
+            lacks.then_some(MissingPreviousBatches {
+                stream: previous,
+                from,
+                through: through.max(from),
+                events,
+            })
         });
         let displaced = self.take_back_name(hello, now);
         let left = self.hosts.insert(host, Session::of(hello, seniority, now));
@@ -288,15 +293,15 @@ impl Receiving {
 
     /// Returns whether the host must wait for the writer, because its stream or its earlier streams have too many
     /// batches that are not stored.
-    fn has_too_much_unsettled(&self, host: HostId, stream: StreamId) -> bool {
+    fn has_too_many_unsettled(&self, host: HostId, stream: StreamId) -> bool {
         let full = self.streams.get(&stream).is_some_and(Progress::is_full);
         let others = self.streams.iter().filter(|(id, progress)| progress.host == host && **id != stream);
-        full || others.count() >= MOST_UNSETTLED
+        full || others.count() >= MAX_UNSETTLED_STREAMS
     }
 
-    /// Decides about a batch. `intact` tells whether its bytes match its hash ([`super::codec::batch_body`]). An intact
+    /// Decides about a batch. `intact` tells whether its bytes match its hash ([`super::codec::decode_batch_body`]). An intact
     /// batch is accepted even if it cannot be decoded; it is quarantined later.
-    pub fn batch(&mut self, head: &BatchHead, intact: bool, now: MonoTime) -> Arrival {
+    pub fn handle_batch(&mut self, head: &BatchHead, intact: bool, now: MonoTime) -> Arrival {
         let window = self.window(head.host);
         let session = self.hosts.get_mut(&head.host);
         let session =
@@ -310,20 +315,20 @@ impl Receiving {
     }
 
     /// Adds a part of a batch from a host with a session. Returns the frame of the batch when it is complete.
-    pub fn part(&mut self, part: &Part, now: MonoTime) -> Option<Bytes> {
+    pub fn handle_part(&mut self, part: &Part, now: MonoTime) -> Option<Bytes> {
         self.hosts.get_mut(&part.host)?.heard = now;
         self.parts.add(part)
     }
 
     /// Returns the answer to a request for an echo, which is to be sent at once.
-    pub fn echo(&mut self, host: HostId, bytes: u64, now: MonoTime) -> ToAgent {
+    pub fn handle_echo(&mut self, host: HostId, bytes: u64, now: MonoTime) -> ToAgent {
         self.live(host, now).unwrap_or(ToAgent::Echo { bytes })
     }
 
-    /// Records that a batch of the stream found no room. It counts as not received, and [`room`](Self::room) requests
+    /// Records that a batch of the stream found no room. It counts as not received, and [`request_deferred`](Self::request_deferred) requests
     /// it again.
-    pub fn deferred(&mut self, stream: StreamId) {
-        if self.listener(stream).is_none() {
+    pub fn defer_batch(&mut self, stream: StreamId) {
+        if self.current_sender(stream).is_none() {
             return;
         }
         if let Some(progress) = self.streams.get_mut(&stream) {
@@ -335,12 +340,12 @@ impl Receiving {
 
     /// Returns the requests for deferred batches when there is room for `batches` of them: one per stream, the longest
     /// waiting first.
-    pub fn room(&mut self, batches: usize) -> Vec<(HostId, ToAgent)> {
+    pub fn request_deferred(&mut self, batches: usize) -> Vec<(HostId, ToAgent)> {
         let mut requested = Vec::new();
         while requested.len() < batches
             && let Some(stream) = self.deferred.pop()
         {
-            let Some(host) = self.listener(stream) else { continue };
+            let Some(host) = self.current_sender(stream) else { continue };
             let request = self.streams.get_mut(&stream).and_then(|progress| progress.request_next(stream));
             requested.extend(request.map(|request| (host, request)));
         }
@@ -348,7 +353,7 @@ impl Receiving {
     }
 
     /// Records the arrival of a live update. Returns the message to a host without a session.
-    pub fn live(&mut self, host: HostId, now: MonoTime) -> Option<ToAgent> {
+    pub fn handle_live(&mut self, host: HostId, now: MonoTime) -> Option<ToAgent> {
         match self.hosts.get_mut(&host) {
             Some(session) => {
                 session.heard = now;
@@ -359,7 +364,7 @@ impl Receiving {
     }
 
     /// Ends the session of an agent that stops. Its name and its host id are free at once.
-    pub fn goodbye(&mut self, host: HostId) {
+    pub fn handle_goodbye(&mut self, host: HostId) {
         self.parts.forget(host);
         if let Some(session) = self.hosts.remove(&host) {
             self.deferred.remove(session.stream);
@@ -372,10 +377,10 @@ impl Receiving {
     ///
     /// Only batches that the connected agent is known to hold are acknowledged. Those that an earlier process sent may
     /// differ from this one's batches with the same numbers, and an acknowledgement makes the agent delete these.
-    pub fn stored(&mut self, stream: StreamId, mark: Mark) -> Option<(HostId, ToAgent)> {
+    pub fn handle_stored(&mut self, stream: StreamId, mark: Mark) -> Option<(HostId, ToAgent)> {
         let window = self.window(mark.host);
         let reply = self.streams.get_mut(&stream)?.settle(stream, mark, window);
-        let listener = self.listener(stream);
+        let listener = self.current_sender(stream);
         self.forget_if_settled(stream);
         listener.zip(reply)
     }
@@ -383,9 +388,9 @@ impl Receiving {
     /// Records that storing failed: batches that are accepted and not stored count as not received. The writer must
     /// drop its batches of the stream, or a later batch would be stored before the failed one. Returns the request to
     /// send them again and its receiver.
-    pub fn failed(&mut self, stream: StreamId) -> Option<(HostId, ToAgent)> {
+    pub fn handle_failed_store(&mut self, stream: StreamId) -> Option<(HostId, ToAgent)> {
         let request = self.streams.get_mut(&stream)?.fail(stream);
-        let listener = self.listener(stream);
+        let listener = self.current_sender(stream);
         self.forget_if_settled(stream);
         listener.map(|host| (host, request))
     }
@@ -408,18 +413,18 @@ impl Receiving {
         let batch = self.hosts.get(&host).map_or(1, |session| session.batch_bytes);
         // An equal share of the memory for each connected host, so that all of them together stay within the budget.
         let share = self.config.budget_bytes / (self.hosts.len() as u64).max(1) / batch;
-        u32::try_from(share).unwrap_or(u32::MAX).clamp(1, self.config.most_window.max(1))
+        u32::try_from(share).unwrap_or(u32::MAX).clamp(1, self.config.max_window.max(1))
     }
 
     /// Returns the host that currently sends a stream.
-    fn listener(&self, stream: StreamId) -> Option<HostId> {
+    fn current_sender(&self, stream: StreamId) -> Option<HostId> {
         let host = self.streams.get(&stream)?.host;
         self.hosts.get(&host).is_some_and(|session| session.stream == stream).then_some(host)
     }
 
     /// Removes a stream from memory if no host sends it and no batch of it waits. Its mark is on disk.
     fn forget_if_settled(&mut self, stream: StreamId) {
-        if self.listener(stream).is_none() {
+        if self.current_sender(stream).is_none() {
             self.deferred.remove(stream);
             if self.streams.get(&stream).is_some_and(Progress::is_settled) {
                 self.streams.remove(&stream);

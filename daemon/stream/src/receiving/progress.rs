@@ -2,7 +2,7 @@
 
 use std::collections::VecDeque;
 
-use super::super::MOST_UNDER_WAY;
+use super::super::MAX_IN_FLIGHT_BATCHES;
 use super::{Arrival, BatchHead, Chain, Hello, Mark, MissingBatches, StreamId, ToAgent};
 use peernet_logger::HostId;
 
@@ -13,7 +13,7 @@ pub(super) const LAST_BATCH: u64 = i64::MAX as u64;
 const DAMAGED_TIMES: u32 = 3;
 
 /// Largest number of batches that are accepted and not stored. An agent that respects its window needs half of it.
-const MOST_PENDING: usize = 2 * (MOST_UNDER_WAY + 1);
+const MOST_PENDING: usize = 2 * (MAX_IN_FLIGHT_BATCHES + 1);
 
 /// A position in a stream: number and chain of a batch, and the number of events up to it, where they are known.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -112,9 +112,9 @@ impl Progress {
             self.arrive_again(head, window)
         } else if number > LAST_BATCH || self.is_full() {
             // Only an agent that ignores its window sends such a batch.
-            Arrival::Hole(None)
+            Arrival::Rejected(None)
         } else if number > self.next() {
-            Arrival::Hole(self.request_next(head.stream))
+            Arrival::Rejected(self.request_next(head.stream))
         } else if !intact {
             self.arrive_damaged(head)
         } else if self.follows(head) {
@@ -154,7 +154,7 @@ impl Progress {
             self.damaged = Some((*head, times));
             // The batch answered the last request, so that a new request is needed.
             self.requested = None;
-            return Arrival::Hole(self.request_next(head.stream));
+            return Arrival::Rejected(self.request_next(head.stream));
         }
         self.damaged = None;
         if self.follows(head) {

@@ -88,7 +88,7 @@ impl DurableLane {
         // An echo request may go out although the batch has to wait: its answer frees the allowance.
         let sent = if waits { None } else { spooler.send(next, unspooled, host) };
         let Some((head, body)) = sent else { return only(None) };
-        let frame = codec::batch_frame(&head, &body, self.pace.compresses());
+        let frame = codec::encode_batch(&head, &body, self.pace.compresses());
         self.in_flight.push(head.number, body.len(), frame.len());
         self.partial = Some(PartialBatch::new(head.number, frame.into()));
         LaneOutput { frame: self.part(host, part), begins: true }

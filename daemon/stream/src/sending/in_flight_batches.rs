@@ -2,7 +2,7 @@
 
 use std::collections::VecDeque;
 
-use super::super::{MOST_UNDER_WAY, batch_weight};
+use super::super::{MAX_IN_FLIGHT_BATCHES, batch_weight};
 
 /// A batch in flight.
 #[derive(Clone, Copy, Debug)]
@@ -25,7 +25,7 @@ pub(super) struct InFlightBatches {
 impl InFlightBatches {
     /// Returns whether a batch with a body of `body` bytes must wait, if at most `window` may be in flight.
     pub(super) fn is_full(&self, body: usize, window: u64) -> bool {
-        let too_much = self.weight + batch_weight(body) > window || self.sent.len() >= MOST_UNDER_WAY;
+        let too_much = self.weight + batch_weight(body) > window || self.sent.len() >= MAX_IN_FLIGHT_BATCHES;
         // One batch may always be in flight, or a batch larger than the window would never be sent.
         too_much && !self.sent.is_empty()
     }

@@ -137,7 +137,7 @@ impl Sending {
             events_before_first: self.spooler.backlog.origin.events_before_first,
             batch_bytes: u32::try_from(self.config.batch_bytes).unwrap_or(u32::MAX),
             process: self.spooler.process(),
-            extension: HelloExtension::of(&AGENT_STREAM_VERSIONS),
+            extension: HelloExtension::from_versions(&AGENT_STREAM_VERSIONS),
         }
     }
 

@@ -13,7 +13,7 @@ use super::spool_reader::ScanResult;
 use super::{Action, SendingConfig};
 use crate::spool::{SpoolState, SpooledBatch};
 use crate::totals::{NewestSentBatch, Totals};
-use crate::{Accounting, BatchHead, Chain, Event, Gap, HandedInEvents, SentUnspooled, StreamId};
+use crate::{Accounting, BatchHead, Chain, Event, Gap, SentUnspooled, StreamId, SubmittedEvents};
 
 /// Largest number of batches in one transaction, so that other work on the spool does not wait for long.
 const MOST_APPENDED: usize = 256;
@@ -48,7 +48,7 @@ impl EventSpooler {
         // Events in the spool were produced, whatever its counts state.
         let produced = produced.max(dropped.saturating_add(backlog.held().events));
         let totals =
-            Totals { produced, reached: None, handed_in: HandedInEvents::default(), ..spool.totals.clone() };
+            Totals { produced, reached: None, handed_in: SubmittedEvents::default(), ..spool.totals.clone() };
         Self {
             appends: Appends::new(totals.clone()),
             deletions: Deletions::new(backlog.acknowledged().0),
@@ -149,7 +149,7 @@ impl EventSpooler {
     }
 
     pub(super) fn settled_runs(&self) -> Vec<(RunId, u64)> {
-        let events = |handed_in: &HandedInEvents, run| handed_in.taken.of(run) + handed_in.dropped.of(run);
+        let events = |handed_in: &SubmittedEvents, run| handed_in.taken.of(run) + handed_in.dropped.of(run);
         let (counted, written) = (&self.intake.counted().handed_in, &self.appends.written().handed_in);
         let ended = self.intake.ended().iter().map(|run| (*run, events(counted, *run)));
         ended.filter(|(run, count)| events(written, *run) == *count).collect()
@@ -178,7 +178,7 @@ impl EventSpooler {
         let (counted, settled) = (self.intake.counted(), self.backlog.settled());
         let only_here = self.unspooled_events();
         let handed_in =
-            HandedInEvents { dropped: counted.handed_in.dropped.clone(), ..settled.handed_in.clone() };
+            SubmittedEvents { dropped: counted.handed_in.dropped.clone(), ..settled.handed_in.clone() };
         Totals {
             produced: counted.produced - only_here,
             dropped: counted.dropped,

@@ -95,7 +95,7 @@ impl LiveLane {
         let (update, receipt) = self.sources.update(machine.host(), sent, account);
         let message = ToAggregator::Live(update);
         let frame =
-            if machine.compresses() { codec::encode_packed(&message) } else { codec::encode(&message) };
+            if machine.compresses() { codec::encode_compressed(&message) } else { codec::encode(&message) };
         (frame, receipt)
     }
 }

@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use peernet_clock::{SharedClock, WallTime};
 use peernet_logger::HostId;
-use peernet_stream::{Chain, HandedInEvents, NewestSentBatch, SpoolState, StreamId, Totals, Usage};
+use peernet_stream::{Chain, NewestSentBatch, SpoolState, StreamId, SubmittedEvents, Totals, Usage};
 use sqlx::migrate::{MigrateError, Migrator};
 use sqlx::sqlite::{SqliteAutoVacuum, SqliteConnectOptions, SqliteJournalMode, SqliteSynchronous};
 use sqlx::{AssertSqlSafe, ConnectOptions, Connection, FromRow, SqliteConnection};
@@ -322,7 +322,7 @@ impl StreamRow {
                 dropped: self.dropped.cast_unsigned(),
                 gaps: self.gaps.cast_unsigned(),
                 told: self.told.cast_unsigned(),
-                handed_in: HandedInEvents::default(),
+                handed_in: SubmittedEvents::default(),
                 reached: None,
                 unreported: None,
             },

@@ -2,7 +2,7 @@
 
 use peernet_clock::WallTime;
 use peernet_logger::RunId;
-use peernet_stream::{Gap, KILLED, RunCounts, SettledEvents, SpoolState, UnresolvedBatches};
+use peernet_stream::{Gap, KILLED_REASON, RunCounts, SettledEvents, SpoolState, UnresolvedBatches};
 use sqlx::{FromRow, SqliteConnection};
 
 use crate::event_queue::counter::{self, CountOwner, EventCounter};
@@ -214,13 +214,13 @@ async fn write_unreported(
     unreported: &[Gap],
 ) -> Result<(), sqlx::Error> {
     // Losses that are in the table already were added when they were written.
-    let killed: u64 = unreported.iter().filter(|gap| gap.reason == KILLED).map(|gap| gap.count).sum();
+    let killed: u64 = unreported.iter().filter(|gap| gap.reason == KILLED_REASON).map(|gap| gap.count).sum();
     sqlx::query(
         "UPDATE stream SET lost_when_killed = lost_when_killed + ? - \
          (SELECT coalesce(sum(count), 0) FROM unreported WHERE reason = ?) WHERE id = 1",
     )
     .bind(killed.cast_signed())
-    .bind(KILLED)
+    .bind(KILLED_REASON)
     .execute(&mut *connection)
     .await?;
     sqlx::query("DELETE FROM unreported").execute(&mut *connection).await?;

@@ -17,7 +17,7 @@ impl IngestSession {
         let host = hello.host.id;
         // Cut to the size that is displayed, because it is kept before the host has proven its identity.
         bounds::description(&mut hello.host, &mut 0);
-        let reason = Receiving::refuses_version(&hello)
+        let reason = Receiving::version_refusal(&hello)
             .or_else(|| self.routes.too_many(from.connection, host))
             .or_else(|| self.hosts.refuses(host));
         if let Some(reason) = reason {
@@ -34,11 +34,11 @@ impl IngestSession {
     pub(super) fn proof(&mut self, from: &Peer, proof: Proof, now: Stamp) {
         let known = self.hosts.secret(proof.host).cloned();
         match self.challenges.prove(&from.connection, proof, known.as_ref()) {
-            ProofResult::Yes { hello, enrolled } => {
+            ProofResult::Valid { hello, enrolled } => {
                 let secret = known.or(enrolled);
                 self.enter(from, *hello, secret, now);
             }
-            ProofResult::No(hello) => {
+            ProofResult::Invalid(hello) => {
                 let host = hello.host.id;
                 // An operator may have cleared the secret since it was read, so it is read again.
                 if self.hosts.needs_secret_check(host, now.mono)
@@ -48,7 +48,7 @@ impl IngestSession {
                 }
                 self.refuse(from, &hello, wrong_secret(host), now);
             }
-            ProofResult::Unasked => {
+            ProofResult::Unsolicited => {
                 self.output.reject_stranger(from.connection);
             }
         }
@@ -73,7 +73,7 @@ impl IngestSession {
         if !self.store.is_open() && known.mark.is_some_and(|mark| hello.oldest <= mark.stored) {
             return;
         }
-        match self.receiving.hello(&hello, known, now.mono) {
+        match self.receiving.handle_hello(&hello, known, now.mono) {
             Greeting::Welcome { reply, missing, replaced, lacking, displaced } => {
                 let Hello { host: description, process, stream, previous, first, .. } = hello;
                 let name = &description.name;

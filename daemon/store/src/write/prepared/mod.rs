@@ -112,7 +112,7 @@ impl Prepared {
         body: Bytes,
         stored: &HashSet<(RunId, i64)>,
     ) -> Result<Self, BatchError> {
-        let events = codec::events(&body, head.events)?;
+        let events = codec::decode_events(&body, head.events)?;
         let mut preparing = Preparing::of(Self::empty(head, body));
         for event in events {
             if let (false, Event::Iteration(it)) = (stored.is_empty(), &event)

@@ -16,7 +16,7 @@ use super::intake::CutBatch;
 use super::spool_reader::{ScanResult, SpoolScan};
 use crate::spool::{SpoolState, SpooledBatch, Usage};
 use crate::totals::Totals;
-use crate::{BatchHead, Chain, HandedInEvents, SentUnspooled, StreamId};
+use crate::{BatchHead, Chain, SentUnspooled, StreamId, SubmittedEvents};
 use peernet_logger::HostId;
 
 /// Batches from the oldest without an acknowledgement to the newest.
@@ -78,7 +78,7 @@ impl Backlog {
             ready: ReadyBatches::new(budget),
             spooled: newest,
             pending: PendingBatches::default(),
-            settled: Totals { handed_in: HandedInEvents::default(), ..spool.totals.clone() },
+            settled: Totals { handed_in: SubmittedEvents::default(), ..spool.totals.clone() },
             newest,
             held,
             sent: SentBatches::default(),

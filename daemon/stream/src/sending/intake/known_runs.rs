@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use peernet_logger::{RunId, Slug};
 
-use crate::{Event, MOST_COUNTED_RUNS};
+use crate::{Event, MAX_COUNTED_RUNS};
 
 /// Active runs with their pipelines, and ended runs that are still counted separately.
 #[derive(Clone, Debug, Default)]
@@ -19,14 +19,14 @@ impl KnownRuns {
     pub(super) fn observe(&mut self, event: &Event) {
         match event {
             Event::RunStarted(started) => {
-                if self.pipelines.len() >= MOST_COUNTED_RUNS {
+                if self.pipelines.len() >= MAX_COUNTED_RUNS {
                     self.pipelines.pop_first();
                 }
                 self.pipelines.insert(started.run, started.pipeline.clone());
             }
             Event::RunEnded(ended) => {
                 self.pipelines.remove(&ended.run);
-                if self.ended.len() < MOST_COUNTED_RUNS {
+                if self.ended.len() < MAX_COUNTED_RUNS {
                     self.ended.push(ended.run);
                 }
             }

@@ -104,7 +104,7 @@ impl Intake {
     pub(super) fn offer(&mut self, event: &Event, room: &EventCapacity, now: Stamp) {
         self.losses.add_earlier_drops(now);
         self.encoded.clear();
-        codec::append(&mut self.encoded, event);
+        codec::encode_into(&mut self.encoded, event);
         let run = event.run();
         match self.refusal(event, room) {
             None => {
@@ -214,7 +214,7 @@ impl Intake {
     fn report(&mut self, gap: Gap, now: Stamp) {
         let event = std::mem::take(&mut self.encoded);
         let count = gap.count;
-        codec::append(&mut self.encoded, &Event::Gap(gap));
+        codec::encode_into(&mut self.encoded, &Event::Gap(gap));
         self.take(1, now);
         self.totals.gaps += 1;
         self.totals.told += count;

@@ -149,7 +149,10 @@ fn told(file: &File) -> u64 {
         _ => 0,
     };
     let batches = file.batches.values();
-    batches.flat_map(|one| codec::events(&one.body, one.events).expect("readable")).map(|one| gap(&one)).sum()
+    batches
+        .flat_map(|one| codec::decode_events(&one.body, one.events).expect("readable"))
+        .map(|one| gap(&one))
+        .sum()
 }
 
 #[test]

@@ -89,7 +89,7 @@ impl Link {
             setting,
             up: OneWayPath::new(setting.bytes_per_s, setting.one_way),
             receiving: Receiving::new(ReceivingConfig {
-                most_window: config.window,
+                max_window: config.window,
                 ..ReceivingConfig::new("base".parse().expect("a name"))
             }),
             down: OneWayPath::new(10_000_000, setting.one_way),
@@ -165,7 +165,7 @@ impl Link {
         }
         for head in std::mem::take(&mut self.committing.0) {
             self.stored += u64::from(head.events);
-            let (_, reply) = self.receiving.stored(head.stream, Mark::from(head)).expect("it listens");
+            let (_, reply) = self.receiving.handle_stored(head.stream, Mark::from(head)).expect("it listens");
             self.reply(reply);
         }
         if !self.waiting.is_empty() {
@@ -175,16 +175,16 @@ impl Link {
 
     fn take(&mut self, frame: Bytes) {
         let now = self.agent.now().mono;
-        let frame = match codec::part(&frame) {
-            Some(part) => match self.receiving.part(&part, now) {
+        let frame = match codec::decode_part(&frame) {
+            Some(part) => match self.receiving.handle_part(&part, now) {
                 Some(whole) => whole,
                 None => return,
             },
             None => frame,
         };
-        if let Some(head) = codec::batch_head(&frame) {
-            codec::batch_body(frame).expect("intact");
-            match self.receiving.batch(&head, true, now) {
+        if let Some(head) = codec::decode_batch_head(&frame) {
+            codec::decode_batch_body(frame).expect("intact");
+            match self.receiving.handle_batch(&head, true, now) {
                 Arrival::Accept => self.waiting.push(head),
                 _ => self.repeated += 1,
             }
@@ -194,12 +194,12 @@ impl Link {
             ToAggregator::Hello(hello) => {
                 self.hellos += 1;
                 self.agent.hellos.push(hello.clone());
-                let greeting = self.receiving.hello(&hello, StreamRecord::default(), now);
+                let greeting = self.receiving.handle_hello(&hello, StreamRecord::default(), now);
                 let Greeting::Welcome { reply, .. } = greeting else { panic!("{greeting:?}") };
                 self.reply(reply);
             }
             ToAggregator::Echo { host, bytes } => {
-                let echo = self.receiving.echo(host, bytes, now);
+                let echo = self.receiving.handle_echo(host, bytes, now);
                 self.reply(echo);
             }
             other => panic!("{other:?} was sent"),

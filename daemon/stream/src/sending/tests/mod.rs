@@ -230,7 +230,7 @@ impl Agent {
     }
 
     fn sent(&mut self, frame: Bytes) {
-        if let Some(part) = codec::part(&frame) {
+        if let Some(part) = codec::decode_part(&frame) {
             if part.offset == 0 {
                 self.parts.clear();
             }
@@ -242,9 +242,9 @@ impl Agent {
             }
             return;
         }
-        match codec::batch_head(&frame) {
+        match codec::decode_batch_head(&frame) {
             Some(head) => {
-                codec::batch_body(frame).expect("intact");
+                codec::decode_batch_body(frame).expect("intact");
                 self.sent.push(head);
             }
             None => match codec::decode(&frame) {

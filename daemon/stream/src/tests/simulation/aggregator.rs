@@ -11,7 +11,7 @@ use super::{SECRET, names, told};
 #[derive(Clone, Debug)]
 enum Work {
     /// A host sent a hello with this stream and left another one: one transaction.
-    Hello(StreamId, Option<StreamId>, Option<LackingBatches>),
+    Hello(StreamId, Option<StreamId>, Option<MissingPreviousBatches>),
     Batch {
         head: BatchHead,
         body: Bytes,
@@ -87,28 +87,28 @@ impl Aggregator {
         if self.route != Some(connection) {
             return Some(ToAgent::Unknown);
         }
-        self.receiving.live(host, now)
+        self.receiving.handle_live(host, now)
     }
 
     /// Handles a frame. Returns the answer for its connection.
     pub(super) fn frame(&mut self, connection: u64, frame: &Bytes, now: MonoTime) -> Option<ToAgent> {
-        if let Some(part) = codec::part(frame) {
+        if let Some(part) = codec::decode_part(frame) {
             if self.route != Some(connection) {
                 return Some(ToAgent::Unknown);
             }
-            let whole = self.receiving.part(&part, now)?;
+            let whole = self.receiving.handle_part(&part, now)?;
             return self.frame(connection, &whole, now);
         }
-        if let Some(head) = codec::batch_head(frame) {
+        if let Some(head) = codec::decode_batch_head(frame) {
             if self.route != Some(connection) {
                 return Some(ToAgent::Unknown);
             }
             if self.queue.len() >= self.capacity {
-                self.receiving.deferred(head.stream);
+                self.receiving.defer_batch(head.stream);
                 return None;
             }
-            let body = codec::batch_body(frame.clone());
-            return match self.receiving.batch(&head, body.is_ok(), now) {
+            let body = codec::decode_batch_body(frame.clone());
+            return match self.receiving.handle_batch(&head, body.is_ok(), now) {
                 Arrival::Accept => {
                     let body = body.expect("only what is intact is accepted");
                     self.queue.push(Work::Batch { head, body });
@@ -119,7 +119,7 @@ impl Aggregator {
                     None
                 }
                 Arrival::Duplicate(reply) | Arrival::Unknown(reply) => Some(reply),
-                Arrival::Hole(reply) => reply,
+                Arrival::Rejected(reply) => reply,
                 Arrival::Pending => None,
             };
         }
@@ -132,12 +132,12 @@ impl Aggregator {
                 Some(self.challenges.challenge(connection, hello, false, Nonce::from_bytes(nonce), now))
             }
             ToAggregator::Proof(proof) => match self.challenges.prove(&connection, proof, Some(&SECRET)) {
-                ProofResult::Yes { hello, .. } => self.hello(connection, &hello, now),
-                ProofResult::Unasked => Some(ToAgent::Unknown),
-                ProofResult::No(hello) => panic!("the proof of {hello:?} is wrong"),
+                ProofResult::Valid { hello, .. } => self.hello(connection, &hello, now),
+                ProofResult::Unsolicited => Some(ToAgent::Unknown),
+                ProofResult::Invalid(hello) => panic!("the proof of {hello:?} is wrong"),
             },
             ToAggregator::Echo { host, bytes } if self.route == Some(connection) => {
-                Some(self.receiving.echo(host, bytes, now))
+                Some(self.receiving.handle_echo(host, bytes, now))
             }
             ToAggregator::Echo { .. } => Some(ToAgent::Unknown),
             ToAggregator::Live(_) | ToAggregator::Goodbye(_) => unreachable!("never sent here"),
@@ -153,7 +153,7 @@ impl Aggregator {
             previous: hello.previous.and_then(mark_of),
             seniority: None,
         };
-        match self.receiving.hello(hello, known, now) {
+        match self.receiving.handle_hello(hello, known, now) {
             Greeting::Welcome { reply, missing, replaced, lacking, .. } => {
                 self.route = Some(connection);
                 self.missing += u32::from(missing.is_some());
@@ -179,9 +179,11 @@ impl Aggregator {
     pub(super) fn committed(&mut self, mut streams: Vec<StreamId>) -> Vec<(u64, ToAgent)> {
         streams.dedup();
         let marks = &self.database.marks;
-        let mut replies: Vec<_> =
-            streams.into_iter().filter_map(|stream| self.receiving.stored(stream, marks[&stream])).collect();
-        replies.extend(self.receiving.room(self.capacity.saturating_sub(self.queue.len())));
+        let mut replies: Vec<_> = streams
+            .into_iter()
+            .filter_map(|stream| self.receiving.handle_stored(stream, marks[&stream]))
+            .collect();
+        replies.extend(self.receiving.request_deferred(self.capacity.saturating_sub(self.queue.len())));
         self.routed(replies)
     }
 
@@ -191,9 +193,11 @@ impl Aggregator {
         for work in std::mem::take(&mut self.queue) {
             match work {
                 Work::Batch { head, .. } | Work::Damaged(head) => {
-                    replies.extend(self.receiving.failed(head.stream));
+                    replies.extend(self.receiving.handle_failed_store(head.stream));
                 }
-                Work::MissingBatches(missing) => replies.extend(self.receiving.failed(missing.stream)),
+                Work::MissingBatches(missing) => {
+                    replies.extend(self.receiving.handle_failed_store(missing.stream))
+                }
                 kept @ Work::Hello(..) => self.queue.push(kept),
             }
         }
@@ -225,7 +229,7 @@ impl Database {
                 self.last = Some(stream);
                 if self.came.insert(stream) {
                     self.replaced.extend(replaced);
-                    if let Some(LackingBatches { stream, from, through, events }) = lacking {
+                    if let Some(MissingPreviousBatches { stream, from, through, events }) = lacking {
                         let gap = Entry::Gap { from, through, events };
                         self.entries.entry(stream).or_default().push(gap);
                     }

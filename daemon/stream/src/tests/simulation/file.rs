@@ -64,7 +64,7 @@ impl SpoolFile {
     pub(super) fn start(&mut self) -> SpoolState {
         let mut state = self.open();
         state.lose_tail(std::mem::take(&mut self.counted), self.totals.handed_in.settled());
-        state.totals.handed_in = HandedInEvents::default();
+        state.totals.handed_in = SubmittedEvents::default();
         self.totals = state.totals.clone();
         self.unresolved = state.unresolved.clone();
         self.tell(&state.unreported);
@@ -82,7 +82,7 @@ impl SpoolFile {
     pub(super) fn sends(&mut self, sent: SentUnspooled) {
         let all = &mut self.counted.sent;
         all.retain(|other| {
-            other.number % MOST_SENT_UNSPOOLED as u64 != sent.number % MOST_SENT_UNSPOOLED as u64
+            other.number % MAX_SENT_UNSPOOLED as u64 != sent.number % MAX_SENT_UNSPOOLED as u64
         });
         all.push(sent);
     }

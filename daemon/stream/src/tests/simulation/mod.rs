@@ -209,7 +209,7 @@ impl Simulation {
     /// Flips a bit of a batch in flight. Hellos are excluded, because they are not protected by a hash and not
     /// repeated.
     pub(super) fn damage(&mut self, index: usize, bit: usize) {
-        let batches = self.up.iter_mut().filter(|(_, frame)| codec::batch_head(frame).is_some());
+        let batches = self.up.iter_mut().filter(|(_, frame)| codec::decode_batch_head(frame).is_some());
         let mut batches: Vec<_> = batches.collect();
         if batches.is_empty() {
             return;
@@ -279,7 +279,7 @@ impl Simulation {
     pub(super) fn delete_spool(&mut self) {
         self.jobs.clear();
         // Late hellos of a dead process would count its stream as another one that was left.
-        self.up.retain(|(_, frame)| codec::batch_head(frame).is_some());
+        self.up.retain(|(_, frame)| codec::decode_batch_head(frame).is_some());
         let file = SpoolFile::new(StreamId::random());
         let old = std::mem::replace(&mut self.sites[self.site], file);
         self.expected_content.lost(&old);
@@ -359,7 +359,7 @@ impl Simulation {
 
 /// Returns the number of missing events that the gaps in a body report.
 fn told(events: u32, body: &[u8]) -> u64 {
-    let events = codec::events(body, events).expect("our own events");
+    let events = codec::decode_events(body, events).expect("our own events");
     let count = |event| match event {
         Event::Gap(gap) => gap.count,
         _ => 0,
@@ -369,7 +369,7 @@ fn told(events: u32, body: &[u8]) -> u64 {
 
 /// Returns the numbers of the events in a body in order, without gaps.
 fn names(events: u32, body: &[u8]) -> Vec<u64> {
-    let events = codec::events(body, events).expect("our own events");
+    let events = codec::decode_events(body, events).expect("our own events");
     let name = |event| match event {
         Event::Incident(incident) => Some(incident.text.parse().expect("a number")),
         _ => None,

@@ -101,8 +101,10 @@ async fn spool_of_each_migration_is_readable() {
         assert_eq!(state.totals.produced, 4);
         let loaded = file.load(1, usize::MAX).await.expect("reads");
         assert_eq!(loaded.damage, None);
-        let events =
-            loaded.batches.iter().flat_map(|batch| codec::events(&batch.body, batch.events).expect("events"));
+        let events = loaded
+            .batches
+            .iter()
+            .flat_map(|batch| codec::decode_events(&batch.body, batch.events).expect("events"));
         let expected: Vec<Event> = WAITING.into_iter().map(event).collect();
         assert_eq!(events.collect::<Vec<_>>(), expected, "migration {}", migration.version);
     }

@@ -1,7 +1,7 @@
 //! Tests of the losses of a killed process.
 
 use peernet_logger::{RunId, Slug};
-use peernet_stream::{HandedInEvents, KILLED, SentUnspooled};
+use peernet_stream::{KILLED_REASON, SentUnspooled, SubmittedEvents};
 
 use super::*;
 use crate::event_queue::EventCounter;
@@ -18,7 +18,7 @@ fn hand_in(counter: &EventCounter, run: RunId, events: u64) {
 
 /// Returns totals after `events` more events of a run are in batches and `reported` lost events are in gaps.
 fn settled(run: RunId, events: u64, reported: u64, before: &Totals) -> Totals {
-    let mut handed_in = HandedInEvents { last: Some(at(1)), ..HandedInEvents::default() };
+    let mut handed_in = SubmittedEvents { last: Some(at(1)), ..SubmittedEvents::default() };
     handed_in.taken.add(Some(run), events);
     Totals { produced: before.produced + events, told: reported, handed_in, ..before.clone() }
 }
@@ -39,14 +39,14 @@ async fn losses_of_killed_process_stay_until_reported() {
         state.unreported.iter().map(|gap| (gap.run, gap.count, gap.reason.clone())).collect()
     };
     assert_eq!((state.totals.produced, state.totals.dropped, state.totals.told), (10, 4, 0));
-    assert_eq!(lost(&state), [(Some(run), 4, KILLED.to_owned())]);
+    assert_eq!(lost(&state), [(Some(run), 4, KILLED_REASON.to_owned())]);
     assert_eq!((state.unreported[0].from, state.unreported[0].to), (at(1), at(9)));
     // Killed again before it could report that, with an event of its own.
     hand_in(&counter, second, 1);
     drop((file, counter));
 
     let OpenSpool { mut file, state, counter, .. } = place.open().await.expect("opens");
-    let both = [(Some(run), 4, KILLED.to_owned()), (Some(second), 1, KILLED.to_owned())];
+    let both = [(Some(run), 4, KILLED_REASON.to_owned()), (Some(second), 1, KILLED_REASON.to_owned())];
     assert_eq!((lost(&state), state.totals.dropped), (both.to_vec(), 5));
     assert_eq!(place.lost_when_killed().await, Some(5));
     let third = RunId::random();
