@@ -26,7 +26,7 @@ pub struct RunCounts {
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct SubmittedEvents {
     /// Events in batches.
-    pub taken: RunCounts,
+    pub batched: RunCounts,
     /// Dropped events.
     pub dropped: RunCounts,
     /// Time of the last event; `None` before the first.
@@ -53,7 +53,7 @@ pub struct SettledEvents {
     /// Events in batches, and dropped events.
     pub events: RunCounts,
     /// Number of events in batches.
-    pub taken: u64,
+    pub batched: u64,
     /// Time of the last event.
     pub last: Option<WallTime>,
 }
@@ -66,9 +66,9 @@ pub struct SentUnspooled {
     /// Number of the batch.
     pub number: u64,
     /// Number of events that were handed in to that process and are in batches.
-    pub taken: u64,
-    /// Number of dropped events that gaps have reported, like [`super::Totals::told`].
-    pub told: u64,
+    pub batched: u64,
+    /// Number of dropped events that gaps have reported, like [`super::Totals::reported_drops`].
+    pub reported_drops: u64,
     /// Number of events in batches since the spool was created, including gaps.
     pub events: u64,
 }
@@ -97,7 +97,7 @@ impl RunCounts {
     }
 
     /// Returns the number of events of a run.
-    pub fn of(&self, run: RunId) -> u64 {
+    pub fn events_of(&self, run: RunId) -> u64 {
         self.runs.get(&run).copied().unwrap_or_default()
     }
 }
@@ -105,25 +105,25 @@ impl RunCounts {
 impl SubmittedEvents {
     /// Returns the counts that the spool records.
     pub fn settled(&self) -> SettledEvents {
-        let mut events = self.taken.clone();
+        let mut events = self.batched.clone();
         events.all += self.dropped.all;
         for (run, count) in &self.dropped.runs {
             *events.runs.entry(*run).or_default() += count;
         }
-        SettledEvents { events, taken: self.taken.all, last: self.last }
+        SettledEvents { events, batched: self.batched.all, last: self.last }
     }
 
     /// Moves the events in batches that are not in `kept` to the dropped ones.
     pub(super) fn give_up(&mut self, kept: &RunCounts) {
-        let taken = std::mem::replace(&mut self.taken, kept.clone());
-        self.dropped.all += taken.all.saturating_sub(kept.all);
-        for (run, events) in taken.runs {
-            *self.dropped.runs.entry(run).or_default() += events.saturating_sub(kept.of(run));
+        let batched = std::mem::replace(&mut self.batched, kept.clone());
+        self.dropped.all += batched.all.saturating_sub(kept.all);
+        for (run, events) in batched.runs {
+            *self.dropped.runs.entry(run).or_default() += events.saturating_sub(kept.events_of(run));
         }
     }
 
     pub(super) fn forget(&mut self, run: RunId) {
-        self.taken.runs.remove(&run);
+        self.batched.runs.remove(&run);
         self.dropped.runs.remove(&run);
     }
 }
@@ -139,7 +139,7 @@ impl CountedEvents {
         };
         let mut gaps = Vec::new();
         for CountedRun { run, pipeline, events, last } in &self.runs {
-            let count = events.saturating_sub(settled.events.of(*run)).saturating_sub(known).min(left);
+            let count = events.saturating_sub(settled.events.events_of(*run)).saturating_sub(known).min(left);
             left -= count;
             gaps.push(gap(pipeline.clone(), Some(*run), count, *last));
         }

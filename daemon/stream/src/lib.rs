@@ -76,7 +76,7 @@ pub use live::{
 pub use message::{Batch, BatchHead, MAX_IN_FLIGHT_BATCHES, Proof, ToAgent, ToAggregator, batch_weight};
 pub use network_name::NetworkName;
 pub use receiving::{
-    Arrival, Challenges, Greeting, Mark, MissingBatches, MissingPreviousBatches, ProofResult, Receiving,
+    Arrival, Challenges, HelloResult, Mark, MissingBatches, MissingPreviousBatches, ProofResult, Receiving,
     ReceivingConfig, StreamRecord,
 };
 pub use secret::{HostSecret, InvalidSecret, Nonce, ProofCode};

@@ -87,12 +87,12 @@ pub struct SpoolState {
     /// Time of the first event of the oldest batch.
     pub since: Option<WallTime>,
     /// Number of events and bytes held.
-    pub held: Usage,
+    pub waiting_usage: Usage,
     /// Totals up to the newest batch.
     pub totals: Totals,
     /// Batches that processes may have sent from this spool. Processes may be missing from the list; one that is
     /// missing is treated as a process of a copy of the spool.
-    pub reached: Vec<NewestSentBatch>,
+    pub newest_sent: Vec<NewestSentBatch>,
     /// Gaps of earlier processes that are not reported yet: dropped events, and events lost with the process.
     pub unreported: Vec<Gap>,
     /// The last batches of an earlier process of which only the aggregator knows whether they are stored. No loss is
@@ -112,9 +112,9 @@ impl SpoolState {
             before: Chain::START,
             newest: (0, Chain::START),
             since: None,
-            held: Usage::default(),
+            waiting_usage: Usage::default(),
             totals: Totals::default(),
-            reached: Vec::new(),
+            newest_sent: Vec::new(),
             unreported: Vec::new(),
             unresolved: None,
         }
@@ -182,7 +182,7 @@ mod tests {
     }
 
     fn settled(all: u64, runs: &[(RunId, u64)], last: Option<WallTime>) -> SettledEvents {
-        SettledEvents { events: RunCounts { all, runs: runs.iter().copied().collect() }, taken: all, last }
+        SettledEvents { events: RunCounts { all, runs: runs.iter().copied().collect() }, batched: all, last }
     }
 
     #[test]
@@ -193,7 +193,7 @@ mod tests {
         let counted = counted(115, &[(first, 70), (second, 4)]);
         let settled = settled(100, &[(first, 60), (ended, 30)], Some(at(8)));
         assert_eq!(state.lose_tail(counted.clone(), settled), Some(15));
-        assert_eq!((state.totals.produced, state.totals.dropped, state.totals.told), (115, 15, 0));
+        assert_eq!((state.totals.produced, state.totals.dropped, state.totals.reported_drops), (115, 15, 0));
         let gaps: Vec<_> =
             state.unreported.iter().map(|gap| (gap.run, gap.count, gap.from, gap.to)).collect();
         let expected =

@@ -28,12 +28,12 @@ pub struct Totals {
     /// Number of gaps that were reported.
     pub gaps: u64,
     /// Number of dropped events that gaps have reported. The others must still be reported, after a restart as well.
-    pub told: u64,
+    pub reported_drops: u64,
     /// Events that were handed in to the current process.
-    pub handed_in: SubmittedEvents,
+    pub submitted: SubmittedEvents,
     /// Newest batch that the current process may have sent; `None` before the aggregator has accepted it. The spool
     /// then keeps its records of this and other processes.
-    pub reached: Option<NewestSentBatch>,
+    pub newest_sent: Option<NewestSentBatch>,
     /// Losses that no gap reports yet. Their presence means that [`SpoolState::unresolved`] is resolved.
     pub unreported: Option<Vec<Gap>>,
 }

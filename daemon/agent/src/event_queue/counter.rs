@@ -118,8 +118,8 @@ impl EventCounter {
     pub(crate) fn record_sent_unspooled(&self, sent: SentUnspooled) {
         if let Some(mut counting) = self.counting().filter(|counting| counting.sent != Some(sent)) {
             counting.sent = Some(sent);
-            let SentUnspooled { process, number, taken, told, events } = sent;
-            let bytes = [process, number, taken, told, events].map(u64::to_be_bytes).concat();
+            let SentUnspooled { process, number, batched, reported_drops, events } = sent;
+            let bytes = [process, number, batched, reported_drops, events].map(u64::to_be_bytes).concat();
             // A ring: a batch overwrites the one that is as many numbers older.
             let place = SENT as u64 + number % MAX_SENT_UNSPOOLED as u64 * SENT_BYTES as u64;
             let written = counting.file.write_all_at(&bytes, place);
@@ -283,8 +283,8 @@ pub(crate) fn read(name: &str, own: &CountOwner) -> Option<CountedEvents> {
     let sent = sent.chunks_exact(SENT_BYTES).map(|sent| SentUnspooled {
         process: number(sent, 0),
         number: number(sent, 8),
-        taken: number(sent, 16),
-        told: number(sent, 24),
+        batched: number(sent, 16),
+        reported_drops: number(sent, 24),
         events: number(sent, 32),
     });
     let sent = sent.filter(|sent| sent.number > 0).collect();

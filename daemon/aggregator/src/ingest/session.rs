@@ -184,7 +184,7 @@ impl IngestSession {
             && let (Some((greeting, hole)), Some(newcomer)) = (before, self.hosts.store(head.host))
         {
             let Newcomer { introduction, missing, .. } = newcomer;
-            self.store.streams.came(head.host, introduction.stream);
+            self.store.streams.record_hello(head.host, introduction.stream);
             greeting.put(Incoming::Work(Work::Hello(Box::new(introduction))), now.mono);
             if let Some(missing) = missing {
                 hole.put(Incoming::Work(Work::MissingBatches(missing)), now.mono);
@@ -302,7 +302,7 @@ impl IngestSession {
 
     /// Drops silent hosts and logs repeated refusals.
     pub(super) fn age(&mut self, now: Stamp) {
-        self.challenges.age(now.mono);
+        self.challenges.remove_expired(now.mono);
         let receiving = &self.receiving;
         let silent = self.hosts.newcomers_where(|host| !receiving.is_alive(host, FORGET_NEWCOMERS, now.mono));
         for host in silent {

@@ -297,7 +297,7 @@ async fn replaced_spool_leaves_one_gap() {
     test_store.writer = open(&test_store.path).await;
     assert!(test_store.writer.streams().marks.is_empty(), "nothing of any is stored");
     let hello = hello_of(test_store.edge, StreamId::from_bytes([9; 16]), None);
-    let known = StreamRecord { came: true, last: Some(hello.stream), ..StreamRecord::default() };
+    let known = StreamRecord { was_used: true, last: Some(hello.stream), ..StreamRecord::default() };
     assert_eq!(test_store.writer.streams().known(&hello, None), known);
 }
 

@@ -19,7 +19,7 @@ pub struct Streams {
     /// Mark of each stream of which something is stored.
     pub marks: HashMap<StreamId, Mark>,
     /// All streams with which a host ever introduced itself.
-    came: HashSet<StreamId>,
+    seen: HashSet<StreamId>,
     /// The stream with which each host introduced itself last.
     last: HashMap<HostId, StreamId>,
 }
@@ -63,7 +63,7 @@ impl Streams {
         let mark_of = |stream| self.marks.get(&stream).copied();
         StreamRecord {
             mark: mark_of(hello.stream),
-            came: self.came.contains(&hello.stream),
+            was_used: self.seen.contains(&hello.stream),
             last: self.last.get(&hello.host.id).copied(),
             previous: hello.previous.and_then(mark_of),
             seniority,
@@ -71,8 +71,8 @@ impl Streams {
     }
 
     /// Records that a host introduced itself with a stream.
-    pub fn came(&mut self, host: HostId, stream: StreamId) {
-        self.came.insert(stream);
+    pub fn record_hello(&mut self, host: HostId, stream: StreamId) {
+        self.seen.insert(stream);
         self.last.insert(host, stream);
     }
 
@@ -87,7 +87,7 @@ impl Streams {
         let mut streams = Self::default();
         for Row { uuid, host, stored, chain, process, events } in rows {
             let (stream, host) = (id(&uuid)?, id(&host)?);
-            streams.came(host, stream);
+            streams.record_hello(host, stream);
             // A row without a chain has nothing stored, or is of a version whose streams ended with their agents.
             let Some(chain) = chain else { continue };
             let chain =
@@ -110,12 +110,12 @@ impl AdvancedStreams {
         &mut self,
         connection: &mut SqliteConnection,
         host: i64,
-        came: &Introduction,
+        introduction: &Introduction,
         now: WallTime,
     ) -> Result<Stored, Refusal> {
         let known = sqlx::query("UPDATE stream SET last_seen_ns = ? WHERE uuid = ?")
             .bind(now.unix_nanos())
-            .bind(came.stream.to_string())
+            .bind(introduction.stream.to_string())
             .execute(&mut *connection)
             .await?;
         if known.rows_affected() > 0 {
@@ -125,20 +125,20 @@ impl AdvancedStreams {
             "INSERT INTO stream (uuid, host, stored, previous, first_seen_ns, last_seen_ns) \
              VALUES (?1, ?2, ?3, ?4, ?5, ?5)",
         )
-        .bind(came.stream.to_string())
+        .bind(introduction.stream.to_string())
         .bind(host)
-        .bind(column(came.first.saturating_sub(1)))
-        .bind(came.previous.map(|stream| stream.to_string()))
+        .bind(column(introduction.first.saturating_sub(1)))
+        .bind(introduction.previous.map(|stream| stream.to_string()))
         .bind(now.unix_nanos())
         .execute(&mut *connection)
         .await?;
-        let replaced = came.replaced.map(|replaced| {
+        let replaced = introduction.replaced.map(|replaced| {
             let reason = format!(
                 "the spool with the stream {replaced} was deleted or replaced: what it still held is unknown and lost"
             );
             (reason, None)
         });
-        let lacking = came.lacking.map(|MissingPreviousBatches { stream, from, through, events }| {
+        let lacking = introduction.lacking.map(|MissingPreviousBatches { stream, from, through, events }| {
             let reason = format!(
                 "batches {from} to {through} of stream {stream} are not here: they were stored in a newer database \
                  than this one, which is an older copy"

@@ -75,8 +75,8 @@ impl Staging {
                 }
                 // Greetings cannot be quarantined: the batches that follow create the host's row.
                 (Work::Hello(_) | Work::Goodbye(_) | Work::Name(_), Some(_)) => continue,
-                (Work::Hello(came), None) => {
-                    self.introduce(connection, came, now).await?;
+                (Work::Hello(introduction), None) => {
+                    self.introduce(connection, introduction, now).await?;
                     continue;
                 }
                 (Work::Goodbye(host), None) => {
@@ -143,16 +143,16 @@ impl Staging {
     async fn introduce(
         &mut self,
         connection: &mut SqliteConnection,
-        came: &Introduction,
+        introduction: &Introduction,
         now: WallTime,
     ) -> Result<(), Refusal> {
-        let id = self.entities.introduce(connection, &came.host, now).await?;
-        self.ends.process(connection, id, came.process).await?;
-        if let Some(secret) = &came.secret {
+        let id = self.entities.introduce(connection, &introduction.host, now).await?;
+        self.ends.process(connection, id, introduction.process).await?;
+        if let Some(secret) = &introduction.secret {
             secrets::enrol(connection, id, secret, now).await?;
         }
-        let added = self.advanced_streams.introduce(connection, id, came, now).await?;
-        self.counters.host(came.host.id, id).add(&added);
+        let added = self.advanced_streams.introduce(connection, id, introduction, now).await?;
+        self.counters.host(introduction.host.id, id).add(&added);
         Ok(())
     }
 

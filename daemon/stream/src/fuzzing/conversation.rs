@@ -8,7 +8,7 @@ use peernet_clock::{MonoTime, Span, Stamp};
 use super::script::{Script, beginning, host};
 use crate::codec;
 use crate::{
-    Accounting, Action, Arrival, Chain, Event, Greeting, HostSecret, Incident, IncidentKind, Nonce,
+    Accounting, Action, Arrival, Chain, Event, HelloResult, HostSecret, Incident, IncidentKind, Nonce,
     Receiving, ReceivingConfig, Sending, SendingConfig, SpoolState, SpooledBatch, StreamId, StreamRecord,
     ToAgent, ToAggregator, Usage,
 };
@@ -43,10 +43,11 @@ fn at_an_aggregator(script: &mut Script<'_>) {
                 let hello = script.hello();
                 let mark = (script.byte() & 1 == 0).then(|| script.host()).map(|owner| script.mark(owner));
                 let last = (script.byte() & 1 == 0).then(|| script.stream());
-                let (came, previous) = (last == Some(hello.stream), mark.filter(|mark| mark.stored & 1 == 0));
+                let (was_used, previous) =
+                    (last == Some(hello.stream), mark.filter(|mark| mark.stored & 1 == 0));
                 let known =
-                    StreamRecord { mark, came, last, previous, seniority: mark.map(|mark| mark.stored) };
-                if let Greeting::Welcome { reply, missing, .. } = end.handle_hello(&hello, known, now) {
+                    StreamRecord { mark, was_used, last, previous, seniority: mark.map(|mark| mark.stored) };
+                if let HelloResult::Welcome { reply, missing, .. } = end.handle_hello(&hello, known, now) {
                     assert!(matches!(reply, ToAgent::Welcome { window: 1.., .. }));
                     // The mark may be ahead of the accepted batches. The stream is followed from here on.
                     accepted.remove(&hello.stream);
@@ -165,20 +166,20 @@ impl Agent {
                 self.sending.tick(self.now);
             }
             5 => match script.byte() % 8 {
-                2 => self.sending.shown(usize::from(script.byte()) * 64),
-                3 | 4 => drop(self.sending.received(&ToAgent::Echo { bytes: self.echo }, now)),
-                0 => self.sending.disconnected(),
+                2 => self.sending.record_live_sent(usize::from(script.byte()) * 64),
+                3 | 4 => drop(self.sending.on_message(&ToAgent::Echo { bytes: self.echo }, now)),
+                0 => self.sending.on_disconnected(),
                 1 => self.sending.flush(now.wall),
-                _ => self.sending.connected(now.mono),
+                _ => self.sending.on_connected(now.mono),
             },
             6 => {
                 if let Ok(message) = codec::decode(&script.bytes()) {
-                    self.sending.received(&message, now);
+                    self.sending.on_message(&message, now);
                 }
             }
             _ => {
                 let message = message(script, sent);
-                self.sending.received(&message, now);
+                self.sending.on_message(&message, now);
             }
         }
     }
@@ -187,24 +188,24 @@ impl Agent {
         let now = self.now;
         let reason = || "the disk fails".to_owned();
         match self.jobs.pop_front() {
-            Some(Action::Append { .. }) if fails => drop(self.sending.append_failed(reason(), now)),
+            Some(Action::Append { .. }) if fails => drop(self.sending.on_append_failed(reason(), now)),
             Some(Action::Append { batches, .. }) => {
                 self.spool.extend(batches);
-                self.sending.appended(now);
+                self.sending.on_appended(now);
             }
-            Some(Action::Load { .. }) if fails => drop(self.sending.load_failed(reason(), now)),
+            Some(Action::Load { .. }) if fails => drop(self.sending.on_load_failed(reason(), now)),
             Some(Action::Load { from, .. }) => {
                 let found = self.spool.iter().skip_while(|batch| batch.number < from).take(2);
                 let found: Vec<_> = found.filter(|batch| batch.number <= from + 1).cloned().collect();
-                self.sending.loaded(found, now);
+                self.sending.on_loaded(found, now);
             }
-            Some(Action::Delete { .. }) if fails => drop(self.sending.delete_failed(reason(), now)),
+            Some(Action::Delete { .. }) if fails => drop(self.sending.on_delete_failed(reason(), now)),
             Some(Action::Delete { through, .. }) => {
                 self.spool.retain(|batch| batch.number > through);
-                self.sending.deleted();
+                self.sending.on_deleted();
             }
-            Some(Action::Renew { .. }) if fails => drop(self.sending.renew_failed(reason(), now)),
-            Some(Action::Renew { .. }) => self.sending.renewed(now),
+            Some(Action::Renew { .. }) if fails => drop(self.sending.on_renew_failed(reason(), now)),
+            Some(Action::Renew { .. }) => self.sending.on_renewed(now),
             Some(Action::Send(_)) | None => {}
         }
     }

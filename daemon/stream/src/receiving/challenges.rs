@@ -11,7 +11,7 @@ use super::{Hello, ToAgent};
 use peernet_logger::Slug;
 
 /// Time that a challenge waits for its proof: longer than a round trip on any link.
-const PROOF_WITHIN: Span = Span::from_seconds(15);
+const PROOF_TIMEOUT: Span = Span::from_seconds(15);
 
 /// Hellos that wait for their proof, at most one per connection. `C` identifies a connection.
 #[derive(Clone, Debug)]
@@ -86,7 +86,7 @@ impl<C: Eq + Hash> Challenges<C> {
 
     /// Checks the proof that came on a connection. `known` is the secret of the host that [`pending_hello`](Self::pending_hello)
     /// returns, if the aggregator has one. A challenge is removed by its answer, whether that is valid or not.
-    pub fn prove(&mut self, connection: &C, proof: Proof, known: Option<&HostSecret>) -> ProofResult {
+    pub fn check_proof(&mut self, connection: &C, proof: Proof, known: Option<&HostSecret>) -> ProofResult {
         let answered =
             |pending: &Pending| (pending.hello.host.id, pending.nonce) == (proof.host, proof.nonce);
         if !self.pending.get(connection).is_some_and(answered) {
@@ -112,8 +112,8 @@ impl<C: Eq + Hash> Challenges<C> {
     }
 
     /// Removes challenges that were not answered in time.
-    pub fn age(&mut self, now: MonoTime) {
-        self.pending.retain(|_, pending| now - pending.since <= PROOF_WITHIN);
+    pub fn remove_expired(&mut self, now: MonoTime) {
+        self.pending.retain(|_, pending| now - pending.since <= PROOF_TIMEOUT);
     }
 
     /// Returns the number of challenges without an answer.

@@ -30,7 +30,7 @@ pub struct ReceivingConfig {
     /// Name of the aggregator's own host.
     pub aggregator: Slug,
     /// Silence after which an agent no longer keeps its host id from another process: three of its live updates.
-    pub silence: Span,
+    pub process_timeout: Span,
     /// Silence after which an agent no longer keeps its name.
     pub name_timeout: Span,
     /// Bytes of batches in flight from all agents together, which limit the aggregator's memory. Each agent is allowed
@@ -45,7 +45,7 @@ impl ReceivingConfig {
     pub const fn new(aggregator: Slug) -> Self {
         Self {
             aggregator,
-            silence: Span::from_millis(750),
+            process_timeout: Span::from_millis(750),
             name_timeout: Span::from_seconds(10),
             budget_bytes: 64 << 20,
             max_window: 8,
@@ -96,7 +96,7 @@ pub struct StreamRecord {
     /// Mark of the hello's stream.
     pub mark: Option<Mark>,
     /// `true` if the host used that stream before.
-    pub came: bool,
+    pub was_used: bool,
     /// Stream that the host used last.
     pub last: Option<StreamId>,
     /// Mark of the stream that the hello's stream continues.
@@ -107,7 +107,7 @@ pub struct StreamRecord {
 
 /// Result of a hello.
 #[derive(Clone, Debug, PartialEq)]
-pub enum Greeting {
+pub enum HelloResult {
     /// The host has a session now.
     Welcome {
         /// Message to be sent.
@@ -228,7 +228,7 @@ impl Receiving {
     /// Returns the reason to refuse a hello before anything is proven; `None` for an agent that may be challenged
     /// ([`Challenges`]).
     pub fn version_refusal(hello: &Hello) -> Option<String> {
-        admission::wrong_version(hello)
+        admission::version_mismatch(hello)
     }
 
     /// Decides about a hello whose host has been proven. Missing batches are reported only for a host's first hello
@@ -237,29 +237,29 @@ impl Receiving {
     /// The mark decides, not the agent's statement: batches after it that the agent does not hold are [`MissingBatches`], even
     /// if the agent states that its stream began later than the mark. A stream whose oldest batch is before its first
     /// is refused.
-    pub fn handle_hello(&mut self, hello: &Hello, known: StreamRecord, now: MonoTime) -> Greeting {
-        let StreamRecord { mark, last, seniority, .. } = known;
+    pub fn handle_hello(&mut self, hello: &Hello, record: StreamRecord, now: MonoTime) -> HelloResult {
+        let StreamRecord { mark, last, seniority, .. } = record;
         let (host, stream) = (hello.host.id, hello.stream);
-        match self.admission(hello, known, now) {
+        match self.admission(hello, record, now) {
             Admission::Granted => {}
             Admission::Refused(reason) => {
-                return Greeting::Refused { reply: ToAgent::Refused { reason: reason.clone() }, reason };
+                return HelloResult::Refused { reply: ToAgent::Refused { reason: reason.clone() }, reason };
             }
-            Admission::Later => return Greeting::Wait,
+            Admission::Later => return HelloResult::Wait,
         }
         // Batches from an earlier process of the host are stored first, so that the welcome's statement about them
         // stays true.
-        let unsettled = |progress: &Progress| progress.awaits_other_than(hello.process);
+        let unsettled = |progress: &Progress| progress.has_unsettled_from_other_process(hello.process);
         if self.has_too_many_unsettled(host, stream) || self.streams.get(&stream).is_some_and(unsettled) {
-            return Greeting::Wait;
+            return HelloResult::Wait;
         }
         // A stream is new only once, so that its gap is recorded once however often the agent reconnects.
-        let is_new = !known.came && mark.is_none() && !self.streams.contains_key(&stream);
+        let is_new = !record.was_used && mark.is_none() && !self.streams.contains_key(&stream);
         let replaced = last.filter(|last| is_new && *last != stream && Some(*last) != hello.previous);
         let lacking = hello.previous.filter(|_| is_new).and_then(|previous| {
-            let from = known.previous.map_or(1, |mark| mark.stored.saturating_add(1));
+            let from = record.previous.map_or(1, |mark| mark.stored.saturating_add(1));
             let through = hello.first - 1;
-            let stored = known.previous.map_or(Some(0), |mark| mark.events);
+            let stored = record.previous.map_or(Some(0), |mark| mark.events);
             let events =
                 hello.events_before_first.zip(stored).map(|(all, stored)| all.saturating_sub(stored));
             // Batches after the last one in the spool may have been stored from the memory of a dead process.
@@ -272,12 +272,12 @@ impl Receiving {
             })
         });
         let displaced = self.take_back_name(hello, now);
-        let left = self.hosts.insert(host, Session::of(hello, seniority, now));
+        let left = self.hosts.insert(host, Session::new(hello, seniority, now));
         // Another process may hold other batches with the same numbers, so what its predecessor sent is not confirmed
         // for it.
         let same = left.as_ref().is_some_and(|left| left.process == hello.process && left.stream == stream);
         let progress = self.streams.entry(stream).or_insert_with(|| Progress::new(hello, mark));
-        let missing = progress.greet(hello, mark, same);
+        let missing = progress.handle_hello(hello, mark, same);
         let (stored, last) = progress.stored();
         self.deferred.remove(stream);
         self.parts.forget(host);
@@ -288,7 +288,7 @@ impl Receiving {
         let (chain, process) = (last.map(|last| last.chain), last.and_then(|last| last.process));
         let window = self.window(host);
         let reply = ToAgent::Welcome { aggregator, stream, stored, chain, process, window };
-        Greeting::Welcome { reply, missing, replaced, lacking, displaced }
+        HelloResult::Welcome { reply, missing, replaced, lacking, displaced }
     }
 
     /// Returns whether the host must wait for the writer, because its stream or its earlier streams have too many
@@ -310,19 +310,19 @@ impl Receiving {
         let (Some(session), Some(progress)) = (session, self.streams.get_mut(&head.stream)) else {
             return Arrival::Unknown(ToAgent::Unknown);
         };
-        session.heard = now;
-        progress.arrive(head, intact, window)
+        session.last_message_at = now;
+        progress.handle_batch(head, intact, window)
     }
 
     /// Adds a part of a batch from a host with a session. Returns the frame of the batch when it is complete.
     pub fn handle_part(&mut self, part: &Part, now: MonoTime) -> Option<Bytes> {
-        self.hosts.get_mut(&part.host)?.heard = now;
+        self.hosts.get_mut(&part.host)?.last_message_at = now;
         self.parts.add(part)
     }
 
     /// Returns the answer to a request for an echo, which is to be sent at once.
     pub fn handle_echo(&mut self, host: HostId, bytes: u64, now: MonoTime) -> ToAgent {
-        self.live(host, now).unwrap_or(ToAgent::Echo { bytes })
+        self.handle_live(host, now).unwrap_or(ToAgent::Echo { bytes })
     }
 
     /// Records that a batch of the stream found no room. It counts as not received, and [`request_deferred`](Self::request_deferred) requests
@@ -356,7 +356,7 @@ impl Receiving {
     pub fn handle_live(&mut self, host: HostId, now: MonoTime) -> Option<ToAgent> {
         match self.hosts.get_mut(&host) {
             Some(session) => {
-                session.heard = now;
+                session.last_message_at = now;
                 None
             }
             None => Some(ToAgent::Unknown),
@@ -397,14 +397,14 @@ impl Receiving {
 
     /// Returns whether the host has a session and was active within the last `within`.
     pub fn is_alive(&self, host: HostId, within: Span, now: MonoTime) -> bool {
-        self.hosts.get(&host).is_some_and(|session| now - session.heard <= within)
+        self.hosts.get(&host).is_some_and(|session| now - session.last_message_at <= within)
     }
 
     /// Ends sessions of hosts that were silent for longer than `silence`. They are asked for a hello when they return.
     pub fn forget_silent(&mut self, silence: Span, now: MonoTime) {
-        let silent = self.hosts.iter().filter(|(_, session)| now - session.heard > silence);
+        let silent = self.hosts.iter().filter(|(_, session)| now - session.last_message_at > silence);
         let gone: Vec<HostId> = silent.map(|(host, _)| *host).collect();
-        gone.into_iter().for_each(|host| self.goodbye(host));
+        gone.into_iter().for_each(|host| self.handle_goodbye(host));
     }
 
     /// Returns the window of a host in units of its batches: its share of the budget. The share depends on the host's

@@ -43,7 +43,7 @@ pub struct SendingConfig {
     /// First pause after a refusal; further pauses follow the same rule.
     pub refused_pause: Span,
     /// Time without an acknowledgement after which the connection is opened again.
-    pub patience: Span,
+    pub ack_timeout: Span,
     /// Pause before the spool is tried again after a failure.
     pub spool_pause: Span,
 }
@@ -62,7 +62,7 @@ impl Default for SendingConfig {
             first_pause: Span::from_millis(250),
             longest_pause: Span::from_seconds(10),
             refused_pause: Span::from_seconds(1),
-            patience: Span::from_seconds(10),
+            ack_timeout: Span::from_seconds(10),
             spool_pause: Span::from_seconds(1),
         }
     }

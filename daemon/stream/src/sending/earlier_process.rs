@@ -30,14 +30,14 @@ impl EarlierProcess {
     }
 
     /// Returns the numbers of events that were handed in and dropped, including those of the earlier process.
-    pub(super) const fn count(&self, totals: &Totals) -> (u64, u64) {
+    pub(super) const fn add_to(&self, totals: &Totals) -> (u64, u64) {
         let ResolvedBatches { stored, lost, .. } = self.resolved;
         (totals.produced + stored + lost, totals.dropped + lost)
     }
 
-    pub(super) const fn place(&self, sent: SentUnspooled) -> SentUnspooled {
+    pub(super) const fn adjust(&self, sent: SentUnspooled) -> SentUnspooled {
         SentUnspooled {
-            told: sent.told + self.resolved.told,
+            reported_drops: sent.reported_drops + self.resolved.reported_drops,
             events: sent.events + self.resolved.stored,
             ..sent
         }
@@ -61,7 +61,7 @@ impl EarlierProcess {
     }
 
     /// Records that the result was written to the spool.
-    pub(super) fn written(&mut self) {
+    pub(super) fn record_written(&mut self) {
         self.unwritten = None;
     }
 }

@@ -30,20 +30,20 @@ pub(super) fn mark(host: HostId, stored: u64) -> Mark {
 
 /// Returns the database's state for one stream.
 pub(super) fn known(mark: Option<Mark>) -> StreamRecord {
-    StreamRecord { mark, came: mark.is_some(), ..StreamRecord::default() }
+    StreamRecord { mark, was_used: mark.is_some(), ..StreamRecord::default() }
 }
 
-pub(super) fn reason(greeting: Greeting) -> String {
+pub(super) fn reason(greeting: HelloResult) -> String {
     match greeting {
-        Greeting::Refused { reply: ToAgent::Refused { reason: said }, reason } if said == reason => reason,
+        HelloResult::Refused { reply: ToAgent::Refused { reason: said }, reason } if said == reason => reason,
         other => panic!("expected a refusal, got {other:?}"),
     }
 }
 
 /// Returns the number and the chain of the last stored batch, and the window, from a welcome that reports nothing else.
-pub(super) fn welcomed(greeting: &Greeting) -> (u64, Option<Chain>, u32) {
+pub(super) fn welcomed(greeting: &HelloResult) -> (u64, Option<Chain>, u32) {
     match greeting {
-        Greeting::Welcome {
+        HelloResult::Welcome {
             reply: ToAgent::Welcome { stored, chain, window, .. },
             missing: None,
             replaced: None,
@@ -105,7 +105,7 @@ fn second_process_of_host_is_refused_while_first_lives() {
     // A cloned machine has the same stream as well.
     let copy = hello(id, "edge", 2, stream, 1);
     assert_eq!(end.handle_live(id, at(200).mono), None);
-    assert_eq!(end.handle_hello(&copy, known(None), at(300).mono), Greeting::Wait);
+    assert_eq!(end.handle_hello(&copy, known(None), at(300).mono), HelloResult::Wait);
     assert_eq!(end.handle_live(id, at(450).mono), None);
     assert!(
         reason(end.handle_hello(&copy, known(None), at(550).mono)).contains("another agent with the host id")
@@ -119,8 +119,8 @@ fn crashed_agent_is_accepted_after_its_silence() {
     end.handle_hello(&hello(id, "edge", 1, stream, 1), known(None), at(0).mono);
     end.handle_live(id, at(200).mono);
     let again = hello(id, "edge", 2, stream, 1);
-    assert_eq!(end.handle_hello(&again, known(None), at(300).mono), Greeting::Wait);
-    assert_eq!(end.handle_hello(&again, known(None), at(550).mono), Greeting::Wait);
+    assert_eq!(end.handle_hello(&again, known(None), at(300).mono), HelloResult::Wait);
+    assert_eq!(end.handle_hello(&again, known(None), at(550).mono), HelloResult::Wait);
     welcomed(&end.handle_hello(&again, known(None), at(1_050).mono));
     // Long after a crash there is no wait.
     welcomed(&end.handle_hello(&hello(id, "edge", 3, stream, 1), known(None), at(9_000).mono));
@@ -142,7 +142,7 @@ fn deleted_or_replaced_spool_is_reported_once() {
     let (mut end, id) = (receiving(), HostId::random());
     let (old, new) = (StreamId::random(), StreamId::random());
     let replaced = |greeting| match greeting {
-        Greeting::Welcome { replaced, .. } => replaced,
+        HelloResult::Welcome { replaced, .. } => replaced,
         other => panic!("expected a welcome, got {other:?}"),
     };
     let last = |last| StreamRecord { last, ..StreamRecord::default() };
@@ -162,8 +162,8 @@ fn deleted_or_replaced_spool_is_reported_once() {
     let stored = StreamRecord { mark: Some(mark(id, 3)), ..last(Some(old)) };
     assert_eq!(replaced(end.handle_hello(&second, stored, at(5).mono)), None);
     end.handle_goodbye(id);
-    let came = StreamRecord { came: true, ..last(Some(old)) };
-    assert_eq!(replaced(end.handle_hello(&hello(id, "edge", 3, new, 1), came, at(6).mono)), None);
+    let was_used = StreamRecord { was_used: true, ..last(Some(old)) };
+    assert_eq!(replaced(end.handle_hello(&hello(id, "edge", 3, new, 1), was_used, at(6).mono)), None);
 }
 
 #[test]
@@ -171,7 +171,7 @@ fn batches_lacking_in_older_database_are_reported_once() {
     let (mut end, id) = (receiving(), HostId::random());
     let (old, new) = (StreamId::random(), StreamId::random());
     let lacking = |greeting| match greeting {
-        Greeting::Welcome { lacking, .. } => lacking,
+        HelloResult::Welcome { lacking, .. } => lacking,
         other => panic!("expected a welcome, got {other:?}"),
     };
     let renewed =
@@ -184,8 +184,8 @@ fn batches_lacking_in_older_database_are_reported_once() {
         assert_eq!(lacking(end.handle_hello(&renewed, before, at(0).mono)), lacks);
         assert_eq!(lacking(end.handle_hello(&renewed, before, at(1).mono)), None, "said");
         end.handle_goodbye(id);
-        let came = StreamRecord { came: true, ..before };
-        assert_eq!(lacking(end.handle_hello(&renewed, came, at(2).mono)), None, "recorded");
+        let was_used = StreamRecord { was_used: true, ..before };
+        assert_eq!(lacking(end.handle_hello(&renewed, was_used, at(2).mono)), None, "recorded");
         end.handle_goodbye(id);
     }
     // Batches after the seventh came from the memory of a dead process, and were stored in another database only.
@@ -199,7 +199,7 @@ fn batches_lacking_in_older_database_are_reported_once() {
 fn a_host_that_changes_its_streams_waits_for_the_writer() {
     let (mut end, id) = (receiving(), HostId::random());
     let mut streams: Vec<StreamId> = Vec::new();
-    while let Greeting::Welcome { missing, .. } =
+    while let HelloResult::Welcome { missing, .. } =
         end.handle_hello(&hello(id, "edge", 1, StreamId::random(), 5), known(None), at(0).mono)
     {
         streams.push(missing.expect("four batches that are nowhere").stream);

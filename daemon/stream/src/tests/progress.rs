@@ -50,7 +50,7 @@ impl End {
     }
 
     /// Sends the hello of another process with the same spool, long after the first.
-    fn restarted(&mut self, stored: u64) -> Greeting {
+    fn restarted(&mut self, stored: u64) -> HelloResult {
         self.process = 2;
         let hello = hello(self.id, "edge", self.process, self.stream, stored + 1);
         self.end.handle_hello(&hello, known(Some(mark(self.id, stored))), at(5_000).mono)
@@ -99,7 +99,7 @@ fn lost_batches_are_reported_missing_once() {
         let hello = Hello { first, events_before_first: Some(first - 1), ..hello(id, "edge", 1, stream, 8) };
         let known = known((stored > 0).then(|| mark(id, stored)));
         let greeting = end.handle_hello(&hello, known, at(0).mono);
-        let Greeting::Welcome { missing, .. } = greeting else { panic!("{greeting:?}") };
+        let HelloResult::Welcome { missing, .. } = greeting else { panic!("{greeting:?}") };
         assert_eq!(
             missing,
             Some(MissingBatches {
@@ -138,9 +138,9 @@ fn batches_of_dead_process_are_settled_before_next_session() {
     let mut end = End::with(0);
     (1..=3).for_each(|number| assert_eq!(end.batch(number), Arrival::Accept));
     end.stored(1);
-    assert!(matches!(end.restarted(1), Greeting::Wait), "batches 2 and 3 may still be stored");
+    assert!(matches!(end.restarted(1), HelloResult::Wait), "batches 2 and 3 may still be stored");
     end.stored(3);
-    let Greeting::Welcome { reply: ToAgent::Welcome { stored, .. }, .. } = end.restarted(1) else {
+    let HelloResult::Welcome { reply: ToAgent::Welcome { stored, .. }, .. } = end.restarted(1) else {
         panic!("nothing waits any more")
     };
     assert_eq!(stored, 3);
@@ -148,7 +148,7 @@ fn batches_of_dead_process_are_settled_before_next_session() {
     // After storing failed, nothing contradicts the batches of the next process.
     let mut end = End::with(1);
     assert_eq!(end.batch(2), Arrival::Accept);
-    assert!(matches!(end.restarted(1), Greeting::Wait));
+    assert!(matches!(end.restarted(1), HelloResult::Wait));
     end.end.handle_failed_store(end.stream);
     welcomed(&end.restarted(1));
     let other = BatchHead { chain: chain(9), process: 2, ..end.head(2) };
@@ -229,7 +229,7 @@ fn agent_beyond_window_fills_no_memory() {
     let mut end = End::with(0);
     let accepted = (1..=10_000).take_while(|number| end.batch(*number) == Arrival::Accept).count();
     assert!((MAX_IN_FLIGHT_BATCHES..3_000).contains(&accepted), "{accepted}");
-    assert_eq!(end.restarted(0), Greeting::Wait);
+    assert_eq!(end.restarted(0), HelloResult::Wait);
 }
 
 #[test]
@@ -240,7 +240,7 @@ fn numbers_at_their_end_break_nothing() {
         |number| Mark { host: id, stored: number, chain: Chain::START, process: None, events: Some(number) };
     let hello = Hello { oldest: last, before: Chain::START, ..hello(id, "edge", 1, stream, 1) };
     let greeting = end.handle_hello(&hello, known(None), at(0).mono);
-    assert!(matches!(greeting, Greeting::Welcome { missing: Some(MissingBatches { from: 1, .. }), .. }));
+    assert!(matches!(greeting, HelloResult::Welcome { missing: Some(MissingBatches { from: 1, .. }), .. }));
     let head = |number| {
         let (host, before, chain) = (id, Chain::START, chain(1));
         BatchHead { host, stream, process: 1, number, before, chain, events: 1, events_before: number - 1 }

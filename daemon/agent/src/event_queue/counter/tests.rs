@@ -28,7 +28,7 @@ fn another_process_reads_what_was_counted() {
     }
     counter.count(None, None, at(6));
     counter.count(line.as_ref(), Some(second), at(7));
-    let sent = |number| SentUnspooled { process: 7, number, taken: 4, told: 1, events: 5 };
+    let sent = |number| SentUnspooled { process: 7, number, batched: 4, reported_drops: 1, events: 5 };
     let slots = MAX_SENT_UNSPOOLED as u64;
     (1..=slots + 1).for_each(|number| counter.record_sent_unspooled(sent(number)));
     let sent = [slots, slots + 1].into_iter().chain(2..slots).map(sent).collect();

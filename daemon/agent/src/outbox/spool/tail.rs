@@ -90,10 +90,10 @@ pub(super) async fn unresolved(
             counted: counter::read(&row.counter, own)?,
             settled: SettledEvents {
                 events: decoded(&row.counted).unwrap_or_default(),
-                taken: row.taken.cast_unsigned(),
+                batched: row.taken.cast_unsigned(),
                 last: row.counted_ns.map(WallTime::from_unix_nanos),
             },
-            told: row.told.cast_unsigned(),
+            reported_drops: row.told.cast_unsigned(),
             events: row.events.cast_unsigned(),
         })
     }))
@@ -131,7 +131,7 @@ pub(super) async fn begin(
         let events = before.counted.as_deref().and_then(decoded).unwrap_or_default();
         let taken = before.taken.unwrap_or_default().cast_unsigned();
         let last = before.counted_ns.map(WallTime::from_unix_nanos);
-        lost = state.lose_tail(counted, SettledEvents { events, taken, last });
+        lost = state.lose_tail(counted, SettledEvents { events, batched: taken, last });
     }
     let counter = EventCounter::create(own).unwrap_or_else(|error| {
         tracing::warn!(%error, "there is no shared memory to count events in: what is lost when the agent is killed is not reported");
@@ -188,7 +188,7 @@ async fn write(
                  SELECT id, counter, coalesce(counted, ?), coalesce(taken, 0), counted_ns, ?, ? FROM stream",
             )
             .bind(encoded(&RunCounts::default()))
-            .bind(unresolved.told.cast_signed())
+            .bind(unresolved.reported_drops.cast_signed())
             .bind(unresolved.events.cast_signed())
             .execute(&mut *connection)
             .await?;
@@ -201,11 +201,11 @@ async fn write(
     )
     .bind(state.totals.produced.cast_signed())
     .bind(state.totals.dropped.cast_signed())
-    .bind(state.totals.told.cast_signed())
+    .bind(state.totals.reported_drops.cast_signed())
     .bind(counter.name())
     .execute(&mut *connection)
     .await?;
-    write_unreported(connection, state.totals.told, &state.unreported).await
+    write_unreported(connection, state.totals.reported_drops, &state.unreported).await
 }
 
 async fn write_unreported(

@@ -8,7 +8,7 @@ use bytes::Bytes;
 use peernet_clock::{MonoTime, SharedClock};
 use peernet_logger::HostId;
 use peernet_stream::{
-    Arrival, BatchHead, ClockSample, Event, Gap, Greeting, Hello, Incident, IncidentKind, Iteration,
+    Arrival, BatchHead, ClockSample, Event, Gap, Hello, HelloResult, Incident, IncidentKind, Iteration,
     LiveUpdate, Mark, MissingBatches, Receiving, ReceivingConfig, RunDescription, RunEnded, StreamId,
     StreamRecord, ToAgent, ToAggregator, codec,
 };
@@ -252,7 +252,7 @@ impl AggregatorState {
             seniority: None,
         };
         match self.receiving.handle_hello(hello, known, now) {
-            Greeting::Welcome { reply, missing, replaced, .. } => {
+            HelloResult::Welcome { reply, missing, replaced, .. } => {
                 seen.streams.push(hello.stream);
                 seen.replaced.extend(replaced);
                 let stored = missing.and_then(|missing| {
@@ -261,8 +261,8 @@ impl AggregatorState {
                 });
                 std::iter::once(reply).chain(stored).collect()
             }
-            Greeting::Refused { reply, .. } => vec![reply],
-            Greeting::Wait => Vec::new(),
+            HelloResult::Refused { reply, .. } => vec![reply],
+            HelloResult::Wait => Vec::new(),
         }
     }
 

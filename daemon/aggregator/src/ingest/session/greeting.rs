@@ -3,7 +3,7 @@
 use peernet_clock::Stamp;
 use peernet_logger::HostId;
 use peernet_networks::Peer;
-use peernet_stream::{Greeting, Hello, HostSecret, Nonce, Proof, ProofResult, Receiving, ToAgent};
+use peernet_stream::{Hello, HelloResult, HostSecret, Nonce, Proof, ProofResult, Receiving, ToAgent};
 
 use super::IngestSession;
 use crate::ingest::queue::Incoming;
@@ -33,7 +33,7 @@ impl IngestSession {
     /// Processes a proof of identity.
     pub(super) fn proof(&mut self, from: &Peer, proof: Proof, now: Stamp) {
         let known = self.hosts.secret(proof.host).cloned();
-        match self.challenges.prove(&from.connection, proof, known.as_ref()) {
+        match self.challenges.check_proof(&from.connection, proof, known.as_ref()) {
             ProofResult::Valid { hello, enrolled } => {
                 let secret = known.or(enrolled);
                 self.enter(from, *hello, secret, now);
@@ -74,7 +74,7 @@ impl IngestSession {
             return;
         }
         match self.receiving.handle_hello(&hello, known, now.mono) {
-            Greeting::Welcome { reply, missing, replaced, lacking, displaced } => {
+            HelloResult::Welcome { reply, missing, replaced, lacking, displaced } => {
                 let Hello { host: description, process, stream, previous, first, .. } = hello;
                 let name = &description.name;
                 if let Some(replaced) = replaced {
@@ -118,7 +118,7 @@ impl IngestSession {
                         Some(missing) => hole.put(Incoming::Work(Work::MissingBatches(missing)), now.mono),
                         None => drop(hole),
                     }
-                    self.store.streams.came(host, stream);
+                    self.store.streams.record_hello(host, stream);
                     None
                 } else {
                     // A newcomer is stored with its first batch, so nothing is queued now.
@@ -138,11 +138,11 @@ impl IngestSession {
                 self.output.reply(from.connection, reply);
                 self.output.announce(LiveEvent::Hello(Box::new(description), process));
             }
-            Greeting::Refused { reason, .. } => {
+            HelloResult::Refused { reason, .. } => {
                 drop((greeting, hole));
                 self.refuse(from, &hello, reason, now);
             }
-            Greeting::Wait => {}
+            HelloResult::Wait => {}
         }
     }
 

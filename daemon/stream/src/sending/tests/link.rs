@@ -2,7 +2,7 @@
 
 use std::collections::VecDeque;
 
-use super::super::super::{Arrival, Greeting, Mark, Receiving, ReceivingConfig, StreamRecord};
+use super::super::super::{Arrival, HelloResult, Mark, Receiving, ReceivingConfig, StreamRecord};
 use super::*;
 
 /// Length of a live update of one pipeline without compression.
@@ -119,11 +119,11 @@ impl Link {
         let now = self.agent.millis;
         self.offer();
         while let Some(message) = self.down.arrived(now) {
-            self.agent.sending.received(&message, self.agent.now());
+            self.agent.sending.on_message(&message, self.agent.now());
         }
         self.due |= now % LIVE_EVERY_MS == 0;
-        if self.due && self.agent.sending.may_show() {
-            self.agent.sending.shown(LIVE_BYTES);
+        if self.due && self.agent.sending.may_send_live() {
+            self.agent.sending.record_live_sent(LIVE_BYTES);
             self.up.send(LIVE_BYTES, SentMessage::Live(now), now);
             self.due = false;
         }
@@ -154,7 +154,7 @@ impl Link {
                 }
             }
             let Some(bytes) = asked else { return };
-            self.agent.sending.received(&ToAgent::Echo { bytes }, self.agent.now());
+            self.agent.sending.on_message(&ToAgent::Echo { bytes }, self.agent.now());
         }
     }
 
@@ -195,7 +195,7 @@ impl Link {
                 self.hellos += 1;
                 self.agent.hellos.push(hello.clone());
                 let greeting = self.receiving.handle_hello(&hello, StreamRecord::default(), now);
-                let Greeting::Welcome { reply, .. } = greeting else { panic!("{greeting:?}") };
+                let HelloResult::Welcome { reply, .. } = greeting else { panic!("{greeting:?}") };
                 self.reply(reply);
             }
             ToAggregator::Echo { host, bytes } => {
@@ -215,6 +215,6 @@ impl Link {
     }
 
     pub(super) fn connect(&mut self) {
-        self.agent.sending.connected(self.agent.now().mono);
+        self.agent.sending.on_connected(self.agent.now().mono);
     }
 }

@@ -44,7 +44,7 @@ fn events_wait_in_memory_for_slow_disk() {
 #[test]
 fn totals_go_on_after_a_restart() {
     let mut agent = Agent::up(SendingConfig { spool_bytes: 4_000, ..config() });
-    agent.sending.disconnected();
+    agent.sending.on_disconnected();
     agent.offer(200);
     agent.sending.flush(agent.now().wall);
     agent.settle();

@@ -139,17 +139,17 @@ impl Simulation {
 
     fn answer(&mut self) {
         if let Some(message) = self.down.pop_front() {
-            let _ = self.agent.sending.received(&message, self.agent.now());
+            let _ = self.agent.sending.on_message(&message, self.agent.now());
             self.run();
         }
     }
 
     fn reconnect(&mut self) {
-        self.agent.sending.disconnected();
+        self.agent.sending.on_disconnected();
         self.up.clear();
         self.down.clear();
         self.store.greeted = None;
-        self.agent.sending.connected(self.agent.now().mono);
+        self.agent.sending.on_connected(self.agent.now().mono);
         self.run();
     }
 

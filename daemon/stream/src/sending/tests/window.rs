@@ -73,7 +73,7 @@ fn without_an_answer_the_greeting_is_repeated() {
     assert_eq!(agent.hellos.len(), 1);
     assert_eq!(agent.sending.deadline(), Some(at(10_000).mono));
     agent.pass(1_000);
-    assert_eq!(agent.hellos.len(), 2, "patience ended");
+    assert_eq!(agent.hellos.len(), 2, "the timeout ended");
     agent.pass(250);
     agent.pass(499);
     assert_eq!(agent.hellos.len(), 3);

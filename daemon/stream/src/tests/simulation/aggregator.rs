@@ -36,7 +36,7 @@ pub(in super::super) struct Database {
     pub(in super::super) marks: BTreeMap<StreamId, Mark>,
     pub(in super::super) entries: BTreeMap<StreamId, Vec<Entry>>,
     pub(in super::super) replaced: Vec<StreamId>,
-    came: BTreeSet<StreamId>,
+    seen: BTreeSet<StreamId>,
     last: Option<StreamId>,
 }
 
@@ -55,7 +55,7 @@ pub(in super::super) struct Aggregator {
     /// Connection with the host's session.
     route: Option<u64>,
     /// Streams that the host used, including those in the queue, and the last one.
-    came: BTreeSet<StreamId>,
+    seen: BTreeSet<StreamId>,
     last: Option<StreamId>,
     /// Number of welcomes that reported missing batches.
     pub(in super::super) missing: u32,
@@ -73,7 +73,7 @@ impl Aggregator {
             queue: Vec::new(),
             capacity,
             route: None,
-            came: BTreeSet::new(),
+            seen: BTreeSet::new(),
             last: None,
             missing: 0,
         }
@@ -131,11 +131,13 @@ impl Aggregator {
                 nonce[..8].copy_from_slice(&self.challenged.to_be_bytes());
                 Some(self.challenges.challenge(connection, hello, false, Nonce::from_bytes(nonce), now))
             }
-            ToAggregator::Proof(proof) => match self.challenges.prove(&connection, proof, Some(&SECRET)) {
-                ProofResult::Valid { hello, .. } => self.hello(connection, &hello, now),
-                ProofResult::Unsolicited => Some(ToAgent::Unknown),
-                ProofResult::Invalid(hello) => panic!("the proof of {hello:?} is wrong"),
-            },
+            ToAggregator::Proof(proof) => {
+                match self.challenges.check_proof(&connection, proof, Some(&SECRET)) {
+                    ProofResult::Valid { hello, .. } => self.hello(connection, &hello, now),
+                    ProofResult::Unsolicited => Some(ToAgent::Unknown),
+                    ProofResult::Invalid(hello) => panic!("the proof of {hello:?} is wrong"),
+                }
+            }
             ToAggregator::Echo { host, bytes } if self.route == Some(connection) => {
                 Some(self.receiving.handle_echo(host, bytes, now))
             }
@@ -148,23 +150,23 @@ impl Aggregator {
         let mark_of = |stream| self.database.marks.get(&stream).copied();
         let known = StreamRecord {
             mark: mark_of(hello.stream),
-            came: self.came.contains(&hello.stream),
+            was_used: self.seen.contains(&hello.stream),
             last: self.last,
             previous: hello.previous.and_then(mark_of),
             seniority: None,
         };
         match self.receiving.handle_hello(hello, known, now) {
-            Greeting::Welcome { reply, missing, replaced, lacking, .. } => {
+            HelloResult::Welcome { reply, missing, replaced, lacking, .. } => {
                 self.route = Some(connection);
                 self.missing += u32::from(missing.is_some());
                 self.queue.push(Work::Hello(hello.stream, replaced, lacking));
                 self.queue.extend(missing.map(Work::MissingBatches));
                 self.last = Some(hello.stream);
-                self.came.insert(hello.stream);
+                self.seen.insert(hello.stream);
                 Some(reply)
             }
-            Greeting::Refused { reply, .. } => Some(reply),
-            Greeting::Wait => None,
+            HelloResult::Refused { reply, .. } => Some(reply),
+            HelloResult::Wait => None,
         }
     }
 
@@ -209,7 +211,7 @@ impl Aggregator {
         (self.receiving, self.challenges) = (receiving(), challenges());
         self.route = None;
         self.last = self.database.last;
-        self.came = self.database.came.clone();
+        self.seen = self.database.seen.clone();
     }
 
     fn routed(&self, replies: Vec<(HostId, ToAgent)>) -> Vec<(u64, ToAgent)> {
@@ -227,7 +229,7 @@ impl Database {
         let (stream, mark, entry) = match work {
             Work::Hello(stream, replaced, lacking) => {
                 self.last = Some(stream);
-                if self.came.insert(stream) {
+                if self.seen.insert(stream) {
                     self.replaced.extend(replaced);
                     if let Some(MissingPreviousBatches { stream, from, through, events }) = lacking {
                         let gap = Entry::Gap { from, through, events };

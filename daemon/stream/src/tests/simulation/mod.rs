@@ -65,7 +65,7 @@ impl Simulation {
             down: Vec::new(),
             expected_content: ExpectedContent::default(),
         };
-        simulation.agent(|sending, now| sending.connected(now.mono));
+        simulation.agent(|sending, now| sending.on_connected(now.mono));
         simulation
     }
 
@@ -126,20 +126,20 @@ impl Simulation {
         if self.broken {
             let reason = "the disk fails".to_owned();
             self.agent(|sending, now| match job {
-                Action::Append { .. } => sending.append_failed(reason, now),
-                Action::Load { .. } => sending.load_failed(reason, now),
-                Action::Delete { .. } => sending.delete_failed(reason, now),
-                Action::Renew { .. } => sending.renew_failed(reason, now),
+                Action::Append { .. } => sending.on_append_failed(reason, now),
+                Action::Load { .. } => sending.on_load_failed(reason, now),
+                Action::Delete { .. } => sending.on_delete_failed(reason, now),
+                Action::Renew { .. } => sending.on_renew_failed(reason, now),
                 Action::Send(_) => unreachable!("not a job"),
             });
             return;
         }
         let loaded = self.apply(&job);
         self.agent(|sending, now| match job {
-            Action::Append { .. } => drop(sending.appended(now)),
-            Action::Load { .. } => drop(sending.loaded(loaded, now)),
-            Action::Delete { .. } => sending.deleted(),
-            Action::Renew { .. } => sending.renewed(now),
+            Action::Append { .. } => drop(sending.on_appended(now)),
+            Action::Load { .. } => drop(sending.on_loaded(loaded, now)),
+            Action::Delete { .. } => sending.on_deleted(),
+            Action::Renew { .. } => sending.on_renewed(now),
             Action::Send(_) => unreachable!("not a job"),
         });
     }
@@ -190,7 +190,7 @@ impl Simulation {
         if connection == self.connection {
             let frame = codec::encode(&message);
             let message = codec::decode(&frame).expect("our own frame");
-            self.agent(|sending, now| drop(sending.received(&message, now)));
+            self.agent(|sending, now| drop(sending.on_message(&message, now)));
         }
     }
 
@@ -242,8 +242,8 @@ impl Simulation {
     pub(super) fn disconnect(&mut self) {
         self.connection += 1;
         self.agent(|sending, now| {
-            sending.disconnected();
-            sending.connected(now.mono);
+            sending.on_disconnected();
+            sending.on_connected(now.mono);
         });
     }
 
@@ -258,7 +258,7 @@ impl Simulation {
         let spool = self.sites[self.site].start();
         self.sending =
             Sending::new(self.config, super::host(self.host, "edge"), SECRET, self.processes, spool);
-        self.agent(|sending, now| sending.connected(now.mono));
+        self.agent(|sending, now| sending.on_connected(now.mono));
     }
 
     /// Copies the spool to another machine.

@@ -97,7 +97,7 @@ async fn spool_of_each_migration_is_readable() {
         connection.close().await.expect("closes");
 
         let (mut file, state) = place.sound().await;
-        assert_eq!((state.oldest, state.newest.0, state.held.events), (1, 1, 4));
+        assert_eq!((state.oldest, state.newest.0, state.waiting_usage.events), (1, 1, 4));
         assert_eq!(state.totals.produced, 4);
         let loaded = file.load(1, usize::MAX).await.expect("reads");
         assert_eq!(loaded.damage, None);

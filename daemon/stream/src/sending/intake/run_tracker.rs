@@ -8,13 +8,13 @@ use crate::{Event, MAX_COUNTED_RUNS};
 
 /// Active runs with their pipelines, and ended runs that are still counted separately.
 #[derive(Clone, Debug, Default)]
-pub(super) struct KnownRuns {
+pub(super) struct RunTracker {
     /// Pipelines of the active runs. An iteration contains its run only.
     pipelines: BTreeMap<RunId, Slug>,
     ended: Vec<RunId>,
 }
 
-impl KnownRuns {
+impl RunTracker {
     /// Records the start and the end of runs.
     pub(super) fn observe(&mut self, event: &Event) {
         match event {
@@ -48,7 +48,7 @@ impl KnownRuns {
     }
 
     /// Returns the ended runs that are still counted separately.
-    pub(super) fn ended(&self) -> &[RunId] {
+    pub(super) fn ended_runs(&self) -> &[RunId] {
         &self.ended
     }
 
