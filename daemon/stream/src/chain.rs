@@ -5,7 +5,7 @@ use std::fmt;
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 
-/// SHA-256 over the chain of the previous batch, the number of events and their bytes, cut to 128 bits.
+/// SHA-256 over the chain of the previous batch, the number of events and their bytes, truncated to 128 bits.
 ///
 /// Two spools that were one and diverged (a copied machine, a restored disk) have batches with the same stream and
 /// number but with different chains. The comparison of one chain therefore detects a divergence at any earlier batch.

@@ -1,7 +1,7 @@
 //! Encoding of the event stream's messages and batches: MessagePack with one message per frame, and frames of batches.
 //!
-//! A batch's frame begins with a byte that begins no MessagePack value, so that the two cannot be confused. Numbers are
-//! big-endian:
+//! A batch's frame begins with a byte that no MessagePack value begins with, so that the two cannot be confused.
+//! Numbers are big-endian:
 //!
 //! | bytes | what |
 //! | --- | --- |
@@ -29,7 +29,7 @@ use peernet_logger::HostId;
 pub(super) use self::parts::PART_HEAD_BYTES;
 pub use self::parts::{Part, decode_part, encode_part};
 
-/// Longest message that is read, and longest body of a batch, bytes. Batches are cut far below it; one tree of the
+/// Longest message that is read, and longest body of a batch, bytes. Usual batches are far shorter; one tree of the
 /// largest size fits.
 pub const MAX_MESSAGE_BYTES: usize = 4 * 1024 * 1024;
 
@@ -71,7 +71,7 @@ pub enum CodecError {
     #[error("{0} bytes follow the message")]
     Trailing(usize),
     /// The body does not match the chain of its batch.
-    #[error("batch {0} does not match its hash: it was damaged in the spool or on its way")]
+    #[error("batch {0} does not match its hash: it was damaged in the spool or in transit")]
     Damaged(u64),
 }
 
@@ -169,7 +169,7 @@ pub fn encode_batch(head: &BatchHead, body: &[u8], compress: bool) -> Vec<u8> {
 }
 
 /// Returns the head of a batch's frame; `None` for any other message. The body is not checked: a batch that
-/// [`decode_batch_body`] or [`decode_events`] refuses can still be named, quarantined and passed over.
+/// [`decode_batch_body`] or [`decode_events`] refuses can still be identified, quarantined and skipped.
 pub fn decode_batch_head(frame: &[u8]) -> Option<BatchHead> {
     read_head(frame).map(|head| head.batch)
 }
@@ -180,7 +180,7 @@ pub fn decode_batch_head(frame: &[u8]) -> Option<BatchHead> {
 /// If the frame is not that of a batch, or its body is longer than [`MAX_MESSAGE_BYTES`] or does not match the chain.
 pub fn decode_batch_body(mut frame: Bytes) -> Result<Bytes, CodecError> {
     let Some(Head { form, batch, length }) = read_head(&frame) else {
-        return Err(CodecError::Malformed("it is no batch".into()));
+        return Err(CodecError::Malformed("not a batch".into()));
     };
     if length > MAX_MESSAGE_BYTES {
         return Err(CodecError::TooLong(length));
@@ -194,7 +194,7 @@ pub fn decode_batch_body(mut frame: Bytes) -> Result<Bytes, CodecError> {
                 zstd::bulk::decompress(&frame, length).map_err(|_| CodecError::Damaged(batch.number))?;
             Bytes::from(body)
         }
-        other => return Err(CodecError::Malformed(format!("no body has the form {other}"))),
+        other => return Err(CodecError::Malformed(format!("unknown form of a body: {other}"))),
     };
     // The chain covers the body and all batches before it, so it also detects a batch of another history.
     if body.len() != length || batch.before.then(batch.events, &body) != batch.chain {
@@ -223,7 +223,7 @@ pub fn decode_events(body: &[u8], count: u32) -> Result<Vec<Event>, CodecError> 
     match IgnoredAny::deserialize(&mut reader) {
         // No first byte of another value follows.
         Err(rmp_serde::decode::Error::InvalidMarkerRead(_)) => Ok(events),
-        _ => Err(CodecError::Malformed(format!("more than its {count} events are in the batch"))),
+        _ => Err(CodecError::Malformed(format!("bytes follow the {count} events of the batch"))),
     }
 }
 

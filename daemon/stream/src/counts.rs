@@ -1,4 +1,4 @@
-//! Counts of the events that were handed in, per run. They show which events a killed process lost.
+//! Counts of the events that were submitted, per run. They show which events a killed process lost.
 
 use std::collections::BTreeMap;
 
@@ -13,7 +13,7 @@ pub const MAX_COUNTED_RUNS: usize = 256;
 /// Reason of the gap in place of events that were lost with their process.
 pub const KILLED_REASON: &str = "the agent was killed before these events reached its spool";
 
-/// Numbers of events: of all, and of each run.
+/// Numbers of events in total and per run.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct RunCounts {
     /// Number of all events, including those without a run.
@@ -22,7 +22,7 @@ pub struct RunCounts {
     pub runs: BTreeMap<RunId, u64>,
 }
 
-/// Events that were handed in to this process, by result.
+/// Events that were submitted to this process, by outcome.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct SubmittedEvents {
     /// Events in batches.
@@ -33,7 +33,7 @@ pub struct SubmittedEvents {
     pub last: Option<WallTime>,
 }
 
-/// Events that a process counted when each of them was handed in. The counts are in shared memory, which outlives the
+/// Events that a process counted when each of them was submitted. The counts are in shared memory, which outlives the
 /// process.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct CountedEvents {
@@ -65,7 +65,7 @@ pub struct SentUnspooled {
     pub process: u64,
     /// Number of the batch.
     pub number: u64,
-    /// Number of events that were handed in to that process and are in batches.
+    /// Number of events that were submitted to that process and are in batches.
     pub batched: u64,
     /// Number of dropped events that gaps have reported, like [`super::Totals::reported_drops`].
     pub reported_drops: u64,
@@ -129,8 +129,8 @@ impl SubmittedEvents {
 }
 
 impl CountedEvents {
-    /// Returns the gaps for `lost` events. `known` events that the spool lacks were stored or reported anyway; their
-    /// runs are unknown.
+    /// Returns the gaps for `lost` events. `known` is the number of events that the spool lacks but that were stored or
+    /// reported; their runs are unknown.
     pub(super) fn gaps(&self, settled: &SettledEvents, known: u64, lost: u64) -> Vec<Gap> {
         let mut left = lost;
         let gap = |pipeline, run, count, to: WallTime| {

@@ -99,9 +99,9 @@ pub enum ToAgent {
         stream: StreamId,
         /// Number of the last stored batch.
         through: u64,
-        /// New window of batches in flight, in units of a batch of [`Hello::batch_bytes`], at least 1. The sum of the
-        /// weights ([`batch_weight`]) of batches in flight may not exceed it, nor their number [`MAX_IN_FLIGHT_BATCHES`]; one
-        /// batch is always allowed.
+        /// New window of batches in flight, in units of a batch of [`Hello::batch_bytes`], at least 1. It limits the
+        /// sum of the weights ([`batch_weight`]) of the batches in flight. Their number is limited to
+        /// [`MAX_IN_FLIGHT_BATCHES`]. One batch in flight is always allowed.
         window: u32,
     },
     /// Batches are missing; the agent must send them again from this number on.
@@ -111,8 +111,8 @@ pub enum ToAgent {
         /// Number of the first missing batch.
         from: u64,
     },
-    /// All bytes before the request of this echo have arrived, whatever happens to them. Sent at once, and separate
-    /// from acknowledgements, so that a slow store is not mistaken for a slow link.
+    /// All bytes before the request for this echo have arrived; they may not be stored yet. The echo is sent at once
+    /// and is separate from acknowledgements, so that a slow store is not mistaken for a slow link.
     Echo {
         /// Number from the request.
         bytes: u64,

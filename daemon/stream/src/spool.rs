@@ -122,9 +122,9 @@ impl SpoolState {
 }
 
 impl SpoolState {
-    /// Records the losses of an earlier process, which counted events when they were handed in. The spool accounts for
-    /// `settled`; the others were lost with that process. Returns the number of lost events; `None` if the process sent
-    /// batches that are not in the spool, so that only the aggregator knows which events are lost
+    /// Records the losses of an earlier process, which counted events when they were submitted. The spool accounts for
+    /// `settled`; the other events were lost with that process. Returns the number of lost events; `None` if the
+    /// process sent batches that are not in the spool, so that only the aggregator knows which events are lost
     /// ([`Self::unresolved`]).
     ///
     /// The number is exact. The losses of a run that was not counted separately are reported in a gap without a run.

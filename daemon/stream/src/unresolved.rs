@@ -1,7 +1,7 @@
 //! Batches that a process sent while its spool could not be written, before it was killed. The aggregator's first
 //! welcome tells whether they are stored.
 //!
-//! Without this step such events would be reported as lost although they may be stored.
+//! Without this step, such events would be reported as lost although they may be stored.
 
 use std::collections::VecDeque;
 
@@ -35,7 +35,7 @@ pub(super) struct ResolvedBatches {
     pub(super) lost: u64,
     /// Number of dropped events that a stored gap reports.
     pub(super) reported_drops: u64,
-    /// Number of events that were handed in and are stored.
+    /// Number of events that were submitted and are stored.
     batched: u64,
 }
 
@@ -163,7 +163,7 @@ mod tests {
     #[test]
     fn aggregator_says_which_events_are_lost() {
         let (state, unresolved) = unresolved(RunId::random());
-        // 3 - 1 events are not reported; 20 were handed in and neither stored nor dropped.
+        // 3 - 1 events are not reported; 20 were submitted and neither stored nor dropped.
         let none = unresolved.resolve(3, Some(PROCESS));
         assert_eq!((none.stored, none.lost, none.reported_drops), (0, 20, 0));
         assert_eq!(gaps(&unresolved, &none, 2), (17, 2 + 3));

@@ -75,9 +75,8 @@ impl Receiving {
         let (first, oldest) = (hello.first, hello.oldest);
         if first == 0 || oldest < first || oldest > MAX_BATCH_NUMBER {
             return Some(format!(
-                "a stream that begins with batch {first} and of which {oldest} is the oldest cannot be: the spool of \
-                 this agent is damaged; stop the agent, move the spool's files to another folder, keep them, and start \
-                 the agent again"
+                "the spool of this agent is damaged: its stream starts with batch {first}, but its oldest batch is {oldest}; \
+                 stop the agent, move the spool's files to another folder, keep them, and start the agent again"
             ));
         }
         let named =
@@ -118,8 +117,8 @@ impl Receiving {
         Some(other)
     }
 
-    /// Decides between two processes with one host id. The new one takes over if the old one is silent; if both are
-    /// active, one uses a copied state directory.
+    /// Decides between two processes with one host id. The new process takes over if the old one is silent. If both are
+    /// active, one of them uses a copied state directory, and the new one is refused.
     fn challenge(&mut self, hello: &Hello, now: MonoTime) -> Admission {
         let host: HostId = hello.host.id;
         let process_timeout = self.config.process_timeout;

@@ -1,10 +1,10 @@
-//! Streams with a batch that found no room.
+//! Streams with a deferred batch: the queue had no capacity for it when it arrived.
 
 use std::collections::{BTreeSet, VecDeque};
 
 use super::StreamId;
 
-/// Streams in the order in which they first found no room, each once.
+/// Deferred streams in the order in which they were deferred, each once.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub(super) struct DeferredStreams {
     order: VecDeque<StreamId>,

@@ -29,9 +29,9 @@ const MAX_UNSETTLED_STREAMS: usize = 8;
 pub struct ReceivingConfig {
     /// Name of the aggregator's own host.
     pub aggregator: Slug,
-    /// Silence after which an agent no longer keeps its host id from another process: three of its live updates.
+    /// Silence of an agent after which another process may take over its host id: the time of three live updates.
     pub process_timeout: Span,
-    /// Silence after which an agent no longer keeps its name.
+    /// Silence of a host after which another host may take over its name.
     pub name_timeout: Span,
     /// Bytes of batches in flight from all agents together, which limit the aggregator's memory. Each agent is allowed
     /// at least one batch.
@@ -131,9 +131,9 @@ pub enum HelloResult {
         /// Reason in the message.
         reason: String,
     },
-    /// No decision yet; nothing is to be sent. Either another process of the same host was active recently: if it is
-    /// dead, the next hello of this one is accepted; if it lives, it will send something before. Or too many batches of
-    /// the host wait to be stored.
+    /// No decision yet; nothing is to be sent, and the next hello decides. Either another process of the same host was
+    /// active recently. If it has ended, the next hello of this process is accepted; otherwise it sends something
+    /// before that hello. Or too many batches of the host wait to be stored.
     Wait,
 }
 
@@ -176,8 +176,8 @@ pub struct MissingPreviousBatches {
 pub enum Arrival {
     /// It is the next batch. Store it, and then call [`Receiving::handle_stored`].
     Accept,
-    /// It is the next batch, but its bytes did not match its hash in several attempts. It is to be quarantined
-    /// unchanged, like a batch that cannot be decoded, and to be marked as stored.
+    /// It is the next batch, but its bytes did not match its hash in several attempts. Quarantine it unchanged, like a
+    /// batch that cannot be decoded, and mark it as stored.
     AcceptDamaged,
     /// It is already stored. The acknowledgement was lost and is to be sent again.
     Duplicate(ToAgent),
@@ -196,8 +196,9 @@ pub enum Arrival {
 /// stream's mark is on disk. Accepted batches are known in memory only, until the process ends; marks come from the
 /// database.
 ///
-/// Its memory is bounded: a session for each recently active host, and for each stream the chains of batches that are
-/// accepted and not stored. These are little more than twice [`MAX_IN_FLIGHT_BATCHES`](super::MAX_IN_FLIGHT_BATCHES).
+/// Its memory is bounded: it holds a session for each recently active host, and for each stream the chains of the
+/// batches that are accepted and not stored. Their number is little more than twice
+/// [`MAX_IN_FLIGHT_BATCHES`](super::MAX_IN_FLIGHT_BATCHES).
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Receiving {
     config: ReceivingConfig,
@@ -234,9 +235,9 @@ impl Receiving {
     /// Decides about a hello whose host has been proven. Missing batches are reported only for a host's first hello
     /// with a stream.
     ///
-    /// The mark decides, not the agent's statement: batches after it that the agent does not hold are [`MissingBatches`], even
-    /// if the agent states that its stream began later than the mark. A stream whose oldest batch is before its first
-    /// is refused.
+    /// The mark takes precedence over the agent's statement. Batches after the mark that the agent does not hold are
+    /// [`MissingBatches`], even if the agent states that its stream began later than the mark. A stream whose oldest
+    /// batch is before its first is refused.
     pub fn handle_hello(&mut self, hello: &Hello, record: StreamRecord, now: MonoTime) -> HelloResult {
         let StreamRecord { mark, last, seniority, .. } = record;
         let (host, stream) = (hello.host.id, hello.stream);
@@ -325,8 +326,8 @@ impl Receiving {
         self.handle_live(host, now).unwrap_or(ToAgent::Echo { bytes })
     }
 
-    /// Records that a batch of the stream found no room. It counts as not received, and [`request_deferred`](Self::request_deferred) requests
-    /// it again.
+    /// Records that the queue had no capacity for a batch of the stream. The batch counts as not received, and
+    /// [`request_deferred`](Self::request_deferred) requests it again.
     pub fn defer_batch(&mut self, stream: StreamId) {
         if self.current_sender(stream).is_none() {
             return;
@@ -338,8 +339,8 @@ impl Receiving {
         }
     }
 
-    /// Returns the requests for deferred batches when there is room for `batches` of them: one per stream, the longest
-    /// waiting first.
+    /// Returns requests for deferred batches when the queue has capacity for `batches` of them: one request per stream,
+    /// the stream that waits longest first.
     pub fn request_deferred(&mut self, batches: usize) -> Vec<(HostId, ToAgent)> {
         let mut requested = Vec::new();
         while requested.len() < batches
@@ -408,7 +409,7 @@ impl Receiving {
     }
 
     /// Returns the window of a host in units of its batches: its share of the budget. The share depends on the host's
-    /// own batch length, so that a host with large batches, or one that claims so, does not slow down the others.
+    /// own batch length only, so that a host that has or claims large batches does not slow down the others.
     fn window(&self, host: HostId) -> u32 {
         let batch = self.hosts.get(&host).map_or(1, |session| session.batch_bytes);
         // An equal share of the memory for each connected host, so that all of them together stay within the budget.

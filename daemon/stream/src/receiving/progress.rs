@@ -29,7 +29,7 @@ impl From<Mark> for Position {
     }
 }
 
-/// Accepted and stored positions of a stream.
+/// Position up to which batches of a stream are accepted, and position up to which they are stored.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) struct Progress {
     pub(super) host: HostId,
@@ -42,11 +42,12 @@ pub(super) struct Progress {
     /// Last batch that the connected agent is known to hold in the same form: the agent compared the chains when it was
     /// welcomed, or sent the batch since.
     confirmed: u64,
-    /// Batches that are accepted and not both stored and confirmed, in ascending order; of a gap only the last number.
+    /// Accepted batches that are not both stored and confirmed, in ascending order. A gap is represented by its last
+    /// number.
     pending: VecDeque<(u64, Chain)>,
     /// Number from which batches were requested again, until the first of them arrives.
     requested: Option<u64>,
-    /// A batch that arrived damaged, and how often in a row.
+    /// The last batch that arrived damaged, and the number of times in a row.
     damaged: Option<(BatchHead, u32)>,
 }
 

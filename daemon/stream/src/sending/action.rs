@@ -14,16 +14,17 @@ pub enum Action {
     /// Write these batches and totals to the spool in one transaction. Answer: [`Sending::on_appended`] or
     /// [`Sending::on_append_failed`].
     ///
-    /// Before batches that were written while disconnected are sent, an action without batches records so
-    /// ([`Totals::newest_sent`]). It should be on the medium, not only in the system's memory, before it is answered.
+    /// Batches that were written while disconnected are sent only after an action without batches has recorded that
+    /// they may be sent ([`Totals::newest_sent`]). It should be on the medium, not only in the system's memory, before
+    /// it is answered.
     Append {
         /// Batches, contiguous and following the newest in the spool; empty if only the totals changed.
         batches: Vec<SpooledBatch>,
         /// Totals up to the last of the batches.
         totals: Totals,
     },
-    /// Read batches from a number on: at least one, and then until a number of bytes is exceeded. Answer:
-    /// [`Sending::on_loaded`] or [`Sending::on_load_failed`].
+    /// Read batches from a number on: at least one, and further ones until their bodies exceed a number of bytes.
+    /// Answer: [`Sending::on_loaded`] or [`Sending::on_load_failed`].
     Load {
         /// Number of the first batch.
         from: u64,
@@ -76,12 +77,12 @@ pub enum Notice {
     },
     /// The aggregator refused the host; the agent tries again later.
     Refused(String),
-    /// The aggregator has batches of this stream that were not made here, or others with the same numbers: the spool is
-    /// a copy, or an old state of itself. Its batches continue in a new stream.
+    /// The aggregator has batches of this stream that this spool never had, or different batches with the same numbers:
+    /// the spool is a copy or was restored from an old copy. Its batches continue in a new stream.
     StreamRenewed {
         /// Number of the last batch that the aggregator has.
         stored: u64,
-        /// Number of the last batch made here.
+        /// Number of the newest batch of this spool.
         newest: u64,
     },
     /// The spool cannot be written or read. Events wait in memory and are sent from there.

@@ -7,7 +7,7 @@ use crate::Chain;
 use crate::spool::SpooledBatch;
 use crate::totals::Totals;
 
-/// Longest time after which the number of dropped events is written while no batch is.
+/// Interval at which the number of dropped events is written while no batch is written.
 const LOSS_WRITE_INTERVAL: Span = Span::from_seconds(1);
 
 /// Last state written to the spool, and the transaction in progress.

@@ -1,4 +1,4 @@
-//! Decision whether batches are compressed, from the observed rate of the link.
+//! Decides from the observed rate of the link whether batches are compressed.
 
 use peernet_clock::{MonoTime, Span};
 
@@ -13,14 +13,14 @@ const SLOW_BYTES_PER_S: f64 = (4 << 20) as f64;
 /// repeated changes.
 const FAST_BYTES_PER_S: f64 = 2.0 * SLOW_BYTES_PER_S;
 
-/// Time of waiting for acknowledgements from which on the rate is meaningful.
+/// Minimum time of waiting for acknowledgements over which a rate is computed.
 const MIN_OBSERVATION: Span = Span::from_seconds(1);
 
-/// Time without waiting after which compression has no benefit.
+/// Time without waiting for acknowledgements after which compression stops.
 const IDLE_BEFORE_STOP: Span = Span::from_seconds(10);
 
-/// Observer of the bytes that are acknowledged while the window is full. Only then does the path to the store limit the
-/// rate, and not the events.
+/// Measures the rate of acknowledged bytes while the window is full, and switches compression. Only while the window is
+/// full does the path to the store limit the rate; otherwise the events do.
 ///
 /// A slow store looks like a slow link here; compression for it costs some processor time and does no harm. A store
 /// that stopped for a while, because its disk was full, must not count: the longest wait is therefore ignored. A slow

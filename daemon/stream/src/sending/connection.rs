@@ -118,7 +118,7 @@ impl Sending {
         self.session.ack_deadline(self.spooler.backlog.oldest(), self.lane.progress())
     }
 
-    /// Schedules a hello: at once, unless several had no effect.
+    /// Schedules a hello: now, or after a pause if the last ones led to no progress.
     pub(super) fn schedule_hello(&mut self, now: MonoTime) {
         self.lane.reset_in_flight();
         self.session.schedule_hello(now);
@@ -303,12 +303,13 @@ impl Sending {
         self.pass_gap(now);
     }
 
-    /// Leaves the stream, because the aggregator's batches differ from those of this spool.
+    /// Leaves the stream, because the aggregator's batches differ from this spool's batches.
     ///
-    /// If the aggregator's last batch came from a process that wrote to this spool, everything that the spool holds
-    /// from that process is stored ([`NewestSentBatch`]): the spool lost its end, or is a copy that the process continued from.
-    /// Later batches of the spool were never stored. If the batch came from another process, the spool is a copy of
-    /// unknown age, and everything in it is sent: it is better to store events twice, in two streams, than not at all.
+    /// If a process that wrote to this spool sent the aggregator's last batch, all batches that the spool has from that
+    /// process are stored ([`NewestSentBatch`]): the spool lost its end, or is a copy from which the process continued.
+    /// Later batches of the spool were never stored. If another process sent the aggregator's last batch, the spool is
+    /// a copy of unknown age. All of its batches are sent then, because it is better to store events twice, in two
+    /// streams, than not at all.
     fn leave_stream(&mut self, welcome: &Welcome, now: Stamp) {
         let (stored, newest) = (welcome.stored, self.spooler.backlog.newest());
         self.notices.push_back(Notice::StreamRenewed { stored, newest });

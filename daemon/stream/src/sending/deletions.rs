@@ -5,7 +5,7 @@ use peernet_clock::{MonoTime, Span};
 use super::job::Job;
 use crate::Chain;
 
-/// Number of stored batches that are deleted at once. Deletions are grouped, because each is a write and the medium is
+/// Number of stored batches at which they are deleted. Deletions are grouped, because each is a write and the medium is
 /// often a memory card.
 const MAX_WAITING_BATCHES: u64 = 64;
 /// Longest time that stored batches wait for their deletion.
@@ -60,8 +60,8 @@ impl Deletions {
         self.job.may_start(now)
     }
 
-    /// Returns whether everything up to `through` is to be deleted now, because it has many batches or `many_bytes`, or
-    /// waits for long.
+    /// Returns whether everything up to `through` is to be deleted now: because it has many batches, because it has at
+    /// least `many_bytes`, or because it has waited long enough.
     pub(super) fn is_due(&self, through: u64, many_bytes: u64, now: MonoTime) -> bool {
         through - self.through >= MAX_WAITING_BATCHES
             || self.waiting_bytes >= many_bytes

@@ -1,4 +1,4 @@
-//! The durable lane: decides what is handed over next, and limits the bytes in flight of both lanes.
+//! The durable lane: chooses the next frame, and limits the bytes in flight of both lanes.
 
 use peernet_clock::{MonoTime, Span};
 use peernet_logger::HostId;
@@ -11,8 +11,8 @@ use super::partial_batch::PartialBatch;
 use super::spooler::EventSpooler;
 use crate::{ToAggregator, batch_weight, codec};
 
-/// Largest amount of sent and not stored data, in units of the allowance. It leaves room for the time that storing
-/// takes and for the effect of compression.
+/// Largest amount of data in flight that is not stored, in units of the allowance. It is larger than 1 because storing
+/// takes time, and because the allowance counts compressed bytes.
 const UNSTORED_PER_ALLOWANCE: u64 = 8;
 
 /// The batches in flight to the aggregator.
@@ -95,7 +95,7 @@ impl DurableLane {
         LaneOutput { frame: self.next_part(host, part), starts_batch: true }
     }
 
-    /// Returns the next part of a batch if the allowance has room for it.
+    /// Returns the next part of a batch if it fits into the allowance.
     fn next_part(&mut self, host: HostId, max_bytes: usize) -> Option<Vec<u8>> {
         let rest = self.partial.as_mut()?;
         if !self.flow.has_capacity(rest.len().min(max_bytes) + PartialBatch::OVERHEAD) {
@@ -121,8 +121,8 @@ impl DurableLane {
         Some(codec::encode(&ToAggregator::Echo { host, bytes }))
     }
 
-    /// Returns the largest weight of batches in flight that are not stored. On a slow link it is reduced, because
-    /// batches that are not stored in the end must cross the link again.
+    /// Returns the largest total weight of the batches in flight. On a slow link it is reduced, because batches that
+    /// could not be stored must be sent over the link again.
     fn allowance(&self) -> u64 {
         let window = u64::from(self.window) * batch_weight(self.config.batch_bytes);
         if self.flow.is_slow() { window.min(UNSTORED_PER_ALLOWANCE * self.flow.allowance()) } else { window }
@@ -156,7 +156,7 @@ impl DurableLane {
 
     /// Sets the window that the aggregator allows.
     pub(super) fn set_window(&mut self, window: u32) {
-        // At least one batch, or a window of 0 would end the stream for good.
+        // At least one batch: with a window of 0 nothing would ever be sent again.
         self.window = window.clamp(1, self.config.window.max(1));
     }
 

@@ -1,4 +1,4 @@
-//! Work that was requested from the owner: one item of each kind at a time, tried again after a pause.
+//! Work that was requested from the owner: one request of each kind at a time, with a pause before a retry.
 
 use peernet_clock::{MonoTime, Span};
 

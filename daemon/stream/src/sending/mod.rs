@@ -45,7 +45,7 @@ use peernet_logger::{HostId, RunId};
 ///
 /// The owner calls [`next`](Self::next) after every other call until it returns `None`, and [`tick`](Self::tick) when
 /// the [`deadline`](Self::deadline) is reached. The state machine recovers from everything that the transport loses,
-/// repeats or reorders; reports of connections only make this faster.
+/// repeats or reorders; reports of opened and closed connections only make this faster.
 ///
 /// The agent's task for the spool performs the actions on the file, so that neither the queue of events nor a live
 /// update waits for a disk. A batch is sent after it was written to the spool. While the spool fails, batches are sent
@@ -98,13 +98,13 @@ impl Sending {
         self.spooler.offer(event, now);
     }
 
-    /// Counts events that were dropped before they were handed in.
+    /// Counts events that were dropped before they were submitted.
     pub fn record_loss(&mut self, gap: &Gap, now: Stamp) {
         self.spooler.record_loss(gap, now);
     }
 
-    /// Handles the passage of time: cuts a batch that is old enough, reports losses, and sends a hello if no
-    /// acknowledgement came for too long.
+    /// Handles the passage of time: closes the batch under construction if it is old enough, reports losses, and sends
+    /// a hello if no acknowledgement came for too long.
     pub fn tick(&mut self, now: Stamp) {
         self.spooler.tick(now);
         self.check_ack_timeout(now.mono);
@@ -126,7 +126,7 @@ impl Sending {
             .or_else(|| self.frame(now).map(Action::Send))
     }
 
-    /// Reports losses and cuts the batch under construction, before the agent stops. Everything is in the spool when
+    /// Reports losses and closes the batch under construction, before the agent stops. Everything is in the spool when
     /// [`is_spooled`](Self::is_spooled) returns `true`.
     pub fn flush(&mut self, now: WallTime) {
         self.spooler.flush(now);
@@ -137,9 +137,10 @@ impl Sending {
         self.spooler.is_appending()
     }
 
-    /// Ends a process that could not write everything to the spool: events in memory count as dropped. The returned
-    /// totals are to be written to the spool, so that the next process reports how many events are missing. Events that
-    /// were sent and not acknowledged count as dropped, too, because it is unknown whether they are stored.
+    /// Counts the events that are in memory only as dropped, because the process ends without writing them to the
+    /// spool. The returned totals are to be written to the spool, so that the next process reports how many events are
+    /// missing. Events that were sent and not acknowledged count as dropped, too, because it is unknown whether they
+    /// are stored.
     pub fn give_up(&mut self) -> Totals {
         self.spooler.give_up()
     }
@@ -168,8 +169,9 @@ impl Sending {
         self.session.is_up()
     }
 
-    /// Returns whether a live update may be sent now: it would not wait for long in the connection, and the durable
-    /// lane had its share of a link that is too slow for both. A skipped update is contained in the next one.
+    /// Returns whether a live update may be sent now. It must not wait for long in the connection, and on a link that
+    /// is too slow for both lanes the durable lane must have had its share. The next update contains everything that a
+    /// skipped one contained.
     pub fn may_send_live(&self) -> bool {
         self.is_up() && self.lane.may_send_live()
     }
@@ -250,7 +252,7 @@ impl Sending {
         self.next_notice()
     }
 
-    /// Records that none of them is in the spool.
+    /// Records that none of the batches of the last [`Action::Append`] is in the spool.
     pub fn on_append_failed(&mut self, reason: String, now: Stamp) -> Option<Notice> {
         self.spooler.fail_append(now.mono)?;
         self.record_failure(SpoolWork::Append, reason)
@@ -264,7 +266,7 @@ impl Sending {
         self.next_notice()
     }
 
-    /// Records that they could not be read.
+    /// Records that the batches of the last [`Action::Load`] could not be read.
     pub fn on_load_failed(&mut self, reason: String, now: Stamp) -> Option<Notice> {
         self.reader.fail(now.mono, self.config.spool_pause)?;
         self.record_failure(SpoolWork::Load, reason)
@@ -277,7 +279,7 @@ impl Sending {
         }
     }
 
-    /// Records that they could not be deleted.
+    /// Records that the batches of the last [`Action::Delete`] could not be deleted.
     pub fn on_delete_failed(&mut self, reason: String, now: Stamp) -> Option<Notice> {
         self.spooler.fail_delete(now.mono)?;
         self.record_failure(SpoolWork::Delete, reason)

@@ -7,7 +7,7 @@ use super::SendingConfig;
 use super::spool_reader::SpoolScan;
 use crate::{AGENT_STREAM_VERSIONS, Chain};
 
-/// Number of hellos without progress that are sent without a pause. Later ones wait, each longer than the one before.
+/// Number of hellos without progress that are sent without a pause. Each later hello waits longer than the one before.
 const HELLOS_WITHOUT_PAUSE: u32 = 3;
 
 /// State of the connection.
@@ -15,11 +15,12 @@ const HELLOS_WITHOUT_PAUSE: u32 = 3;
 pub(super) enum ConnectionState {
     /// No connection.
     Down,
-    /// A hello is due at `retry_at`; the next one follows after `pause`.
+    /// Not accepted yet. The next hello is due at `retry_at`, and the one after it `pause` later.
     Handshake { retry_at: MonoTime, pause: Span },
-    /// Welcomed; the file is being read to compare both ends' batches.
+    /// Welcomed. The file is being read to compare both ends' batches.
     Comparing { scan: SpoolScan, purpose: ScanPurpose },
-    /// Accepted; batch `next` is sent next. `last_progress` is the time of the last progress.
+    /// Accepted. Batch `next` is sent next; `last_progress` is the time of the last acknowledgement, or of the first
+    /// batch in flight.
     Up { next: u64, last_progress: MonoTime },
 }
 
@@ -51,7 +52,7 @@ pub(super) struct Session {
     hellos_without_progress: u32,
     /// Number of hellos on this connection since the last answer.
     unanswered_hellos: u32,
-    /// Time of the last of them.
+    /// Time of the last hello.
     last_hello_at: MonoTime,
     /// Requested proof, to be sent at once.
     proof: Option<Vec<u8>>,
@@ -97,7 +98,7 @@ impl Session {
             (ConnectionState::Down, None, AGENT_STREAM_VERSIONS.oldest());
     }
 
-    /// Schedules a hello: at once, unless several had no effect.
+    /// Schedules a hello: now, or after a pause if the last ones led to no progress.
     pub(super) fn schedule_hello(&mut self, now: MonoTime) {
         let first = self.config.first_pause;
         if let ConnectionState::Up { last_progress, .. } = self.state
@@ -188,8 +189,8 @@ impl Session {
         self.state = ConnectionState::Up { next, last_progress: now };
     }
 
-    /// Returns the time at which the timeout without an acknowledgement ends. `oldest` is the oldest batch that is
-    /// held, and `arrived` the time at which bytes of the durable lane last arrived.
+    /// Returns the time until which an acknowledgement must arrive; `None` if no batch is in flight. `oldest` is the
+    /// oldest batch without an acknowledgement, and `arrived` the time at which bytes of the durable lane last arrived.
     pub(super) fn ack_deadline(&self, oldest: u64, arrived: MonoTime) -> Option<MonoTime> {
         match self.state {
             // Batches on a slow link are not lost while their bytes arrive.

@@ -9,7 +9,7 @@ use super::session::ConnectionState;
 use crate::Chain;
 use crate::spool::{SpooledBatch, Usage};
 
-/// Size of the batches that were read without being kept, and the chain of the last one.
+/// Total size of the scanned batches, which are not kept in memory, and the chain of the last one.
 pub(super) type ScanResult = (Usage, Chain);
 
 /// Scan of batches in the file that are compared and counted, from the first that is not in memory.
@@ -60,7 +60,7 @@ impl SpoolScan {
     }
 }
 
-/// Batches that the file should hold and does not, because they were deleted or the medium failed.
+/// A gap in the file: batches that should be in it and are missing, because they were deleted or the medium failed.
 ///
 /// The batch after them is lost, too: its chain cannot be checked, because the chain of the batch before it is unknown.
 /// But it supplies the chain before the following batch. The stream continues from there, the hello states so, and the

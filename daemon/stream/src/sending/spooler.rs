@@ -1,4 +1,4 @@
-//! Events and their numbered batches, which stay in the spool until the aggregator stored them.
+//! Spooling of events: numbered batches stay in the spool until the aggregator has stored them.
 
 use bytes::Bytes;
 use peernet_clock::{MonoTime, Stamp, WallTime};
@@ -95,7 +95,7 @@ impl EventSpooler {
         self.is_closing = true;
     }
 
-    /// Returns the time of the next cut, report, write or deletion.
+    /// Returns the time at which a batch is closed, a loss is reported, or the file is written or deleted from.
     pub(super) fn deadline(&self) -> Option<MonoTime> {
         let deletion = self.may_delete().then(|| self.deletions.due_at()).flatten();
         let writes = [self.appends.retry_at(), self.deletions.retry_at(), deletion, self.losses_due()];
@@ -180,7 +180,7 @@ impl EventSpooler {
         self.intake.forget_run(run);
     }
 
-    /// Returns the totals without the events that are in memory only. They stay true if those events are lost.
+    /// Returns the totals without the events that are in memory only. They remain correct if those events are lost.
     fn persistent_totals(&self) -> Totals {
         let (counted, settled) = (self.intake.totals(), self.backlog.settled_totals());
         let only_here = self.unspooled_events();
@@ -197,7 +197,7 @@ impl EventSpooler {
         }
     }
 
-    /// Numbers the batches that were cut.
+    /// Numbers the closed batches.
     fn number_batches(&mut self) {
         for batch in self.intake.take_unnumbered() {
             self.backlog.push(batch);
@@ -319,9 +319,9 @@ impl EventSpooler {
 
     /// Returns the number up to which batches may be sent, and whether they may be sent from memory.
     ///
-    /// The file records beforehand which batches may have been sent, for the case that it loses later writes. While it
-    /// cannot be written, the batches in it are sent without such a record, because a disk that is full of batches
-    /// would never have space again. Batches that are not in the file are sent only if it has the record for all
+    /// The file records which batches may be sent before they are sent, because it may lose later writes. While the
+    /// file cannot be written, its batches are sent without such a record: otherwise a disk that is full of batches
+    /// would never have space again. Batches that are not in the file are sent only if the file has the record for all
     /// batches in it.
     pub(super) fn sendable(&self) -> (u64, bool) {
         match self.appends.fails() {
@@ -336,8 +336,8 @@ impl EventSpooler {
         self.backlog.send(number, unspooled, (host, self.process))
     }
 
-    /// Returns the next deletion or append. `leaves_stream` tells whether the stream is being left, for which the spool must
-    /// contain no stored batch.
+    /// Returns the next deletion or append. `leaves_stream` is `true` while the stream is being left: the spool may
+    /// then contain no stored batch.
     pub(super) fn next(&mut self, leaves_stream: bool, now: MonoTime) -> Option<Action> {
         self.deletion(leaves_stream, now).or_else(|| self.append(now))
     }
@@ -362,8 +362,8 @@ impl EventSpooler {
         })
     }
 
-    /// Returns whether the aggregator stored batches that were never written to the file. The batches after them are
-    /// not written before the file has recorded the deletion, or the file would have a gap.
+    /// Returns whether the aggregator stored batches that were never written to the file. The batches after them may be
+    /// written only after the file has recorded the deletion; otherwise the file would have a gap.
     fn has_unspooled_stored(&self) -> bool {
         self.backlog.acknowledged().0 > self.backlog.spooled()
     }

@@ -8,7 +8,7 @@ use super::spooler::EventSpooler;
 use crate::StreamId;
 use crate::totals::NewestSentBatch;
 
-/// Stream that the spool is moved to, and the processes that sent in the current one.
+/// Move of the spool to a new stream, and the processes that sent batches in the current one.
 #[derive(Clone, Debug)]
 pub(super) struct StreamRenewal {
     /// Stream to continue in. Nothing is sent until the spool belongs to it.

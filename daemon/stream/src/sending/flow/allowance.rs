@@ -8,10 +8,11 @@ const INITIAL_BYTES: u64 = 4 << 10;
 /// Smallest allowance: one or two packets.
 const MIN_BYTES: u64 = 2 << 10;
 
-/// Shortest part of a batch. In shorter parts the headers of all layers would be a large share.
+/// Shortest part of a batch. In shorter parts, the headers of all layers would be a large share of the bytes.
 const MIN_PART_BYTES: u64 = 1 << 10;
 
-/// Intended queueing delay. It keeps the link busy at all times, and is most of the age of live figures on a slow link.
+/// Target queueing delay. A queue of this length keeps the link busy; on a slow link it is most of the age of live
+/// figures.
 const TARGET_QUEUEING: Span = Span::from_millis(100);
 
 /// Longest queueing delay. `TARGET_QUEUEING` grows up to it if the queue would be shorter than [`MIN_QUEUED_BYTES`].
@@ -23,7 +24,7 @@ const MIN_QUEUED_BYTES: f64 = (4 << 10) as f64;
 /// Longest queueing delay that indicates a path with much more capacity. The allowance then grows faster.
 const NEGLIGIBLE_QUEUEING: Span = Span::from_millis(10);
 
-/// Shortest time for which a rate of delivery counts; it counts for at most twice that time.
+/// Minimum time for which a rate of delivery is used; it is used for at most twice that time.
 const RATE_LIFETIME: Span = Span::from_seconds(5);
 
 /// Number of late echoes in a row after which the link counts as slow. A single one may be due to a lost packet.
@@ -76,7 +77,7 @@ impl Allowance {
 
     /// Updates the allowance after `bytes` and the answer to them took `took`; `shortest` is the shortest round trip.
     pub(super) fn observe(&mut self, bytes: u64, took: Span, shortest: Span, now: MonoTime) {
-        // The queue alone explains a delay up to this.
+        // The queue alone can cause a delay up to this limit.
         let is_late = took > shortest + MAX_QUEUEING;
         self.late_echoes = if is_late { self.late_echoes.saturating_add(1) } else { 0 };
         let rate = bytes as f64 / took.seconds();

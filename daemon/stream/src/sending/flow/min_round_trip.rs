@@ -2,8 +2,8 @@
 
 use peernet_clock::{MonoTime, Span};
 
-/// Time for which the shortest round trip is valid. A standing queue would otherwise be mistaken for a longer path, so
-/// that the path is drained for a moment at this interval.
+/// Time for which the shortest round trip is valid. At this interval the path is drained for a moment: otherwise a
+/// standing queue would be mistaken for a longer path.
 const LIFETIME: Span = Span::from_seconds(30);
 
 /// The shortest observed round trip. A probe on a drained path renews it.

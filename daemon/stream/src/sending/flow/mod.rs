@@ -2,17 +2,17 @@
 //!
 //! Data that was handed to the connection cannot be overtaken: on a slow link, a window of batches in the socket's
 //! buffer would delay every later live update by a minute. Both lanes therefore hand over no more than an *allowance*.
-//! It begins with a few kilobytes and follows the capacity of the path: the aggregator is asked for an echo now and
-//! then, whose delay tells how long the bytes before it took. This is delay-based congestion control as in LEDBAT (RFC
-//! 6817), with the rate of delivery as in BBR (draft-ietf-ccwg-bbr): the allowance is the amount that crosses in the
-//! shortest round trip plus a short queue.
+//! It starts with a few kilobytes and follows the capacity of the path. The agent requests an echo from the aggregator
+//! from time to time; its delay shows how long the bytes before it took. This is delay-based congestion control as in
+//! LEDBAT (RFC 6817), with the rate of delivery as in BBR (draft-ietf-ccwg-bbr): the allowance is the amount that
+//! crosses in the shortest round trip plus a short queue.
 //!
 //! Two connections with small socket buffers would be simpler but are not sufficient (`docs/measurements.md`). With
 //! `SO_SNDBUF` or `TCP_NOTSENT_LOWAT` alone, live figures become up to 15 s or 82 s old on 50 kbit/s, and the small
-//! buffer loses most of the throughput on 500 kbit/s with a round trip of 600 ms. Two connections are as good only with
-//! `TCP_NOTSENT_LOWAT`, Reno congestion control, and live updates that wait for TCP's acknowledgement. The ZeroMQ
-//! library gives access to none of the three. This module can go when the library gives access to the socket; the
-//! protocol then needs a second connection that the same proof covers.
+//! buffer loses most of the throughput on 500 kbit/s with a round trip of 600 ms. Two connections are equivalent only
+//! with `TCP_NOTSENT_LOWAT`, Reno congestion control, and live updates that wait for TCP's acknowledgement. The ZeroMQ
+//! library supports none of the three. This module can go when the library gives access to the socket; the protocol
+//! then needs a second connection that the same proof covers.
 
 mod allowance;
 mod echoes;
@@ -36,8 +36,8 @@ pub(super) struct FlowControl {
     echoes: PendingEchoes,
     round_trip: MinRoundTrip,
     allowance: Allowance,
-    /// Number of bytes that the durable lane may hand over before the next live update: the lanes take turns, byte for
-    /// byte, on a link that is too slow for both.
+    /// Number of bytes that the durable lane may hand over before the next live update. On a link that is too slow for
+    /// both lanes, they alternate and get equal numbers of bytes.
     durable_share: u64,
 }
 
@@ -118,8 +118,8 @@ impl FlowControl {
         self.durable_share = 0;
     }
 
-    /// Returns the position of an echo that is to be requested now. `is_waiting` tells whether a frame waits for room in the
-    /// allowance, and `starts_batch` whether a batch is about to be handed over.
+    /// Returns the position of an echo that is to be requested now. `is_waiting` is `true` if a frame does not fit into
+    /// the allowance yet, `starts_batch` if a batch is about to be handed over.
     pub(super) fn request_echo(
         &mut self,
         is_waiting: bool,

@@ -47,7 +47,7 @@ impl Losses {
             return;
         }
         if self.entries.len() >= MAX_LOSSES {
-            // Losses that are reported completely make room.
+            // Losses that are completely reported are removed first.
             self.entries.retain(|loss| loss.gap.count > 0);
         }
         if self.entries.len() < MAX_LOSSES {
@@ -55,7 +55,8 @@ impl Losses {
             self.entries.push(Loss { gap, reported: None });
         } else {
             let loss = &mut self.entries[MAX_LOSSES - 1];
-            (loss.gap.pipeline, loss.gap.run, loss.gap.reason) = (None, None, "many different losses".into());
+            (loss.gap.pipeline, loss.gap.run, loss.gap.reason) =
+                (None, None, "several reasons, too many to list".into());
             loss.extend(now, count);
         }
     }

@@ -1,4 +1,4 @@
-//! Encoding of events and cutting of batches, before batches are numbered.
+//! Encoding of events into batches, before the batches are numbered.
 
 mod losses;
 mod run_tracker;
@@ -26,13 +26,13 @@ const MAX_EVENT_BYTES: usize = MAX_BYTES + 16 * 1024;
 /// Longest batch, whatever is configured, because the aggregator must be able to read its frame.
 const MAX_BATCH_BYTES: usize = codec::MAX_MESSAGE_BYTES - codec::BATCH_HEAD_BYTES;
 
-/// State machine that accepts events, counts them, and cuts them into batches without numbers.
+/// State machine that accepts events, counts them, and groups them into batches without numbers.
 #[derive(Clone, Debug)]
 pub(super) struct Intake {
     config: SendingConfig,
     totals: Totals,
     open: OpenBatch,
-    /// Batches that were cut and not collected yet.
+    /// Closed batches that were not collected yet.
     unnumbered: Vec<UnnumberedBatch>,
     unnumbered_usage: Usage,
     /// Encoded form of the current event; kept to reuse its memory.
@@ -80,7 +80,9 @@ impl EventCapacity {
         match () {
             () if usage.bytes > self.spool_bytes => "the agent's spool was full",
             () if self.spool_fails => "the agent's spool could not be written and its memory was full",
-            () => "the agent's memory was full: events came faster than the spool takes them",
+            () => {
+                "the agent's memory was full: events arrived faster than they could be written to the spool"
+            }
         }
     }
 }
@@ -149,7 +151,7 @@ impl Intake {
         self.losses.add(scope, count, reason, now);
     }
 
-    /// Counts events that were dropped before they were handed in.
+    /// Counts events that were dropped before they were submitted.
     pub(super) fn record_loss(&mut self, gap: &Gap, now: Stamp) {
         self.totals.produced += gap.count;
         self.totals.dropped += gap.count;
@@ -175,7 +177,7 @@ impl Intake {
         (!capacity.fits(wanted)).then(|| capacity.shortage(wanted).to_owned())
     }
 
-    /// Returns the capacity that iterations leave to other events.
+    /// Returns the capacity that is reserved for events other than iterations.
     fn reserve(&self) -> Usage {
         let events = self.config.reserve_events;
         // The same share of bytes and of events, so that neither is exhausted before the other.
@@ -240,7 +242,7 @@ impl Intake {
         if full {
             self.close_batch();
         }
-        // Counted after the cut, because the totals of a batch include only its own events.
+        // Counted after the previous batch was closed, because a batch's totals must not include later events.
         self.totals.produced += 1;
         self.open.since.get_or_insert(now);
         self.open.body.extend_from_slice(&self.encoded);
@@ -248,7 +250,7 @@ impl Intake {
         self.open.nodes += nodes;
     }
 
-    /// Reports all losses and cuts the batch under construction, before the agent stops.
+    /// Reports all losses and closes the batch under construction, before the agent stops.
     pub(super) fn flush(&mut self, capacity: &EventCapacity, now: WallTime) {
         // The time of a loss does not matter here, because all losses are reported.
         let since = self.open.since.unwrap_or_default();
@@ -269,7 +271,7 @@ impl Intake {
         });
     }
 
-    /// Returns the batches that were cut since the last call.
+    /// Returns the batches that were closed since the last call.
     pub(super) fn take_unnumbered(&mut self) -> Vec<UnnumberedBatch> {
         self.unnumbered_usage = Usage::default();
         std::mem::take(&mut self.unnumbered)
@@ -283,7 +285,7 @@ impl Intake {
         self.report_losses(capacity, now);
     }
 
-    /// Returns the time at which the batch under construction is cut or a loss is reported.
+    /// Returns the time at which the batch under construction is closed or a loss is reported.
     pub(super) fn deadline(&self, capacity: &EventCapacity) -> Option<MonoTime> {
         // Without capacity nothing can be done until an acknowledgement.
         let report = self.has_capacity_for_report(capacity).then(|| self.losses.next_report_at()).flatten();

@@ -1,4 +1,4 @@
-//! Runs whose events are handed in.
+//! Tracking of the runs whose events are submitted.
 
 use std::collections::BTreeMap;
 

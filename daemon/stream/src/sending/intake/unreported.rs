@@ -49,7 +49,7 @@ impl UnreportedLosses {
         }
         let count = std::mem::take(&mut self.earlier_drops);
         if count > 0 {
-            let reason = "dropped before the agent last ended, for want of room in its spool";
+            let reason = "dropped before the agent last stopped, because its spool had no space left";
             self.losses.add(None, None, now, count, reason.to_owned());
         }
     }

@@ -113,7 +113,7 @@ impl ExpectedContent {
         self.check_gaps(database);
     }
 
-    /// Checks that every event that was handed in is stored or reported in a gap, whenever processes were killed.
+    /// Checks that every event that was submitted is stored or reported in a gap, whenever processes were killed.
     pub(super) fn check_sum(&self, offered: u64, aggregator: &Aggregator) {
         if self.restored || self.copied || !self.deleted.is_empty() {
             return;
