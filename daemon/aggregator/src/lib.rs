@@ -24,7 +24,7 @@ mod live;
 mod live_state;
 mod readiness;
 
-pub use aggregator::{Aggregator, Running};
+pub use aggregator::{Aggregator, RunningAggregator};
 pub use config::AggregatorConfig;
 pub use error::{Failure, Problem, StartError};
 pub use live_state::{

@@ -15,6 +15,6 @@ pub(crate) mod socket;
 
 pub(crate) use self::committing::WriterRequest;
 pub(crate) use self::hosts::Hosts;
-pub(crate) use self::queue::{MOST_WINDOW, ROOM_BYTES, queue};
+pub(crate) use self::queue::{CAPACITY_BYTES, MAX_WINDOW, queue};
 pub(crate) use self::reopening::Reopening;
 pub(crate) use self::session::IngestSession;

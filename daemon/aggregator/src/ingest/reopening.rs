@@ -37,7 +37,7 @@ impl Reopening {
         backoff: &mut Backoff,
     ) -> Option<OpenDatabase> {
         // Set before the files are closed, which may take long.
-        set_readiness(&context.ready, not_storing(error));
+        set_readiness(&context.readiness, not_storing(error));
         // The receiver is closed only while the aggregator ends, here and below.
         let _ended = context.stored.send(StoreEvent::Closed).await;
         // SQLite checkpoints its log when the last connection is closed, so the readers are closed before the writer.
@@ -52,10 +52,10 @@ impl Reopening {
                 Ok((database, state)) => {
                     self.store.reopen();
                     let _ended = context.stored.send(StoreEvent::Opened(Box::new(state))).await;
-                    set_readiness(&context.ready, Readiness::Ready);
+                    set_readiness(&context.readiness, Readiness::Ready);
                     return Some(database);
                 }
-                Err(error) => set_readiness(&context.ready, not_storing(&error)),
+                Err(error) => set_readiness(&context.readiness, not_storing(&error)),
             }
         }
     }

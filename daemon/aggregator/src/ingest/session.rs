@@ -1,6 +1,6 @@
 //! The decisions about each frame and each host. Free of I/O: frames go in, replies and live events come out.
 
-mod greeting;
+mod admission;
 mod output;
 mod store_view;
 
@@ -15,17 +15,17 @@ use self::output::SessionOutput;
 use self::store_view::StoreView;
 use super::committing::StoreEvent;
 use super::hosts::{Hosts, Newcomer};
-use super::queue::{Incoming, Queue};
+use super::queue::{AdmittedWork, Queue};
 use super::routes::{Admission, Routes};
 use crate::live::LiveEvent;
 use peernet_store::writing::{Committed, RunName, StoredState, Streams, UnstorableBatch, Work};
 
 /// Time without messages after which a host loses its session and has to send its hello again.
-const FORGET_SESSIONS: Span = Span::from_seconds(60);
+const SESSION_TIMEOUT: Span = Span::from_seconds(60);
 /// Time without messages after which a newcomer is dropped. Agents send four messages a second.
-const FORGET_NEWCOMERS: Span = Span::from_seconds(10);
+const NEWCOMER_TIMEOUT: Span = Span::from_seconds(10);
 /// Usual size of a batch as agents cut them, bytes. The number of batches that have room is computed with it.
-const USUAL_BATCH: usize = 128 * 1024;
+const USUAL_BATCH_BYTES: usize = 128 * 1024;
 
 /// The state of ingest, which decides about each frame.
 #[derive(Debug)]
@@ -64,24 +64,24 @@ impl IngestSession {
     }
 
     /// Processes a frame of a connection.
-    pub(super) fn frame(&mut self, from: &Peer, frame: &Bytes, now: Stamp) {
+    pub(super) fn handle_frame(&mut self, from: &Peer, frame: &Bytes, now: Stamp) {
         // The kind of a frame is decided by its first bytes, so that batches are not decoded twice.
         if let Some(part) = codec::decode_part(frame) {
             if self.has_session(from, part.host)
                 && let Some(frame) = self.receiving.handle_part(&part, now.mono)
                 && let Some(head) = codec::decode_batch_head(&frame)
             {
-                self.batch(from, head, &frame, now);
+                self.handle_batch(from, head, &frame, now);
             }
             return;
         }
         if let Some(head) = codec::decode_batch_head(frame) {
-            self.batch(from, head, frame, now);
+            self.handle_batch(from, head, frame, now);
             return;
         }
         match codec::decode(frame) {
-            Ok(ToAggregator::Hello(hello)) => self.hello(from, hello, now),
-            Ok(ToAggregator::Proof(proof)) => self.proof(from, proof, now),
+            Ok(ToAggregator::Hello(hello)) => self.handle_hello(from, hello, now),
+            Ok(ToAggregator::Proof(proof)) => self.handle_proof(from, proof, now),
             Ok(ToAggregator::Live(update)) => {
                 if self.has_session(from, update.host)
                     && self.receiving.handle_live(update.host, now.mono).is_none()
@@ -98,10 +98,10 @@ impl IngestSession {
             Ok(ToAggregator::Goodbye(host)) => {
                 if self.has_session(from, host) && !self.forget_newcomer(host) {
                     self.receiving.handle_goodbye(host);
-                    self.routes.leave(host);
+                    self.routes.remove(host);
                     // Without room, the next hello of the host ends its runs.
                     if let Some(slot) = self.queue.reserve(0) {
-                        slot.put(Incoming::Work(Work::Goodbye(host)), now.mono);
+                        slot.fill(AdmittedWork::Work(Work::Goodbye(host)), now.mono);
                     }
                     self.output.announce(LiveEvent::Goodbye(host));
                 }
@@ -126,39 +126,39 @@ impl IngestSession {
             let Some(slot) = self.queue.reserve(0) else { return };
             let (host, pipeline, placement) = (update.host, live.pipeline.clone(), live.placement.clone());
             let name = RunName { host, run, pipeline, placement };
-            slot.put(Incoming::Work(Work::Name(Box::new(name))), now);
-            self.store.named(update.host, run);
+            slot.fill(AdmittedWork::Work(Work::Name(Box::new(name))), now);
+            self.store.record_name(update.host, run);
         }
     }
 
     /// Returns whether the host has a session on the connection. If not, the agent is asked for its hello.
     fn has_session(&mut self, from: &Peer, host: HostId) -> bool {
-        let known = self.routes.of(host) == Some(from.connection);
-        if !known {
+        let has_session = self.routes.connection_of(host) == Some(from.connection);
+        if !has_session {
             self.output.reject_stranger(from.connection);
         }
-        known
+        has_session
     }
 
     /// Handles the end of a connection. Its stored hosts send their hello on the next connection; its newcomers are
     /// dropped.
-    pub(super) fn connection_closed(&mut self, connection: ConnectionId) {
+    pub(super) fn handle_connection_closed(&mut self, connection: ConnectionId) {
         self.challenges.forget(&connection);
         let routes = &self.routes;
-        for host in self.hosts.newcomers_where(|host| routes.of(host) == Some(connection)) {
+        for host in self.hosts.newcomers_where(|host| routes.connection_of(host) == Some(connection)) {
             self.forget_newcomer(host);
         }
     }
 
     /// Admits a batch to the queue, or requests it again if there is no room.
-    fn batch(&mut self, from: &Peer, head: BatchHead, frame: &Bytes, now: Stamp) {
+    fn handle_batch(&mut self, from: &Peer, head: BatchHead, frame: &Bytes, now: Stamp) {
         if !self.has_session(from, head.host) {
             return;
         }
         // The first batch of a newcomer stores the host, too, which needs two more slots.
         let before = if self.hosts.is_newcomer(head.host) {
             let Some(slots) = self.queue.reserve(0).zip(self.queue.reserve(0)) else {
-                return self.defer(head);
+                return self.defer_batch(head);
             };
             Some(slots)
         } else {
@@ -166,14 +166,14 @@ impl IngestSession {
         };
         let Some(slot) = self.queue.reserve(frame.len()) else {
             drop(before);
-            return self.defer(head);
+            return self.defer_batch(head);
         };
         let body = codec::decode_batch_body(frame.clone());
         let size = body.as_ref().map_or(frame.len(), Bytes::len);
         // Decompressed events need more room than their frame.
-        let Some(slot) = slot.grown_to(size) else {
+        let Some(slot) = slot.grow_to(size) else {
             drop(before);
-            return self.defer(head);
+            return self.defer_batch(head);
         };
         if body.is_err() {
             self.output.reject_damaged(head.host);
@@ -181,21 +181,22 @@ impl IngestSession {
         // Room is reserved before: a batch that is accepted must not be lost afterwards.
         let arrival = self.receiving.handle_batch(&head, body.is_ok(), now.mono);
         if matches!(arrival, Arrival::Accept | Arrival::AcceptDamaged)
-            && let (Some((greeting, hole)), Some(newcomer)) = (before, self.hosts.store(head.host))
+            && let (Some((introduction_slot, gap_slot)), Some(newcomer)) =
+                (before, self.hosts.promote_newcomer(head.host))
         {
             let Newcomer { introduction, missing, .. } = newcomer;
             self.store.streams.record_hello(head.host, introduction.stream);
-            greeting.put(Incoming::Work(Work::Hello(Box::new(introduction))), now.mono);
+            introduction_slot.fill(AdmittedWork::Work(Work::Hello(Box::new(introduction))), now.mono);
             if let Some(missing) = missing {
-                hole.put(Incoming::Work(Work::MissingBatches(missing)), now.mono);
+                gap_slot.fill(AdmittedWork::Work(Work::MissingBatches(missing)), now.mono);
             }
         }
         match (arrival, body) {
-            (Arrival::Accept, Ok(body)) => slot.put(Incoming::Batch(head, body), now.mono),
+            (Arrival::Accept, Ok(body)) => slot.fill(AdmittedWork::Batch(head, body), now.mono),
             (Arrival::AcceptDamaged, Err(error)) => {
-                let aside =
+                let unstorable =
                     UnstorableBatch { head, frame: frame.clone(), body: None, reason: error.to_string() };
-                slot.put(Incoming::Work(Work::UnstorableBatch(Box::new(aside))), now.mono);
+                slot.fill(AdmittedWork::Work(Work::UnstorableBatch(Box::new(unstorable))), now.mono);
             }
             (Arrival::Duplicate(reply), _) => {
                 // The reply acknowledges the batch, which needs an open database.
@@ -213,7 +214,7 @@ impl IngestSession {
 
     /// Drops a newcomer. Returns whether the host was one.
     fn forget_newcomer(&mut self, host: HostId) -> bool {
-        let Some(newcomer) = self.hosts.forget(host) else { return false };
+        let Some(newcomer) = self.hosts.remove_newcomer(host) else { return false };
         self.end_dropped_newcomer(newcomer);
         true
     }
@@ -227,48 +228,48 @@ impl IngestSession {
         }
         if !self.hosts.is_newcomer(host) {
             self.receiving.handle_goodbye(host);
-            self.routes.leave(host);
+            self.routes.remove(host);
             self.output.announce(LiveEvent::Forget(host));
         }
     }
 
     /// Treats a batch without room as if it had not arrived.
-    fn defer(&mut self, head: BatchHead) {
+    fn defer_batch(&mut self, head: BatchHead) {
         self.receiving.defer_batch(head.stream);
         self.output.defer_batch(head.host);
     }
 
     /// Requests deferred batches as far as there is room now.
-    fn ask_for_deferred(&mut self) {
-        for (host, request) in self.receiving.request_deferred(self.queue.room_for(USUAL_BATCH)) {
-            if let Some(route) = self.routes.of(host) {
+    fn request_deferred(&mut self) {
+        for (host, request) in self.receiving.request_deferred(self.queue.capacity_for(USUAL_BATCH_BYTES)) {
+            if let Some(route) = self.routes.connection_of(host) {
                 self.output.reply(route, request);
             }
         }
     }
 
     /// Handles a message of the writer's task.
-    pub(super) fn store_event(&mut self, event: StoreEvent) {
+    pub(super) fn handle_store_event(&mut self, event: StoreEvent) {
         match event {
-            StoreEvent::Committed(committed) => self.committed(committed),
-            StoreEvent::Closed => self.database_closed(),
-            StoreEvent::Opened(state) => self.database_opened(*state),
+            StoreEvent::Committed(committed) => self.handle_commit(committed),
+            StoreEvent::Closed => self.handle_database_closed(),
+            StoreEvent::Opened(state) => self.handle_database_opened(*state),
         }
     }
 
     /// Acknowledges the batches of a transaction that is on disk.
-    fn committed(&mut self, committed: Committed) {
+    fn handle_commit(&mut self, committed: Committed) {
         for (stream, mark) in committed.marks {
             self.store.streams.marks.insert(stream, mark);
-            let listener = self.receiving.handle_stored(stream, mark);
+            let receiver = self.receiving.handle_stored(stream, mark);
             if let Some((route, reply)) =
-                listener.and_then(|(host, reply)| Some((self.routes.of(host)?, reply)))
+                receiver.and_then(|(host, reply)| Some((self.routes.connection_of(host)?, reply)))
             {
                 self.output.reply(route, reply);
             }
         }
         // The commit has freed room in the queue.
-        self.ask_for_deferred();
+        self.request_deferred();
         for (host, (stored, newest)) in committed.hosts {
             self.output.announce(LiveEvent::Stored(host, stored, newest));
         }
@@ -282,17 +283,17 @@ impl IngestSession {
     }
 
     /// Handles the closing of the database, whose file is missing or unusable. Agents with a session continue to send.
-    fn database_closed(&mut self) {
+    fn handle_database_closed(&mut self) {
         self.store.close();
     }
 
     /// Handles the reopening of the database, which may be another one. Every agent has to send its hello again, so
     /// that its spool is compared with the stored state. The writer drops work admitted before.
-    fn database_opened(&mut self, state: StoredState) {
-        let StoredState { streams, runs, unknown, hosts, known } = state;
+    fn handle_database_opened(&mut self, state: StoredState) {
+        let StoredState { streams, runs, unnamed_runs, hosts, host_secrets } = state;
         self.receiving.forget_sessions();
-        self.hosts.restart(known);
-        self.queue.begin_generation();
+        self.hosts.replace_stored(host_secrets);
+        self.queue.start_generation();
         self.store = StoreView::new(streams, unknown);
         for route in self.routes.clear() {
             self.output.reply(route, ToAgent::Unknown);
@@ -301,19 +302,19 @@ impl IngestSession {
     }
 
     /// Drops silent hosts and logs repeated refusals.
-    pub(super) fn age(&mut self, now: Stamp) {
+    pub(super) fn expire(&mut self, now: Stamp) {
         self.challenges.remove_expired(now.mono);
         let receiving = &self.receiving;
-        let silent = self.hosts.newcomers_where(|host| !receiving.is_alive(host, FORGET_NEWCOMERS, now.mono));
+        let silent = self.hosts.newcomers_where(|host| !receiving.is_alive(host, NEWCOMER_TIMEOUT, now.mono));
         for host in silent {
             self.forget_newcomer(host);
         }
         // Silent hosts count in the division of the windows, so they must not keep their share.
-        self.receiving.forget_silent(FORGET_SESSIONS, now.mono);
-        let is_silent = |host: &HostId| !self.receiving.is_alive(*host, FORGET_SESSIONS, now.mono);
+        self.receiving.forget_silent(SESSION_TIMEOUT, now.mono);
+        let is_silent = |host: &HostId| !self.receiving.is_alive(*host, SESSION_TIMEOUT, now.mono);
         let silent: Vec<HostId> = self.routes.hosts().filter(is_silent).collect();
         for host in silent {
-            self.routes.leave(host);
+            self.routes.remove(host);
         }
         for (reason, address, times) in self.refusals.age(now.mono) {
             tracing::warn!(address = address.map(tracing::field::display), %reason, times, "hosts were refused");
