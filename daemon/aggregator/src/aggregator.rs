@@ -74,12 +74,12 @@ impl Aggregator {
         }
         let name = config.name();
         if let Some(folder) = config.database.parent() {
-            let no_folder = |error| OpenError::no_folder(&config.database, error);
+            let no_folder = |error| OpenError::folder_not_created(&config.database, error);
             std::fs::create_dir_all(folder).map_err(no_folder)?;
         }
         // Before the database is opened: files of earlier releases may be readable by other users.
         peernet_permissions::log_changes(&peernet_permissions::restrict_database(&config.database));
-        let integrity = Integrity::of(&config.database);
+        let integrity = Integrity::new(&config.database);
         let (database, state) = OpenDatabase::open(&config.database, config.retention, &integrity).await?;
         let StoredState { streams, runs, unnamed_runs, hosts, host_secrets } = state;
         let (socket, address) = socket::listen(&config).await?;
@@ -189,8 +189,8 @@ impl Aggregator {
     pub async fn pin(&self, run: i64, pinned: bool) -> Result<bool, StoreError> {
         let (answer, answered) = oneshot::channel();
         match self.requests.send(WriterRequest::Pin(run, pinned, answer)).await {
-            Ok(()) => answered.await.unwrap_or_else(|_| Err(StoreError::no_writer())),
-            Err(_) => Err(StoreError::no_writer()),
+            Ok(()) => answered.await.unwrap_or_else(|_| Err(StoreError::writer_stopped())),
+            Err(_) => Err(StoreError::writer_stopped()),
         }
     }
 

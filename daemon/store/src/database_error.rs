@@ -49,7 +49,7 @@ impl DatabaseError {
     }
 
     /// Returns whether the database is full or locked by another program: the same statement may succeed later.
-    pub fn is_passing(&self) -> bool {
+    pub fn is_transient(&self) -> bool {
         /// Primary result codes: BUSY, LOCKED, FULL.
         const PASSING: [i32; 3] = [5, 6, 13];
         self.statement().and_then(primary_code).is_some_and(|code| PASSING.contains(&code))

@@ -75,12 +75,12 @@ pub enum OpenError {
 
 impl OpenError {
     /// Makes the error for a database folder that cannot be created.
-    pub fn no_folder(database: &Path, error: std::io::Error) -> Self {
+    pub fn folder_not_created(database: &Path, error: std::io::Error) -> Self {
         Self::Open { path: database.to_owned(), source: DatabaseError::new(error) }
     }
 
     /// Makes the error for a database that SQLite could not open or read.
-    pub(crate) fn opening(path: &Path, source: sqlx::Error) -> Self {
+    pub(crate) fn cannot_open(path: &Path, source: sqlx::Error) -> Self {
         let (path, is_partial_damage, is_damage) =
             (path.to_owned(), is_partial_damage(&source), is_damage(&source));
         let source = DatabaseError::new(source);
@@ -166,16 +166,16 @@ pub enum StoreError {
 
 impl StoreError {
     /// Makes the error for a change that is requested after the writing task has ended.
-    pub fn no_writer() -> Self {
-        Self::pinning(DatabaseError::new(sqlx::Error::WorkerCrashed))
+    pub fn writer_stopped() -> Self {
+        Self::pin_failed(DatabaseError::new(sqlx::Error::WorkerCrashed))
     }
 
     /// Makes the error for a change that is requested while the database is closed.
-    pub fn no_database() -> Self {
-        Self::pinning(DatabaseError::new(std::io::Error::other("the database is not open now")))
+    pub fn database_closed() -> Self {
+        Self::pin_failed(DatabaseError::new(std::io::Error::other("the database is not open now")))
     }
 
-    pub(crate) fn pinning(source: DatabaseError) -> Self {
+    pub(crate) fn pin_failed(source: DatabaseError) -> Self {
         Self::Write { what: "whether a run is kept", source }
     }
 }

@@ -4,12 +4,12 @@
 //! deletes old data between commits, and `maintenance` holds the commands that an operator applies to the file.
 
 mod column;
-pub(crate) mod contents;
 pub(crate) mod database;
 mod database_error;
 mod error;
 mod extent;
 mod figures;
+pub(crate) mod file_kind;
 pub(crate) mod foreign_log;
 mod incidents;
 mod insert;
@@ -43,7 +43,7 @@ use readers::Readers;
 
 pub use database_error::DatabaseError;
 pub use error::{OpenError, StoreError};
-pub use figures::{Bound, Figures, P95_NEEDS, P99_NEEDS, rank};
+pub use figures::{Bound, Figures, MIN_P95_SAMPLES, MIN_P99_SAMPLES, rank};
 pub use lock::{DatabaseLock, LockError};
 pub use retention_config::RetentionConfig;
 pub use stored::{ClockPoint, Stored};
@@ -112,15 +112,15 @@ impl Store {
         read::runs::experiments(&self.readers, limit).await
     }
 
-    /// Returns node names over the time of a run, each in at most `most_buckets` summaries, in the order of `stages`. Names
+    /// Returns node names over the time of a run, each in at most `max_buckets` summaries, in the order of `stages`. Names
     /// without samples are left out.
     pub async fn course(
         &self,
         run: i64,
         stages: &[Name],
-        most_buckets: usize,
+        max_buckets: usize,
     ) -> Result<Vec<StageCourse>, StoreError> {
-        read::statistics::course(&self.readers, run, stages, most_buckets).await
+        read::statistics::course(&self.readers, run, stages, max_buckets).await
     }
 
     /// Returns counts and means over the time of a run, divided as in [`Store::course`]. It costs a tenth of the work.
@@ -128,9 +128,9 @@ impl Store {
         &self,
         run: i64,
         stages: &[Name],
-        most_buckets: usize,
+        max_buckets: usize,
     ) -> Result<Vec<StageMeans>, StoreError> {
-        read::statistics::means(&self.readers, run, stages, most_buckets).await
+        read::statistics::means(&self.readers, run, stages, max_buckets).await
     }
 
     /// Returns the statistics of whole runs, in the order of `runs`; they are empty for a run that is not stored.
@@ -231,16 +231,16 @@ impl Store {
         read::clocks::links(&self.readers).await
     }
 
-    /// Returns the clock relation of a link from `from` to `to`, on the edge's wall clock, in at most `most_points`
+    /// Returns the clock relation of a link from `from` to `to`, on the edge's wall clock, in at most `max_points`
     /// (1 to 10,000) buckets of 1, 2, 5, 10, 30, 60 … seconds. The result has no points for an unknown link.
     pub async fn clock_series(
         &self,
         link: &LinkKey,
         from: WallTime,
         to: WallTime,
-        most_points: u32,
+        max_points: u32,
     ) -> Result<ClockSeries, StoreError> {
-        read::clocks::series(&self.readers, link, (from, to), most_points).await
+        read::clocks::series(&self.readers, link, (from, to), max_points).await
     }
 
     /// Returns the assumptions behind the one-way delays of a link's newest window, or `None` for an unknown link.

@@ -10,14 +10,14 @@ use sqlx::sqlite::{SqliteConnectOptions, SqlitePoolOptions};
 use sqlx::{ConnectOptions, SqliteConnection, SqlitePool};
 
 use super::integrity::Integrity;
-use super::limits::BUSY;
+use super::limits::BUSY_TIMEOUT;
 use crate::database_error::DatabaseError;
 use crate::error::StoreError;
 
 /// Longest wait of a question for a connection.
-const ACQUIRE: Duration = Duration::from_secs(5);
+const ACQUIRE_TIMEOUT: Duration = Duration::from_secs(5);
 /// Instructions of SQLite's virtual machine between two checks of the deadline: some tens of microseconds.
-const INSTRUCTIONS: i32 = 2_000;
+const INSTRUCTIONS_PER_CHECK: i32 = 2_000;
 /// SQLite's code for an interrupted statement (SQLITE_INTERRUPT).
 const INTERRUPTED: &str = "9";
 
@@ -47,14 +47,14 @@ impl Readers {
         let options = SqliteConnectOptions::new()
             .filename(path)
             .read_only(true)
-            .busy_timeout(BUSY)
+            .busy_timeout(BUSY_TIMEOUT)
             .disable_statement_logging();
         let within = Span::from_nanos(i64::try_from(limit.as_nanos()).unwrap_or(i64::MAX));
         let deadline = Deadline { limit: within, clock };
         let again = deadline.clone();
         let pool = SqlitePoolOptions::new()
             .max_connections(connections)
-            .acquire_timeout(ACQUIRE)
+            .acquire_timeout(ACQUIRE_TIMEOUT)
             .test_before_acquire(false)
             .after_connect(move |connection, _| deadline.clone().set(connection))
             .before_acquire(move |connection, _| {
@@ -116,8 +116,8 @@ impl Deadline {
         Box::pin(async move {
             let Self { limit, clock } = self;
             let begin = clock.mono();
-            let goes_on = move || clock.mono() - begin < limit;
-            connection.lock_handle().await?.set_progress_handler(INSTRUCTIONS, goes_on);
+            let is_within_limit = move || clock.mono() - begin < limit;
+            connection.lock_handle().await?.set_progress_handler(INSTRUCTIONS_PER_CHECK, is_within_limit);
             Ok(())
         })
     }

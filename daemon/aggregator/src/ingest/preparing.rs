@@ -47,7 +47,7 @@ pub(crate) fn run(runtime: &Handle, mut waiting: mpsc::Receiver<QueueItem>, prep
     while let Some(QueueItem { admitted, generation, since, capacity }) = waiting.blocking_recv() {
         let work = match admitted {
             AdmittedWork::Work(work) => work,
-            AdmittedWork::Batch(head, body) => Work::of_batch(head, body),
+            AdmittedWork::Batch(head, body) => Work::from_batch(head, body),
         };
         // At most all permits, so that work larger than the whole room passes, too.
         let weight = u32::try_from(work.weight()).unwrap_or(u32::MAX).min(prepared.max_nodes);

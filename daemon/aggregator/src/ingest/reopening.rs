@@ -79,7 +79,7 @@ fn refuse(request: WriterRequest) {
     match request {
         WriterRequest::Pin(_, _, answer) => {
             // The requester may have been dropped.
-            let _gone = answer.send(Err(StoreError::no_database()));
+            let _gone = answer.send(Err(StoreError::database_closed()));
         }
     }
 }

@@ -41,7 +41,7 @@ pub(crate) struct IngestSession {
 }
 
 impl IngestSession {
-    /// Creates the state without sessions. `hosts` and `streams` come from the database; `unknown` are runs of which
+    /// Creates the state without sessions. `hosts` and `streams` come from the database; `unnamed_runs` are runs of which
     /// the database has iterations only.
     pub(crate) fn new(
         receiving: Receiving,
@@ -49,7 +49,7 @@ impl IngestSession {
         hosts: Hosts,
         queue: Queue,
         streams: Streams,
-        unknown: Vec<(HostId, RunId)>,
+        unnamed_runs: Vec<(HostId, RunId)>,
     ) -> Self {
         Self {
             receiving,
@@ -57,7 +57,7 @@ impl IngestSession {
             hosts,
             queue,
             routes: Routes::default(),
-            store: StoreView::new(streams, unknown),
+            store: StoreView::new(streams, unnamed_runs),
             refusals: LogThrottle::default(),
             output: SessionOutput::default(),
         }
@@ -273,7 +273,7 @@ impl IngestSession {
         for (host, (stored, newest)) in committed.hosts {
             self.output.announce(LiveEvent::Stored(host, stored, newest));
         }
-        self.store.add_unnamed(committed.unknown);
+        self.store.add_unnamed(committed.unnamed_runs);
         for (host, secret) in committed.secrets {
             self.hosts.set_secret(host, secret);
         }
@@ -294,7 +294,7 @@ impl IngestSession {
         self.receiving.forget_sessions();
         self.hosts.replace_stored(host_secrets);
         self.queue.start_generation();
-        self.store = StoreView::new(streams, unknown);
+        self.store = StoreView::new(streams, unnamed_runs);
         for route in self.routes.clear() {
             self.output.reply(route, ToAgent::Unknown);
         }

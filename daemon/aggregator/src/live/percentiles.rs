@@ -3,7 +3,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use peernet_statistics::{Moments, Sketch, Summary};
-use peernet_store::{Figures, P95_NEEDS};
+use peernet_store::{Figures, MIN_P95_SAMPLES};
 
 use crate::live_state::{PercentilePoint, PercentileSeries};
 
@@ -104,7 +104,7 @@ impl Percentiles {
         for second in self.seconds.range(from..from.saturating_add(length)).map(|(_, second)| second) {
             sum.merge(&second.unpack());
         }
-        let figures = Figures::of(&sum)?;
+        let figures = Figures::from_summary(&sum)?;
         Some(PercentilePoint { at: from, count: figures.count, p95: figures.p95? })
     }
 
@@ -124,6 +124,6 @@ impl Percentiles {
 
 /// Returns the length of the shortest bucket with enough iterations for a 95th percentile at this rate, seconds.
 fn bucket_length(rate_hz: f64) -> Option<u32> {
-    let needed = P95_NEEDS as f64 * COUNT_MARGIN;
+    let needed = MIN_P95_SAMPLES as f64 * COUNT_MARGIN;
     BUCKETS_S.into_iter().find(|seconds| rate_hz * f64::from(*seconds) >= needed)
 }

@@ -56,7 +56,7 @@ impl SecondFigures {
             .map(|(name, summary)| (name.clone(), summary.moments.mean))
             .collect();
         means.sort_by(|(a, _), (b, _)| rank(a).cmp(&rank(b)));
-        let total_p95 = self.total().and_then(Figures::of).and_then(|figures| figures.p95);
+        let total_p95 = self.total().and_then(Figures::from_summary).and_then(|figures| figures.p95);
         let (transfers, verdicts) = (self.transfers(), self.verdicts.clone());
         LiveSecond { at, counts: self.counts, means, total_p95, transfers, verdicts }
     }
@@ -72,7 +72,8 @@ impl SecondFigures {
     /// Returns the figures of a window of `seconds` complete seconds, of which `covered_s` seconds have data.
     pub(super) fn window(&self, seconds: u32, covered_s: f64) -> Window {
         let total = self.counts.total();
-        let figures = |(name, summary): &(Name, Summary)| Some((name.clone(), Figures::of(summary)?));
+        let figures =
+            |(name, summary): &(Name, Summary)| Some((name.clone(), Figures::from_summary(summary)?));
         let mut values: Vec<(Name, Figures)> = self.values.iter().filter_map(figures).collect();
         values.sort_by(|(a, _), (b, _)| rank(a).cmp(&rank(b)));
         // A second without any answer lists the name without samples.
@@ -98,7 +99,7 @@ impl SecondFigures {
             .into_iter()
             .filter_map(|stage| {
                 let half_width = self.bounds.iter().find(|(name, _)| *name == stage);
-                let half_width = half_width.and_then(|(_, summary)| Figures::of(summary));
+                let half_width = half_width.and_then(|(_, summary)| Figures::from_summary(summary));
                 let mut verdicts: Vec<(Verdict, u64)> = Vec::new();
                 for known in Verdict::ALL {
                     let given =

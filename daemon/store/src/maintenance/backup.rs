@@ -9,13 +9,13 @@ use rustix::io::Errno;
 use sqlx::{ConnectOptions, Connection, SqliteConnection};
 use tokio_util::sync::CancellationToken;
 
-use super::{Contents, free_bytes, reading};
+use super::{FileKind, free_bytes, read_only_options};
 use crate::column::count;
 use crate::database_error::DatabaseError;
-use crate::foreign_log::{ForeignLog, mark_copy, refuse_foreign_log_of};
+use crate::foreign_log::{ForeignLog, assign_new_id, refuse_foreign_log_at};
 
 /// Instructions of SQLite's virtual machine between two checks whether to stop.
-const INSTRUCTIONS: i32 = 10_000;
+const INSTRUCTIONS_PER_CHECK: i32 = 10_000;
 
 /// The reason why no copy was made.
 #[derive(Debug, thiserror::Error)]
@@ -120,10 +120,10 @@ impl Backup {
             path: database.to_owned(),
             source: DatabaseError::new(error),
         };
-        refuse_foreign_log_of(database)?;
-        let mut connection = reading(database).connect().await.map_err(read)?;
-        let contents = Contents::of(&mut connection).await.map_err(read)?;
-        if let Some(what) = contents.instead_of_database() {
+        refuse_foreign_log_at(database)?;
+        let mut connection = read_only_options(database).connect().await.map_err(read)?;
+        let kind = FileKind::detect(&mut connection).await.map_err(read)?;
+        if let Some(what) = kind.other_kind() {
             return Err(BackupError::NotADatabase { path: database.to_owned(), what });
         }
         let used: i64 = sqlx::query_scalar(
@@ -165,8 +165,8 @@ impl Backup {
         let name = partial.path.to_str().ok_or_else(|| BackupError::Name(partial.path.clone()))?;
         let stopped = stop.clone();
         let copied = async {
-            let goes_on = move || !stopped.is_cancelled();
-            connection.lock_handle().await?.set_progress_handler(INSTRUCTIONS, goes_on);
+            let continues = move || !stopped.is_cancelled();
+            connection.lock_handle().await?.set_progress_handler(INSTRUCTIONS_PER_CHECK, continues);
             sqlx::query("VACUUM INTO ?1").bind(name).execute(&mut connection).await?;
             connection.close().await
         };
@@ -214,7 +214,7 @@ impl UnfinishedCopy {
     /// Gives the copy its own number, syncs it, renames it, and syncs the folder.
     fn publish(&mut self, target: &Path) -> Result<u64, BackupError> {
         let failed = |source| BackupError::Write { path: target.to_owned(), source };
-        mark_copy(&self.file).map_err(failed)?;
+        assign_new_id(&self.file).map_err(failed)?;
         self.file.sync_all().map_err(failed)?;
         let bytes = self.file.metadata().map_err(failed)?.len();
         rename(&self.path, target).map_err(|error| match error.kind() {

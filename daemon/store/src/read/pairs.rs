@@ -13,10 +13,10 @@ use crate::types::Pairs;
 
 const WHAT: &str = "pairs of values";
 /// Number of parts of the sample that are read concurrently.
-const READ_AT_ONCE: usize = 4;
+const CONCURRENT_READS: usize = 4;
 /// The golden ratio. The place within a stretch moves by this share of it from one stretch to the next, so that places never
 /// repeat.
-const TURN: f64 = 0.618_033_988_749_895;
+const GOLDEN_RATIO: f64 = 0.618_033_988_749_895;
 
 /// A node of one of the two names.
 #[derive(FromRow)]
@@ -72,7 +72,7 @@ pub(crate) async fn pairs(
     };
     let ends = end(sql::NEXT, 0).await?.zip(end(sql::PREVIOUS, i64::MAX).await?);
     let Some((first, last)) = ends else { return Ok(Pairs::default()) };
-    let numbers = spread(first, last, most);
+    let numbers = sample_numbers(first, last, most);
     let read = async |numbers: &[i64]| -> Result<Vec<Row>, StoreError> {
         sqlx::query_as(sql::PAIRS)
             .bind(run)
@@ -84,7 +84,7 @@ pub(crate) async fn pairs(
             .map_err(readers.failed(WHAT))
     };
     // Iterations of a long run are far apart in the file: each read waits for the disk.
-    let part = numbers.len().div_ceil(READ_AT_ONCE).max(1);
+    let part = numbers.len().div_ceil(CONCURRENT_READS).max(1);
     let rows = try_join_all(numbers.chunks(part).map(read)).await?;
     let mut found = BTreeMap::<i64, [NameValues; 2]>::new();
     for row in rows.into_iter().flatten() {
@@ -109,7 +109,7 @@ const fn length(first: i64, last: i64) -> u64 {
 ///
 /// The place within its stretch changes from one stretch to the next: evenly spaced iterations would always meet the same few
 /// samples of a data set that repeats.
-fn spread(first: i64, last: i64, most: u32) -> Vec<i64> {
+fn sample_numbers(first: i64, last: i64, most: u32) -> Vec<i64> {
     let all = length(first, last);
     if all <= u64::from(most) {
         return (first..=last).collect();
@@ -117,7 +117,7 @@ fn spread(first: i64, last: i64, most: u32) -> Vec<i64> {
     let begin = |stretch: u32| (u128::from(all) * u128::from(stretch) / u128::from(most)) as u64;
     let number = |stretch: u32| {
         let (from, to) = (begin(stretch), begin(stretch + 1));
-        let within = ((to - from) as f64 * (f64::from(stretch) * TURN).fract()) as u64;
+        let within = ((to - from) as f64 * (f64::from(stretch) * GOLDEN_RATIO).fract()) as u64;
         first.saturating_add_unsigned(from + within.min(to - from - 1))
     };
     (0..most).map(number).collect()
@@ -134,7 +134,7 @@ mod tests {
     #[test]
     fn sample_covers_repeating_data_set() {
         for period in [7, 30, 100] {
-            let numbers = spread(1, 1_500 * period, 1_500);
+            let numbers = sample_numbers(1, 1_500 * period, 1_500);
             let places: HashSet<i64> = numbers.iter().map(|number| number % period).collect();
             assert_eq!(places.len() as i64, period);
         }
@@ -144,7 +144,7 @@ mod tests {
         #[test]
         fn each_stretch_has_one_number(first in 1i64..i64::MAX, all in 1i64..3_000_000, most in 0u32..4_000) {
             let last = first.saturating_add(all - 1);
-            let (numbers, all) = (spread(first, last, most), length(first, last));
+            let (numbers, all) = (sample_numbers(first, last, most), length(first, last));
             prop_assert_eq!(numbers.len() as u64, all.min(u64::from(most)));
             prop_assert!(numbers.windows(2).all(|pair| pair[0] < pair[1]));
             prop_assert!(numbers.iter().all(|number| (first..=last).contains(number)));

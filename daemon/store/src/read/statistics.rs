@@ -65,7 +65,7 @@ pub(super) async fn whole_runs(
     let mut found = HashMap::<i64, NameSummary>::new();
     for row in rows {
         let summary = row.summary()?;
-        found.entry(row.run).or_insert_with(|| NameSummary::of_unit(&row.unit)).summary.merge(&summary);
+        found.entry(row.run).or_insert_with(|| NameSummary::with_unit(&row.unit)).summary.merge(&summary);
     }
     Ok(found)
 }

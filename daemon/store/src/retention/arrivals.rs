@@ -108,7 +108,7 @@ pub(super) struct TrimResult {
     /// Cost of the deleted rows, in small rows.
     pub(super) rows: u64,
     /// `true` if no more data is due.
-    pub(super) through: bool,
+    pub(super) complete: bool,
 }
 
 /// Deletes data that had arrived by a second of the storage clock, in the order of arrival, about `rows` rows.
@@ -127,7 +127,7 @@ pub(super) async fn trim(
             break;
         }
         let Some(arrival) = next(connection, kind, before_s).await? else {
-            return Ok(TrimResult { rows: deleted, through: true });
+            return Ok(TrimResult { rows: deleted, complete: true });
         };
         let gone = arrival.delete(connection, now_s, left).await?;
         deleted += gone.rows;
@@ -135,7 +135,7 @@ pub(super) async fn trim(
             deletions.push(Deletion { cause, kind, owner: arrival.owner, items: gone.items });
         }
     }
-    Ok(TrimResult { rows: deleted, through: false })
+    Ok(TrimResult { rows: deleted, complete: false })
 }
 
 impl Arrival {

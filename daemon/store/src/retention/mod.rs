@@ -22,7 +22,7 @@ pub(crate) use self::arrivals::{pin, release};
 use self::deletions::{Cause, Deletion, Deletions};
 use self::size::SizeLimit;
 use crate::raw_transaction;
-use crate::retention_config::{RetentionConfig, kept_s};
+use crate::retention_config::{RetentionConfig, period_s};
 use crate::rollups::WIDTHS_S;
 use crate::storage_clock::StorageClock;
 
@@ -104,7 +104,7 @@ impl Kind {
     }
 
     /// Returns a description of its items.
-    const fn in_words(self) -> &'static str {
+    const fn description(self) -> &'static str {
         match self {
             Self::Nodes => "iterations with their trees",
             Self::Buckets(1) => "statistics per second",
@@ -116,7 +116,7 @@ impl Kind {
     }
 
     /// Returns a description of their owner.
-    const fn owner_in_words(self) -> &'static str {
+    const fn owner_description(self) -> &'static str {
         if matches!(self, Self::ClockSamples) { "link" } else { "run" }
     }
 }
@@ -127,13 +127,13 @@ struct Periods(RetentionConfig);
 
 impl Periods {
     /// Returns the period of a kind; `None` for ever.
-    fn kept_s(&self, kind: Kind) -> Option<i64> {
-        kept_s(kind.days(&self.0))
+    fn period_s(&self, kind: Kind) -> Option<i64> {
+        period_s(kind.days(&self.0))
     }
 
     /// Returns the number of seconds within which arrivals are deleted together.
     fn resolution_s(&self, kind: Kind) -> i64 {
-        self.kept_s(kind).map_or(UNLIMITED_RESOLUTION_S, |kept_s| (kept_s / PARTS).max(1))
+        self.period_s(kind).map_or(UNLIMITED_RESOLUTION_S, |period_s| (period_s / PARTS).max(1))
     }
 
     fn finest_resolution_s(&self) -> i64 {
@@ -189,7 +189,7 @@ impl Retention {
         let now_s = seconds(storage_clock.read(connection, now.mono).await?);
         let Some(work) = self.find_work(connection, now_s, now.mono).await? else {
             self.idle = Some(now.mono);
-            self.deletions.rest(now_s);
+            self.deletions.log_at_rest(now_s);
             return Ok(Step::Done);
         };
         self.idle = None;
@@ -205,8 +205,8 @@ impl Retention {
     }
 
     /// Logs the deletions that were not logged yet, because no more follow.
-    pub(crate) fn end(&mut self) {
-        self.deletions.end();
+    pub(crate) fn finish(&mut self) {
+        self.deletions.finish();
     }
 
     async fn transaction(
@@ -237,13 +237,13 @@ impl Retention {
             return Ok(Some(Work::Arriving { since_s }));
         }
         for kind in Kind::ALL {
-            if let Some(kept_s) = self.periods.kept_s(kind)
-                && arrivals::due(connection, kind, now_s - kept_s).await?
+            if let Some(period_s) = self.periods.period_s(kind)
+                && arrivals::due(connection, kind, now_s - period_s).await?
             {
-                return Ok(Some(Work::Aged { kind, before_s: now_s - kept_s }));
+                return Ok(Some(Work::Aged { kind, before_s: now_s - period_s }));
             }
         }
-        Ok(self.size.exceeded(connection, now).await?.then_some(Work::TooLarge))
+        Ok(self.size.is_exceeded(connection, now).await?.then_some(Work::TooLarge))
     }
 
     async fn perform(

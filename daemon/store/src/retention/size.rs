@@ -34,7 +34,7 @@ impl SizeLimit {
     }
 
     /// Returns whether something has to be deleted.
-    pub(super) async fn exceeded(
+    pub(super) async fn is_exceeded(
         &self,
         connection: &mut SqliteConnection,
         now: MonoTime,

@@ -177,4 +177,4 @@ pub(super) async fn read_buckets(
 
 /// Statements of the writer, whose query plans a test checks.
 #[cfg(test)]
-pub(crate) const QUESTIONS: [(&str, &str); 2] = [("NEWEST", NEWEST), ("BUCKETS", BUCKETS)];
+pub(crate) const QUERIES: [(&str, &str); 2] = [("NEWEST", NEWEST), ("BUCKETS", BUCKETS)];

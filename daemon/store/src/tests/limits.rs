@@ -21,7 +21,7 @@ fn impatient(path: &Path) -> Readers {
         1,
         Duration::from_millis(100),
         Arc::new(SystemClock::new(identity)),
-        Integrity::of(path),
+        Integrity::new(path),
     )
 }
 

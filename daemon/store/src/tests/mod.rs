@@ -102,7 +102,7 @@ impl TestStore {
     fn batch_numbered(&self, number: u64, events: impl AsRef<[Event]>) -> Work {
         let events = events.as_ref();
         let body = Bytes::from(generate::body(events));
-        Work::of_batch(self.head(number, &body, events.len()), body)
+        Work::from_batch(self.head(number, &body, events.len()), body)
     }
 
     fn head(&self, number: u64, body: &[u8], events: usize) -> BatchHead {
@@ -132,7 +132,7 @@ impl TestStore {
 
     /// Opens a connection of another program that may write.
     async fn other(&self) -> SqliteConnection {
-        database::writing(&self.path).connect().await.expect("opens")
+        database::write_options(&self.path).connect().await.expect("opens")
     }
 
     /// Returns the number that a query selects.
@@ -169,6 +169,6 @@ fn readers(path: &std::path::Path) -> Readers {
         2,
         std::time::Duration::from_secs(600),
         Arc::new(SystemClock::new(identity)),
-        Integrity::of(path),
+        Integrity::new(path),
     )
 }

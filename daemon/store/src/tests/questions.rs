@@ -400,7 +400,8 @@ fn merged_summary_equals_summary_of_whole() {
         }
         parts.merge(&part);
     }
-    let (whole, parts) = (Figures::of(&whole).expect("some"), Figures::of(&parts).expect("some"));
+    let (whole, parts) =
+        (Figures::from_summary(&whole).expect("some"), Figures::from_summary(&parts).expect("some"));
     assert_eq!(
         (whole.count, whole.p50, whole.p95, whole.max),
         (parts.count, parts.p50, parts.p95, parts.max)

@@ -298,7 +298,7 @@ async fn replaced_spool_leaves_one_gap() {
     assert!(test_store.writer.streams().marks.is_empty(), "nothing of any is stored");
     let hello = hello_of(test_store.edge, StreamId::from_bytes([9; 16]), None);
     let known = StreamRecord { was_used: true, last: Some(hello.stream), ..StreamRecord::default() };
-    assert_eq!(test_store.writer.streams().known(&hello, None), known);
+    assert_eq!(test_store.writer.streams().record(&hello, None), known);
 }
 
 #[tokio::test]
@@ -310,7 +310,7 @@ async fn batches_of_left_stream_missing_in_backup_are_one_gap() {
     test_store.writer = open(&test_store.path).await;
     let hello = hello_of(test_store.edge, new, Some(old));
     let known = StreamRecord { last: Some(old), previous: Some(mark), ..StreamRecord::default() };
-    assert_eq!(test_store.writer.streams().known(&hello, None), known);
+    assert_eq!(test_store.writer.streams().record(&hello, None), known);
     let (host, lacking) =
         (hello.host, Some(MissingPreviousBatches { stream: old, from: 2, through: 4, events: Some(17) }));
     let (process, previous, first, replaced) = (1, Some(old), 5, None);

@@ -19,7 +19,7 @@ use crate::extent::Extent;
 use crate::plausible;
 
 /// Maximum number of links in memory; beyond it, all are forgotten and read again when needed.
-const MOST_LINKS: usize = 10_000;
+const MAX_CACHED_LINKS: usize = 10_000;
 
 /// A second that arrives again replaces its row, as in the live picture: each report of a second is complete up to its time.
 const INSERT: &str = "INSERT OR REPLACE INTO clock_sample (link, at_ns, window, max_drift_ppm, \
@@ -91,7 +91,7 @@ impl Links {
             .bind(basis.and_then(|basis| basis.probes_authenticated))
             .execute(connection)
             .await?;
-        let at = Extent::of(at);
+        let at = Extent::single(at);
         self.arrived.entry(link).and_modify(|known| *known = known.hull(at)).or_insert(at);
         Ok(())
     }
@@ -145,7 +145,7 @@ impl Links {
         .bind(sample.peer_name.as_str())
         .fetch_one(connection)
         .await?;
-        if self.known.len() >= MOST_LINKS {
+        if self.known.len() >= MAX_CACHED_LINKS {
             self.known.clear();
         }
         self.known.insert(key, (link, sample.peer_name.clone()));

@@ -14,7 +14,7 @@ use super::Refusal;
 use super::entities::{Entities, Reporter};
 
 /// Maximum number of runs that are remembered as reported; beyond it, all are forgotten and reported again.
-const MOST_REPORTED: usize = 10_000;
+const MAX_REMEMBERED_REPORTS: usize = 10_000;
 
 /// Reports that a transaction found, and those that earlier ones recorded as incidents.
 #[derive(Debug, Default)]
@@ -36,7 +36,7 @@ impl ForeignReports {
     ) -> Result<(), Refusal> {
         for run in claimed {
             if entities.is_foreign(connection, reporter, *run).await? {
-                if self.reported.len() >= MOST_REPORTED {
+                if self.reported.len() >= MAX_REMEMBERED_REPORTS {
                     self.reported.clear();
                 }
                 if self.reported.insert((reporter.row, *run)) {

@@ -10,7 +10,7 @@ use super::prepared::NameKey;
 
 /// Maximum number of distinct names in the store; beyond it, batches with new names are quarantined. A program that puts
 /// numbers into its names would otherwise fill memory and table.
-const MOST: usize = 65_536;
+const MAX_NAMES: usize = 65_536;
 
 /// The table `name` in memory.
 #[derive(Debug, Default)]
@@ -53,9 +53,9 @@ impl Names {
             }
         }
         let NameKey { text, kind, custom, unit } = key;
-        if self.count >= MOST {
+        if self.count >= MAX_NAMES {
             return Err(Refusal::Batch(format!(
-                "the store knows {MOST} names already, {text:?} is one too many; put numbers into values, not names"
+                "the store knows {MAX_NAMES} names already, {text:?} is one too many; put numbers into values, not names"
             )));
         }
         let id = sqlx::query_scalar(

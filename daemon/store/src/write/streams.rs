@@ -59,7 +59,7 @@ struct Row {
 
 impl Streams {
     /// Returns the knowledge that the answer to a hello needs; `seniority` is the rank of the host among the stored ones.
-    pub fn known(&self, hello: &Hello, seniority: Option<u64>) -> StreamRecord {
+    pub fn record(&self, hello: &Hello, seniority: Option<u64>) -> StreamRecord {
         let mark_of = |stream| self.marks.get(&stream).copied();
         StreamRecord {
             mark: mark_of(hello.stream),
@@ -90,8 +90,8 @@ impl Streams {
             streams.record_hello(host, stream);
             // A row without a chain has nothing stored, or is of a version whose streams ended with their agents.
             let Some(chain) = chain else { continue };
-            let chain =
-                <[u8; 16]>::try_from(chain).map_err(|_| wrong("a chain that is not 16 bytes long"))?;
+            let chain = <[u8; 16]>::try_from(chain)
+                .map_err(|_| invalid_column("a chain that is not 16 bytes long"))?;
             let stored = u64::try_from(stored).map_err(|error| sqlx::Error::Decode(error.into()))?;
             let (chain, process) = (Chain::from_bytes(chain), process.map(i64::cast_unsigned));
             let events = events.map(count);
@@ -147,7 +147,7 @@ impl AdvancedStreams {
         });
         let mut added = Stored::default();
         for (reason, events) in replaced.into_iter().chain(lacking) {
-            added.add(&records::hole(&mut *connection, host, &reason, events, now).await?);
+            added.add(&records::insert_unattributed_gap(&mut *connection, host, &reason, events, now).await?);
         }
         Ok(added)
     }
@@ -189,6 +189,6 @@ impl AdvancedStreams {
     }
 }
 
-fn wrong(what: &'static str) -> sqlx::Error {
+fn invalid_column(what: &'static str) -> sqlx::Error {
     sqlx::Error::Decode(what.into())
 }

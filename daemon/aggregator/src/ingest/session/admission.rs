@@ -67,7 +67,7 @@ impl IngestSession {
             self.output.defer_greeting();
             return;
         };
-        let record = self.store.streams.known(&hello, self.hosts.seniority(host));
+        let record = self.store.streams.record(&hello, self.hosts.seniority(host));
         // A welcome acknowledges everything up to the stream's mark. While the database is closed, it is unknown
         // whether that is still stored, so the agent has to wait.
         if !self.store.is_open() && record.mark.is_some_and(|mark| hello.oldest <= mark.stored) {

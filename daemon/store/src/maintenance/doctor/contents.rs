@@ -7,9 +7,10 @@ use super::report::{OpenRun, Report, TableRows};
 use crate::column::count;
 
 /// Time of silence after which a host is considered to be no longer measuring.
-const SILENT: Span = Span::from_seconds(3_600);
+const SILENCE_LIMIT: Span = Span::from_seconds(3_600);
 /// Tables that are small enough to be counted.
-const SMALL: [&str; 8] = ["host", "pipeline", "stream", "run", "name", "incident", "gap", "quarantine"];
+const COUNTED_TABLES: [&str; 8] =
+    ["host", "pipeline", "stream", "run", "name", "incident", "gap", "quarantine"];
 
 const STREAMS: &str = "SELECT host.name AS host, stream.uuid AS stream, stream.stored, stream.previous, stream.last_seen_ns \
      FROM stream JOIN host ON host.id = stream.host ORDER BY stream.last_seen_ns DESC LIMIT 1000";
@@ -57,7 +58,7 @@ pub(super) async fn read(report: &mut Report, connection: &mut SqliteConnection,
     let answer = sqlx::query_as(ROLLUPS).fetch_all(&mut *connection).await;
     report.rollups = report.value_or_problem("the roll-ups", answer);
     let answer =
-        sqlx::query_as(OPEN_RUNS).bind((now - SILENT).unix_nanos()).fetch_all(&mut *connection).await;
+        sqlx::query_as(OPEN_RUNS).bind((now - SILENCE_LIMIT).unix_nanos()).fetch_all(&mut *connection).await;
     let open: Vec<OpenRun> = report.value_or_problem("the open runs", answer);
     report.open_runs = open;
     let answer = sqlx::query_as(TRIMMED).fetch_all(&mut *connection).await;
@@ -76,7 +77,7 @@ pub(super) async fn read(report: &mut Report, connection: &mut SqliteConnection,
 }
 
 async fn tables(report: &mut Report, connection: &mut SqliteConnection) {
-    for table in SMALL {
+    for table in COUNTED_TABLES {
         let statement = format!("SELECT count(*) FROM {table}");
         let answer = sqlx::query_scalar(AssertSqlSafe(statement)).fetch_one(&mut *connection).await;
         let rows: i64 = report.value_or_problem(&format!("the table {table}"), answer);

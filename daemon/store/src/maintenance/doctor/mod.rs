@@ -14,12 +14,12 @@ pub use self::report::{
     FileFigures, Finding, GapGroup, Integrity, OpenRun, QuarantineGroup, Report, RollupExtent, Schema,
     Severity, StreamState, TableRows,
 };
-use super::{Contents, free_bytes, reading};
+use super::{FileKind, free_bytes, read_only_options};
 use crate::column::count;
 use crate::database::MIGRATIONS;
 use crate::database_error::{DatabaseError, is_damage};
-use crate::foreign_log::{ForeignLog, refuse_foreign_log_of};
-use crate::integrity::{PageCheck, has_table_list, log_path, remembered};
+use crate::foreign_log::{ForeignLog, refuse_foreign_log_at};
+use crate::integrity::{PageCheck, has_table_list, log_path, recorded_damage};
 
 /// Free bytes of the disk below which the report names a problem.
 const MIN_FREE_BYTES: u64 = 512 << 20;
@@ -77,15 +77,15 @@ pub async fn examine(database: &Path, how: Examination) -> Result<Report, Doctor
     report.integrity.has_table_list =
         File::open(database).map_or(true, |file| has_table_list(Arc::new(file)));
     // This has to come before SQLite opens the file: see `PageFile`.
-    refuse_foreign_log_of(database)?;
+    refuse_foreign_log_at(database)?;
     report.find_malformed_pages(database);
     let opened = async {
-        let mut connection = reading(database).connect().await?;
-        let contents = Contents::of(&mut connection).await?;
+        let mut connection = read_only_options(database).connect().await?;
+        let contents = FileKind::detect(&mut connection).await?;
         Ok((connection, contents))
     };
     match opened.await {
-        Ok((mut connection, Contents::Database)) => {
+        Ok((mut connection, FileKind::Database)) => {
             report.check_sizes(&mut connection, database).await;
             report.check_integrity(&mut connection, how.full || !report.malformed_pages.is_empty()).await;
             report.report_recorded_damage(database);
@@ -96,8 +96,8 @@ pub async fn examine(database: &Path, how: Examination) -> Result<Report, Doctor
         }
         Ok((mut connection, contents)) => {
             report.check_sizes(&mut connection, database).await;
-            let what = contents.instead_of_database().unwrap_or_default();
-            let advice = if contents == Contents::Spool {
+            let what = contents.other_kind().unwrap_or_default();
+            let advice = if contents == FileKind::Spool {
                 "look at it with `peernetd doctor --spool FILE`"
             } else {
                 "name the file of [aggregator] database"
@@ -186,7 +186,7 @@ impl Report {
 
     /// Looks for malformed pages without SQLite, which alone knows whether such a page is in use.
     fn find_malformed_pages(&mut self, database: &Path) {
-        match PageCheck::of(database) {
+        match PageCheck::find_malformed(database) {
             Ok(pages) => self.malformed_pages = pages,
             Err(error) => self.problem(format!("its pages cannot be read: {error}"), self.remedy()),
         }
@@ -194,7 +194,7 @@ impl Report {
 
     /// Reports damage that an aggregator has recorded beside the file.
     fn report_recorded_damage(&mut self, database: &Path) {
-        match remembered(database) {
+        match recorded_damage(database) {
             Ok(Some(what)) if self.is_healthy() => self.notice(
                 format!("the aggregator found it damaged ({what}), and it is not, or no longer"),
                 "start the aggregator: it checks the whole file and goes on storing",

@@ -24,12 +24,12 @@ use tokio_util::sync::CancellationToken;
 use self::reconcile::Reconciliation;
 use self::rows::{CopiedTable, Table, Value, values};
 use self::tree::{Item, Walk};
-use super::{BUSY, free_bytes};
+use super::{BUSY_TIMEOUT, free_bytes};
 use crate::database::MIGRATIONS;
 use crate::database_error::{DatabaseError, is_damage};
-use crate::foreign_log::{ForeignLog, mark, refuse_foreign_log};
+use crate::foreign_log::{ForeignLog, assign_id, refuse_foreign_log};
 use crate::integrity::pages::PageFile;
-use crate::integrity::{forget, remembered, sqlite_finds};
+use crate::integrity::{delete_record, find_damage_with_sqlite, recorded_damage};
 use crate::lock::{DatabaseLock, LockError};
 use crate::rebuild::rebuild;
 
@@ -145,14 +145,14 @@ pub async fn repair(
     refuse_foreign_log(database, &lock.file())?;
     // A link is resolved: the other files lie beside the database itself.
     let path = fs::canonicalize(database).map_err(|source| file_error(database, source))?;
-    let remembered = remembered(&path).map_err(|source| file_error(&path, source))?;
-    let without_log = !take_over_log(&path).await?;
-    let found = sqlite_finds(&path, &CancellationToken::new())
+    let recorded_damage = recorded_damage(&path).map_err(|source| file_error(&path, source))?;
+    let without_log = !checkpoint_log(&path).await?;
+    let found = find_damage_with_sqlite(&path, &CancellationToken::new())
         .await
         .map_err(|error| RepairError::Write { path: path.clone(), source: DatabaseError::new(error) })?;
     if found.is_none() && !without_log {
-        if remembered.is_some() {
-            forget(&path).map_err(|source| file_error(&path, source))?;
+        if recorded_damage.is_some() {
+            delete_record(&path).map_err(|source| file_error(&path, source))?;
         }
         return Ok(None);
     }
@@ -167,8 +167,8 @@ pub async fn repair(
             return Err(error);
         }
     };
-    let damaged = put_in_place(&path, &new, stamp).map_err(|source| file_error(&path, source))?;
-    forget(&path).map_err(|source| file_error(&path, source))?;
+    let damaged = replace_database(&path, &new, stamp).map_err(|source| file_error(&path, source))?;
+    delete_record(&path).map_err(|source| file_error(&path, source))?;
     Ok(Some(Repaired { damaged, tables, lost_iterations: u64::try_from(lost).unwrap_or(0), without_log }))
 }
 
@@ -226,8 +226,9 @@ impl OldFile {
 }
 
 /// Carries the log over into the file, as the next start of the aggregator would. Returns whether nothing of it is left.
-async fn take_over_log(path: &Path) -> Result<bool, RepairError> {
-    let options = SqliteConnectOptions::new().filename(path).busy_timeout(BUSY).disable_statement_logging();
+async fn checkpoint_log(path: &Path) -> Result<bool, RepairError> {
+    let options =
+        SqliteConnectOptions::new().filename(path).busy_timeout(BUSY_TIMEOUT).disable_statement_logging();
     let taken = async {
         let mut connection = options.connect().await?;
         sqlx::query("PRAGMA wal_checkpoint(TRUNCATE)").execute(&mut connection).await?;
@@ -268,9 +269,9 @@ async fn salvage(
         .disable_statement_logging();
     let mut connection = options.connect().await.map_err(failed)?;
     let written = fill(&mut connection, old, now, progress).await.map_err(failed)?;
-    mark(&mut connection).await.map_err(failed)?;
+    assign_id(&mut connection).await.map_err(failed)?;
     connection.close().await.map_err(failed)?;
-    if let Some(what) = sqlite_finds(new, &CancellationToken::new()).await.map_err(failed)? {
+    if let Some(what) = find_damage_with_sqlite(new, &CancellationToken::new()).await.map_err(failed)? {
         return Err(RepairError::Failing { path: new.to_owned(), what });
     }
     Ok(written)
@@ -309,11 +310,11 @@ async fn fill(
     let mut tables = BTreeMap::new();
     for name in roots.keys() {
         progress(name);
-        let table = Table::of(connection, name.clone()).await?;
+        let table = Table::describe(connection, name.clone()).await?;
         let copied = table.copy(connection, &old.file, old.root(name, &roots)).await?;
         tables.insert(table.name, copied);
     }
-    numbers_go_on(connection, old).await?;
+    continue_numbering(connection, old).await?;
     for (_, _, sql) in later.iter().filter(|(kind, ..)| kind == "index") {
         sqlx::query(AssertSqlSafe(sql.as_str())).execute(&mut *connection).await?;
     }
@@ -341,7 +342,7 @@ async fn fill(
 }
 
 /// Prevents that numbers of lost rows are given to new ones.
-async fn numbers_go_on(connection: &mut SqliteConnection, old: &OldFile) -> Result<(), sqlx::Error> {
+async fn continue_numbering(connection: &mut SqliteConnection, old: &OldFile) -> Result<(), sqlx::Error> {
     let Some(root) = old.roots.get("sqlite_sequence") else { return Ok(()) };
     for item in Walk::from(&old.file, *root, true) {
         let Item::Row(_, record) = item else { continue };
@@ -365,7 +366,7 @@ async fn numbers_go_on(connection: &mut SqliteConnection, old: &OldFile) -> Resu
 }
 
 /// Renames the damaged file and gives the new file its name, which exists at any time. Returns the path of the damaged file.
-fn put_in_place(path: &Path, new: &Path, stamp: &str) -> io::Result<PathBuf> {
+fn replace_database(path: &Path, new: &Path, stamp: &str) -> io::Result<PathBuf> {
     let of = fs::metadata(path)?;
     fs::set_permissions(new, of.permissions())?;
     let made = fs::metadata(new)?;
@@ -378,10 +379,10 @@ fn put_in_place(path: &Path, new: &Path, stamp: &str) -> io::Result<PathBuf> {
     // A log that stays beside the new file would be carried over into it.
     let log = sibling_path(path, "-wal");
     match fs::metadata(&log).map(|log| log.len()) {
-        Ok(0) | Err(_) => remove_if_there(&log)?,
+        Ok(0) | Err(_) => remove_if_exists(&log)?,
         Ok(_) => fs::rename(&log, sibling_path(&damaged, "-wal"))?,
     }
-    remove_if_there(&sibling_path(path, "-shm"))?;
+    remove_if_exists(&sibling_path(path, "-shm"))?;
     fs::rename(new, path)?;
     File::open(path.parent().unwrap_or(path))?.sync_all()?;
     Ok(damaged)
@@ -398,12 +399,12 @@ fn remove(new: &Path) -> Result<(), RepairError> {
     for path in
         [new.to_owned(), sibling_path(new, "-wal"), sibling_path(new, "-shm"), sibling_path(new, "-journal")]
     {
-        remove_if_there(&path).map_err(|source| file_error(&path, source))?;
+        remove_if_exists(&path).map_err(|source| file_error(&path, source))?;
     }
     Ok(())
 }
 
-fn remove_if_there(path: &Path) -> io::Result<()> {
+fn remove_if_exists(path: &Path) -> io::Result<()> {
     match fs::remove_file(path) {
         Err(error) if error.kind() != io::ErrorKind::NotFound => Err(error),
         _ => Ok(()),

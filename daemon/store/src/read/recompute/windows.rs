@@ -8,9 +8,9 @@ const REACH: Span = Span::from_seconds(10);
 /// A sample is for the second that ends with it.
 const SECOND: Span = Span::from_seconds(1);
 /// The second of a step has a sample of the later window only, which may come late.
-const UNTOLD: Span = Span::from_seconds(2);
+const MAX_UNSAMPLED: Span = Span::from_seconds(2);
 /// Upper limit of an exchange's duration; earlier stamps are invalid.
-const LONGEST: Span = Span::from_seconds(60);
+const MAX_EXCHANGE: Span = Span::from_seconds(60);
 
 /// Range of the stored exchanges of one window, by the edge's clock that stamped them.
 #[derive(Clone, Copy, Debug)]
@@ -41,18 +41,21 @@ pub(super) struct Timeline {
 
 impl Timeline {
     /// Makes the timeline of windows in any order; their indexes are their names.
-    pub(super) fn of(windows: &[Extent]) -> Self {
+    pub(super) fn new(windows: &[Extent]) -> Self {
         let mut certain: Vec<(RawTime, RawTime)> = windows
             .iter()
             .map(|window| {
-                (window.sent.max(window.first - LONGEST), window.returned.min(window.last + LONGEST))
+                (
+                    window.sent.max(window.first - MAX_EXCHANGE),
+                    window.returned.min(window.last + MAX_EXCHANGE),
+                )
             })
             .collect();
         let mut possible: Vec<(RawTime, RawTime)> = windows
             .iter()
             .zip(&certain)
             .map(|(window, (sent, returned))| {
-                ((window.first - SECOND).min(*sent), (window.last + UNTOLD).max(*returned))
+                ((window.first - SECOND).min(*sent), (window.last + MAX_UNSAMPLED).max(*returned))
             })
             .collect();
         for spans in [&mut certain, &mut possible] {
@@ -108,17 +111,17 @@ mod tests {
 
     #[test]
     fn window_extends_little_beyond_its_exchanges() {
-        let timeline = Timeline::of(&[window(100, 200)]);
+        let timeline = Timeline::new(&[window(100, 200)]);
         assert_eq!(
             windows(&timeline, &[89, 90, 100, 150, 200, 210, 211]),
             [None, Some(0), Some(0), Some(0), Some(0), Some(0), None]
         );
-        assert_eq!(Timeline::of(&[]).window(raw(0)), None);
+        assert_eq!(Timeline::new(&[]).window(raw(0)), None);
     }
 
     #[test]
     fn hole_between_windows_belongs_to_none() {
-        let timeline = Timeline::of(&[window(300, 400), window(100, 200)]);
+        let timeline = Timeline::new(&[window(300, 400), window(100, 200)]);
         assert_eq!(
             windows(&timeline, &[95, 200, 201, 299, 300, 405]),
             [Some(1), Some(1), None, None, Some(0), Some(0)]
@@ -128,7 +131,7 @@ mod tests {
     #[test]
     fn repeated_time_of_edge_belongs_to_no_window() {
         // The clock was set back by 50 s after 200.
-        let timeline = Timeline::of(&[window(100, 200), window(151, 300)]);
+        let timeline = Timeline::new(&[window(100, 200), window(151, 300)]);
         assert_eq!(windows(&timeline, &[149, 150, 202, 203]), [Some(0), None, None, Some(1)]);
     }
 
@@ -140,7 +143,7 @@ mod tests {
             sent: RawTime::from_nanos(i64::MIN),
             returned: RawTime::from_nanos(i64::MAX),
         };
-        let timeline = Timeline::of(&[window(100, 200), wild]);
+        let timeline = Timeline::new(&[window(100, 200), wild]);
         assert_eq!(windows(&timeline, &[150, 239, 372]), [Some(0), None, None]);
     }
 
@@ -160,7 +163,7 @@ mod tests {
                     returned: at_nanos(returned),
                 })
                 .collect();
-            let window = Timeline::of(&extents).window(at_nanos(at));
+            let window = Timeline::new(&extents).window(at_nanos(at));
             prop_assert!(window.is_none_or(|window| window < extents.len()));
         }
     }

@@ -27,11 +27,11 @@ use crate::stored::Stored;
 pub(super) use self::iteration::position;
 
 /// Maximum number of missing events in a gap: a host may claim any number, and no sum in the database may overflow.
-const MOST_MISSING: u64 = 1 << 40;
+const MAX_MISSING_EVENTS: u64 = 1 << 40;
 
 /// A batch that is ready to be inserted.
 #[derive(Debug)]
-pub struct Prepared {
+pub struct PreparedBatch {
     pub(super) head: BatchHead,
     /// The events in wire form, for the quarantine.
     pub(super) body: Bytes,
@@ -97,7 +97,7 @@ pub(crate) enum BatchError {
     OtherHost(HostId),
 }
 
-impl Prepared {
+impl PreparedBatch {
     /// Makes rows and statistics of the events of a batch.
     ///
     /// # Errors
@@ -113,7 +113,7 @@ impl Prepared {
         stored: &HashSet<(RunId, i64)>,
     ) -> Result<Self, BatchError> {
         let events = codec::decode_events(&body, head.events)?;
-        let mut preparing = Preparing::of(Self::empty(head, body));
+        let mut preparing = BatchBuilder::new(Self::empty(head, body));
         for event in events {
             if let (false, Event::Iteration(it)) = (stored.is_empty(), &event)
                 && stored.contains(&(it.run, it.number.cast_signed()))
@@ -123,7 +123,7 @@ impl Prepared {
             }
             preparing.add(event)?;
         }
-        Ok(preparing.done())
+        Ok(preparing.finish())
     }
 
     /// Returns its weight in nodes, by which commits are divided.
@@ -154,8 +154,8 @@ impl Prepared {
 
 /// A batch under preparation, with indexes of its lists.
 #[derive(Debug)]
-struct Preparing {
-    batch: Prepared,
+struct BatchBuilder {
+    batch: PreparedBatch,
     names: LocalNames,
     summaries: Summaries,
     runs: HashMap<RunId, u32>,
@@ -163,8 +163,8 @@ struct Preparing {
     verdicts: HashMap<(u32, u32, u8), u64>,
 }
 
-impl Preparing {
-    fn of(batch: Prepared) -> Self {
+impl BatchBuilder {
+    fn new(batch: PreparedBatch) -> Self {
         Self {
             batch,
             names: LocalNames::default(),
@@ -177,7 +177,7 @@ impl Preparing {
 
     fn add(&mut self, mut event: Event) -> Result<(), BatchError> {
         if let Event::Gap(gap) = &mut event {
-            gap.count = gap.count.min(MOST_MISSING);
+            gap.count = gap.count.min(MAX_MISSING_EVENTS);
         }
         let Claim { run, reporter } = event.claim();
         if let Some(other) = reporter.filter(|reporter| *reporter != self.batch.head.host) {
@@ -205,7 +205,7 @@ impl Preparing {
         Ok(())
     }
 
-    fn done(self) -> Prepared {
+    fn finish(self) -> PreparedBatch {
         let Self { mut batch, names, summaries, verdicts, .. } = self;
         batch.names = names.list;
         batch.summaries = summaries.list;

@@ -15,7 +15,7 @@ pub(in crate::write) struct NameKey {
 }
 
 impl NameKey {
-    fn of(name: &Name, measure: &Measure) -> Self {
+    fn new(name: &Name, measure: &Measure) -> Self {
         let custom = matches!(measure, Measure::Custom(..));
         Self { text: name.clone(), kind: measure.kind(), custom, unit: measure.unit() }
     }
@@ -49,7 +49,7 @@ impl LocalNames {
         {
             return *known;
         }
-        let key = NameKey::of(name, measure);
+        let key = NameKey::new(name, measure);
         let position = *self.known.entry(key).or_insert_with_key(|key| {
             self.list.push(key.clone());
             self.list.len() as u32 - 1

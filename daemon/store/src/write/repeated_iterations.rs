@@ -9,7 +9,7 @@ use std::collections::HashSet;
 use peernet_logger::RunId;
 use sqlx::SqliteConnection;
 
-use super::prepared::Prepared;
+use super::prepared::PreparedBatch;
 
 /// The run's key leads to its iterations one by one.
 const STORED: &str = "SELECT iteration.number FROM run \
@@ -19,9 +19,9 @@ const STORED: &str = "SELECT iteration.number FROM run \
      WHERE (run.uuid = ?1 OR run.reported_uuid = ?1) AND host.uuid = ?2";
 
 /// Returns the iterations of a batch that are already stored in runs of the same host.
-pub(super) async fn stored(
+pub(super) async fn find(
     connection: &mut SqliteConnection,
-    batch: &Prepared,
+    batch: &PreparedBatch,
 ) -> Result<HashSet<(RunId, i64)>, sqlx::Error> {
     let mut numbers = vec![Vec::new(); batch.runs.len()];
     for iteration in &batch.iterations {
