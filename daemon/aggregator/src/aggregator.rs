@@ -137,7 +137,7 @@ impl Aggregator {
             stop: stop.clone(),
             closed_database,
         };
-        running.spawn("live picture", {
+        running.spawn("live state", {
             let clock = Arc::clone(&clock);
             async move {
                 live::task::run(tracker, live_events, snapshots, clock).await;
@@ -282,7 +282,7 @@ impl RunningAggregator {
         // There is no database if the writer's task died or the file is missing.
         let Ok(Some(database)) = (&mut self.closed_database).await else { return };
         if let (_, Err(error)) = database.close().await {
-            tracing::warn!(%error, "the database was not closed well; what is stored is in its -wal file, too");
+            tracing::warn!(%error, "cannot close the database cleanly; keep its -wal file, which contains a part of the stored data");
         }
     }
 
@@ -296,5 +296,5 @@ impl RunningAggregator {
 fn panic_message(error: JoinError) -> String {
     let Ok(panic) = error.try_into_panic() else { return "cancelled".to_owned() };
     let text = panic.downcast_ref::<String>().map(String::as_str);
-    text.or_else(|| panic.downcast_ref::<&str>().copied()).unwrap_or("a panic without words").to_owned()
+    text.or_else(|| panic.downcast_ref::<&str>().copied()).unwrap_or("a panic without a message").to_owned()
 }

@@ -131,7 +131,7 @@ fn database_problem(path: &Path) -> Option<String> {
     // SQLite would accept these and lose acknowledged data at the end of the program.
     if text.is_empty() || text.starts_with(":memory:") || text.starts_with("file:") {
         return Some(format!(
-            "{text:?} is not the path of a file; what is acknowledged must outlive this program: name a file, such as \
+            "{text:?} is not the path of a file, and acknowledged events must survive a restart: name a file, such as \
              peernet.sqlite"
         ));
     }

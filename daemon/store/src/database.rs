@@ -80,7 +80,7 @@ async fn prepare(path: &Path, options: SqliteConnectOptions) -> Result<SqliteCon
     })?;
     // On a full disk the file can still be read. The first commit reports the error.
     if let Err(error) = assign_id(&mut connection).await {
-        tracing::warn!(%error, database = %path.display(), "cannot write to the database yet");
+        tracing::warn!(%error, database = %path.display(), "cannot write to the database yet; nothing is stored until it succeeds");
     }
     Ok(connection)
 }

@@ -61,7 +61,7 @@ pub(crate) fn refuse_foreign_log(database: &Path, file: &File) -> Result<(), For
         Ok(false) => Ok(()),
         Ok(true) => Err(ForeignLog(log)),
         Err(error) => {
-            tracing::warn!(%error, log = %log.display(), "cannot see whether the log belongs to the database");
+            tracing::warn!(%error, log = %log.display(), "cannot determine whether the log belongs to the database; SQLite will read it");
             Ok(())
         }
     }

@@ -58,7 +58,7 @@ pub enum ReopenError {
     #[error(transparent)]
     Missing(CommitError),
     /// The file at the path is empty.
-    #[error("the database file {} is empty; put the right one there, or restart to begin with this one", .0.display())]
+    #[error("the database file {} is empty; put the right file there, or restart the aggregator to create a new database in it", .0.display())]
     Empty(PathBuf),
     /// The log at the path belongs to the file that was there before. SQLite would apply it to the new one.
     #[error(transparent)]
@@ -112,7 +112,7 @@ impl OpenDatabase {
             // A connection that is only dropped keeps the file, and so the lock and the file system, for some time.
             let (_, closed) = database.close().await;
             if let Err(error) = closed {
-                tracing::debug!(%error, database = %path.display(), "the database was not closed well");
+                tracing::debug!(%error, database = %path.display(), "cannot close the database cleanly");
             }
             return Err(OpenError::Open { path: path.to_owned(), source }.into());
         }

@@ -62,14 +62,15 @@ impl RetentionConfig {
         ];
         for (key, days) in widths.into_iter().chain(others) {
             if days > MAX_DAYS {
-                problems.push((key, format!("{days} is outside 0 to {MAX_DAYS}; 0 is for ever")));
+                problems.push((key, format!("{days} is outside 0 to {MAX_DAYS}; 0 means no limit")));
             }
         }
         for [(finer, days), (coarser, at_least)] in widths.array_windows() {
             if period_s(*days).unwrap_or(i64::MAX) > period_s(*at_least).unwrap_or(i64::MAX) {
                 let finer = finer.trim_start_matches("retention.");
-                let wrong =
-                    format!("must not be shorter than {finer}: a page over a long time is made of it");
+                let wrong = format!(
+                    "must not be shorter than {finer}: pages over a long time are made from the coarser statistics"
+                );
                 problems.push((coarser, wrong));
             }
         }
@@ -77,7 +78,7 @@ impl RetentionConfig {
         if limit > 0 && limit < MIN_BYTES {
             problems.push((
                 "retention.size_limit_bytes",
-                format!("{limit} is below {MIN_BYTES}; 0 is for no limit"),
+                format!("{limit} is below {MIN_BYTES}; 0 means no limit"),
             ));
         }
         problems

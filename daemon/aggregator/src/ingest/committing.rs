@@ -288,7 +288,7 @@ async fn retain(writer: &mut Writer, context: &TaskContext) -> Step {
     }
     writer.retain(context.clock.stamp()).await.unwrap_or_else(|error| {
         context.integrity.note(&error);
-        tracing::warn!(%error, "cannot delete what is old, tried again by itself");
+        tracing::warn!(%error, "cannot delete expired data; the deletion is retried");
         Step::Done
     })
 }
@@ -310,7 +310,7 @@ async fn store(
                 state.record_success(context.clock.stamp());
                 set_readiness(&context.readiness, Readiness::Ready);
                 for (head, reason) in &stored.quarantined {
-                    tracing::error!(host = %head.host, number = head.number, %reason, "a batch was put aside");
+                    tracing::error!(host = %head.host, number = head.number, %reason, "a batch was quarantined");
                 }
                 // The receiver is closed only while the aggregator ends.
                 let _ended = context.stored.send(StoreEvent::Committed(stored)).await;
@@ -319,7 +319,7 @@ async fn store(
             Err(error) => error,
         };
         if context.stop.is_cancelled() {
-            tracing::error!(batches = work.len(), %error, "gave up storing: told to stop");
+            tracing::error!(batches = work.len(), %error, "stopped before these batches could be stored; agents keep them");
             return Ok(false);
         }
         if !error.leaves_connection_usable() {
@@ -384,7 +384,7 @@ fn readiness_after(error: &CommitError) -> Readiness {
 
 /// Returns the readiness while nothing can be stored.
 pub(super) fn not_storing(error: &impl Display) -> Readiness {
-    Readiness::NotStoring(format!("cannot store events: {error}; agents keep them, tried again by itself"))
+    Readiness::NotStoring(format!("cannot store events: {error}; agents keep them, and storing is retried"))
 }
 
 /// Collects the group that begins with `first`: the work that is ready, and work that arrives until `first` has waited

@@ -75,8 +75,8 @@ impl Hosts {
         let full = !self.is_stored(host) && self.stored.len() >= self.max_hosts;
         full.then(|| {
             format!(
-                "{} hosts are stored here and [aggregator] max_hosts allows no more: raise max_hosts to let another in. \
-                 This agent keeps its events meanwhile",
+                "{} hosts are stored, the maximum of [aggregator] max_hosts: raise max_hosts to admit another host. \
+                 Until then this agent keeps its events",
                 self.stored.len()
             )
         })

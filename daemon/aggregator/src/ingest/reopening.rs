@@ -44,7 +44,7 @@ impl Reopening {
         self.store.close().await;
         let (former, closed) = database.close().await;
         if let Err(error) = closed {
-            tracing::debug!(%error, database = %self.path.display(), "the database was not closed well");
+            tracing::debug!(%error, database = %self.path.display(), "cannot close the database cleanly");
         }
         loop {
             pause(backoff.next(), context).await?;

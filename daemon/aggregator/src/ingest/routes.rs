@@ -64,8 +64,9 @@ impl Routes {
             return None;
         }
         let here = self.connections.values().filter(|other| **other == connection).count();
-        (here >= MAX_HOSTS_PER_CONNECTION)
-            .then(|| format!("{here} hosts said hello on this connection: let each agent open its own"))
+        (here >= MAX_HOSTS_PER_CONNECTION).then(|| {
+            format!("{here} hosts have sent a hello on this connection; let each agent open its own")
+        })
     }
 
     /// Returns and clears the collected changes for connections.

@@ -129,7 +129,7 @@ async fn deliver(sender: &ZmtpSender, session: &mut IngestSession, live_events: 
     }
     for (to, reply) in session.take_replies() {
         if let Err(error) = sender.try_send(to, vec![Bytes::from(codec::encode(&reply))]) {
-            tracing::debug!(%error, "a reply was not sent; its agent will ask again");
+            tracing::debug!(%error, "cannot send a reply; its agent will repeat the request");
         }
     }
     for event in session.take_live_events() {
@@ -146,8 +146,8 @@ fn report(rejected: RejectedCounts, reported: &mut RejectedCounts) {
             damaged = rejected.damaged - reported.damaged,
             unreadable = rejected.unreadable - reported.unreadable,
             strangers = rejected.strangers - reported.strangers,
-            "messages were not taken: without room (asked for again), damaged on their way (asked for again), not \
-             readable, from hosts that did not say hello"
+            "messages were rejected: deferred because the queue was full (requested again), damaged in transit (requested \
+             again), unreadable, or from hosts without a session (strangers)"
         );
         *reported = rejected;
     }

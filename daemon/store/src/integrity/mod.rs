@@ -113,14 +113,14 @@ impl Integrity {
             return;
         }
         tracing::error!(
-            "the database {database} is damaged: {what}; nothing more is stored, agents keep their events; {remedy}",
+            "the database {database} is damaged: {what}; nothing is stored any more, and agents keep their events; {remedy}",
             database = self.database.display(),
             remedy = remedy(&self.database, is_repairable)
         );
         if let Err(error) = fs::write(marker_path(&self.database), format!("{what}\n")) {
             tracing::warn!(
                 %error, file = %marker_path(&self.database).display(),
-                "cannot remember that the database is damaged; the check finds it again after a restart"
+                "cannot record the damage of the database in a file; after a restart the check has to find it again"
             );
         }
     }
@@ -146,8 +146,8 @@ pub(crate) fn remedy(database: &Path, is_repairable: bool) -> String {
     if is_repairable {
         format!("stop the aggregator and run `peernetd doctor --repair --database {}`", database.display())
     } else {
-        "its list of tables is lost, without which no row can be found: stop the aggregator and put the newest backup in its place, agents \
-         send again what they still have in their spools"
+        "its list of tables is lost, without which no row can be found: stop the aggregator and replace it by the newest backup, and \
+         agents send the events in their spools again"
             .to_owned()
     }
 }

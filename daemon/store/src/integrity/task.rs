@@ -67,7 +67,7 @@ impl IntegrityCheck {
     pub(crate) async fn stop(self) {
         self.stop.cancel();
         if let Err(error) = self.task.await {
-            tracing::error!(%error, "the check of the database died");
+            tracing::error!(%error, "the task that checks the database panicked");
         }
         self.reads.close();
         self.reads.wait().await;
@@ -80,7 +80,7 @@ async fn confirm_earlier_damage(integrity: &Integrity, stop: &CancellationToken)
     loop {
         match find_damage_with_sqlite(&integrity.database, stop).await {
             Ok(Some(what)) => {
-                tracing::error!("{}; found now: {what}", integrity.refusal().unwrap_or_default());
+                tracing::error!("{}; this check found: {what}", integrity.refusal().unwrap_or_default());
                 return;
             }
             Ok(None) => match integrity.clear() {
@@ -90,10 +90,10 @@ async fn confirm_earlier_damage(integrity: &Integrity, stop: &CancellationToken)
                 }
                 Err(error) => tracing::error!(
                     %error, database = %integrity.database.display(),
-                    "cannot remove the file that says that the database is damaged, which it is not"
+                    "the database is not damaged, but the file that records damage cannot be removed"
                 ),
             },
-            Err(error) => tracing::warn!(%error, "cannot check the database, tried again by itself"),
+            Err(error) => tracing::warn!(%error, "cannot check the whole database; the check is retried"),
         }
         tokio::time::sleep(PAUSE).await;
     }
@@ -113,7 +113,7 @@ async fn check_repeatedly(
         match check_once(integrity, (file, reads), rate, &mut unused, stop).await {
             Ok(()) => failed = false,
             Err(error) if !failed => {
-                tracing::warn!(%error, database = %integrity.database.display(), "cannot check the database for damage, tried again by itself");
+                tracing::warn!(%error, database = %integrity.database.display(), "cannot check the database for damage; the check is retried");
                 failed = true;
             }
             Err(_) => {}
@@ -137,13 +137,13 @@ async fn check_once(
     let database = integrity.database.display();
     tracing::info!(
         %database, page = first, pages = malformed.len(),
-        "pages of the database look malformed, SQLite checks the whole file"
+        "pages of the database look malformed; SQLite checks the whole file"
     );
     match find_damage_with_sqlite(&integrity.database, stop).await? {
         Some(what) => integrity.record_damage(format!("page {first} is malformed ({what})")),
         // No other page refers to them.
         None => {
-            tracing::info!(%database, "the database is not damaged: SQLite finds nothing wrong in the whole file");
+            tracing::info!(%database, "the database is not damaged: SQLite found no error in the whole file");
             *unused = malformed.into_iter().collect();
         }
     }

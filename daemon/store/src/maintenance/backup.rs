@@ -43,7 +43,7 @@ pub enum BackupError {
     #[error(transparent)]
     ForeignLog(#[from] ForeignLog),
     /// A file with the copy's name exists.
-    #[error("{} exists already; name a file that does not", .0.display())]
+    #[error("{} already exists; name a file that does not exist", .0.display())]
     Exists(PathBuf),
     /// Another process writes the same copy.
     #[error("another backup writes to {}; wait for it, or name another file", .0.display())]
@@ -52,7 +52,7 @@ pub enum BackupError {
     #[error("{} is not UTF-8; name another file", .0.display())]
     Name(PathBuf),
     /// The disk has not enough room for the copy.
-    #[error("{} has {free} bytes of room and the copy needs {needed}; make room, or name a file on another disk", folder.display())]
+    #[error("{} has {free} bytes free, but the copy needs {needed}; free some space, or name a file on another disk", folder.display())]
     NoRoom {
         /// The folder of the copy.
         folder: PathBuf,
@@ -80,7 +80,7 @@ pub enum BackupError {
         source: DatabaseError,
     },
     /// The copying was stopped.
-    #[error("stopped; there is no copy")]
+    #[error("the backup was stopped; no copy was made")]
     Stopped,
 }
 

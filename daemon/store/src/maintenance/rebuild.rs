@@ -33,7 +33,7 @@ pub enum RebuildError {
         run: i64,
     },
     /// SQLite reported an error.
-    #[error("cannot rebuild roll-ups in the database {}: {source}; the runs that were done are done, the others as before", path.display())]
+    #[error("cannot rebuild roll-ups in the database {}: {source}; the runs that were finished have new roll-ups, the others are unchanged", path.display())]
     Database {
         /// The database.
         path: PathBuf,

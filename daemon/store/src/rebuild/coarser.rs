@@ -27,7 +27,7 @@ pub(crate) async fn build_missing_rollups(connection: &mut SqliteConnection) -> 
     if runs == 0 {
         return Ok(());
     }
-    tracing::info!(runs, "making statistics per minute and hour of runs that a version before stored");
+    tracing::info!(runs, "computing statistics per minute and hour for runs that an earlier version stored");
     for done in 1.. {
         let run: Option<i64> =
             sqlx::query_scalar("SELECT min(run) FROM rollup_debt").fetch_one(&mut *connection).await?;
@@ -37,10 +37,10 @@ pub(crate) async fn build_missing_rollups(connection: &mut SqliteConnection) -> 
         rebuild_run(&mut transaction, run).await?;
         transaction.commit().await?;
         if done % RUNS_PER_LOG_LINE == 0 {
-            tracing::info!(done, runs, "making statistics per minute and hour");
+            tracing::info!(done, runs, "computing statistics per minute and hour");
         }
     }
-    tracing::info!(runs, "statistics per minute and hour are there");
+    tracing::info!(runs, "computed statistics per minute and hour");
     Ok(())
 }
 

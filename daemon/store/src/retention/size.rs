@@ -59,7 +59,7 @@ impl SizeLimit {
                     tracing::warn!(
                         limit_bytes = self.limit,
                         "the database is at [aggregator.retention] size_limit_bytes: the oldest data is deleted before \
-                         its time; raise the limit, or ask for shorter periods"
+                         the end of its period; raise the limit, or shorten the periods"
                     );
                     self.is_reported = true;
                 }
@@ -79,8 +79,8 @@ impl SizeLimit {
         if !self.is_futility_reported {
             tracing::warn!(
                 limit_bytes = self.limit,
-                "the database is above [aggregator.retention] size_limit_bytes, and nothing is left that may be deleted: \
-                 the rest is pinned runs and statistics of hours and whole runs; unpin runs or raise the limit"
+                "the database is above [aggregator.retention] size_limit_bytes, and no more data may be deleted: \
+                 the remaining data are pinned runs and statistics of hours and whole runs; unpin runs or raise the limit"
             );
             self.is_futility_reported = true;
         }

@@ -136,7 +136,7 @@ async fn events_of_quarantined_batches_count_as_missing() {
     assert_eq!((stored.quarantined, stored.gaps, stored.missing), (3, 3, 5));
     let detail = test_store.store.run(1).await.expect("answers").expect("exists");
     assert_eq!((detail.gaps.len(), detail.gaps[0].count), (1, 3));
-    assert!(detail.gaps[0].reason.starts_with("a batch was put aside: "), "{}", detail.gaps[0].reason);
+    assert!(detail.gaps[0].reason.starts_with("a batch was quarantined: "), "{}", detail.gaps[0].reason);
     assert_eq!(test_store.count("SELECT count(*) FROM gap WHERE run IS NULL AND count = 0").await, 1);
 
     let mut connection = crate::database::open(&test_store.path).await.expect("opens");

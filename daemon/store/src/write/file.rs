@@ -12,7 +12,7 @@ use crate::database_error::DatabaseError;
 #[derive(Debug, thiserror::Error)]
 pub enum CommitError {
     /// The path names another file or none: data that is written now is lost when this process ends.
-    #[error("the database file {} was deleted, moved or replaced, or its file system is not mounted; put it back, or restart to begin with what is there", .0.display())]
+    #[error("the database file {} was deleted, moved or replaced, or its file system is not mounted; put it back, or restart the aggregator to use the file that is there now", .0.display())]
     Moved(PathBuf),
     /// The path of the log names another file or none: data that is written now is lost when this process is killed.
     #[error("the log {} of the database was deleted, moved or replaced while it was in use", .0.display())]

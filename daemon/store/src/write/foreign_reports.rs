@@ -55,10 +55,10 @@ impl ForeignReports {
     ) -> Result<(), sqlx::Error> {
         for (row, (host, run, runs)) in self.found.drain() {
             let text = format!(
-                "this host reported on {runs} runs that belong to other hosts, such as {run}: what it said is kept as its \
-                 own and changes nothing of theirs"
+                "this host reported on {runs} runs that belong to other hosts, such as {run}: its reports are stored as runs \
+                 of this host, and the runs of the other hosts are unchanged"
             );
-            tracing::warn!(%host, %run, runs, "a host reported on runs of other hosts: kept as its own");
+            tracing::warn!(%host, %run, runs, "a host reported on runs of other hosts: stored as runs of this host");
             sqlx::query("INSERT INTO incident (host, at_ns, kind, text) VALUES (?, ?, ?, ?)")
                 .bind(row)
                 .bind(now.unix_nanos())

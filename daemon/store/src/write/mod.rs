@@ -124,7 +124,7 @@ impl Writer {
             // SQLite leaves the log of a moved file in place, and would apply it to any file that takes its place. Carried over
             // now, through the descriptors, each file is complete by itself.
             if let Err(error) = sqlx::query(CHECKPOINT_AND_TRUNCATE).execute(&mut self.connection).await {
-                tracing::warn!(%error, log = %self.file.log_path().display(), "cannot carry the log over into the database that was moved");
+                tracing::warn!(%error, log = %self.file.log_path().display(), "cannot checkpoint the write-ahead log into the database that was moved");
             }
         }
         let closed = self.connection.close().await.map_err(DatabaseError::new);
@@ -171,7 +171,7 @@ impl Writer {
     /// When the database refuses, or is damaged.
     pub async fn pin(&mut self, run: i64, pinned: bool, integrity: &Integrity) -> Result<bool, StoreError> {
         if let Some(refusal) = integrity.refusal() {
-            return Err(StoreError::Damaged { what: "whether a run is kept", refusal });
+            return Err(StoreError::Damaged { what: "the pin of a run", refusal });
         }
         let result = retention::pin(&mut self.connection, run, pinned).await;
         let result = self.rolled_back(result).await.map_err(DatabaseError::new);
@@ -298,8 +298,8 @@ impl Writer {
                         let (host, number, left_out) = (batch.head.host, batch.head.number, stored.len());
                         tracing::warn!(
                             %host, number, left_out,
-                            "iterations that are stored already came in another batch and were left out: perhaps two \
-                             copies of one spool are in use"
+                            "iterations that are already stored arrived in another batch and were skipped: two copies of \
+                             one spool may be in use"
                         );
                         return Ok(committed);
                     }

@@ -55,7 +55,7 @@ impl Names {
         let NameKey { text, kind, custom, unit } = key;
         if self.count >= MAX_NAMES {
             return Err(Refusal::Batch(format!(
-                "the store knows {MAX_NAMES} names already, {text:?} is one too many; put numbers into values, not names"
+                "the database has {MAX_NAMES} node names, the maximum, and cannot add {text:?}; put numbers into values, not into names"
             )));
         }
         let id = sqlx::query_scalar(

@@ -59,7 +59,7 @@ impl<'a> RejectedBatch<'a> {
             from: at,
             to: at,
             count,
-            reason: format!("a batch was put aside: {}", self.reason),
+            reason: format!("a batch was quarantined: {}", self.reason),
         };
         let gaps = match &self.events {
             Some(events) => {

@@ -86,8 +86,8 @@ pub(super) async fn insert_missing_batches(
 ) -> Result<Stored, Refusal> {
     let MissingBatches { stream, from, through, events, .. } = missing;
     let reason = format!(
-        "batches {from} to {through} of stream {stream} are not in this database: another one stored them before this one was made or \
-         put back, and their agent has deleted them from its spool"
+        "batches {from} to {through} of stream {stream} are not in this database: they were stored in another database before this one was created or \
+         restored, and their agent has deleted them from its spool"
     );
     insert_unattributed_gap(connection, host, &reason, *events, now).await
 }

@@ -134,14 +134,14 @@ impl AdvancedStreams {
         .await?;
         let replaced = introduction.replaced.map(|replaced| {
             let reason = format!(
-                "the spool with the stream {replaced} was deleted or replaced: what it still held is unknown and lost"
+                "the spool with the stream {replaced} was deleted or replaced: its remaining events are lost, and their number is unknown"
             );
             (reason, None)
         });
         let lacking = introduction.lacking.map(|MissingPreviousBatches { stream, from, through, events }| {
             let reason = format!(
-                "batches {from} to {through} of stream {stream} are not here: they were stored in a newer database \
-                 than this one, which is an older copy"
+                "batches {from} to {through} of stream {stream} are not in this database: they were stored in a newer \
+                 database, of which this one is an older copy"
             );
             (reason, events)
         });

@@ -80,7 +80,7 @@ impl IngestSession {
                 if let Some(replaced) = replaced {
                     tracing::warn!(
                         host = %name, %stream, %replaced,
-                        "the spool of this host was deleted or replaced: what it still held is lost"
+                        "the spool of this host was deleted or replaced: its remaining events are lost"
                     );
                 }
                 if let Some(lacking) = lacking {
@@ -94,7 +94,7 @@ impl IngestSession {
                     // Not a loss: an agent deletes only acknowledged batches, so these were stored in another database.
                     tracing::info!(
                         host = %name, from = missing.from, through = missing.through, events = missing.events,
-                        "batches of this host are not in this database and will not come: they were acknowledged by \
+                        "batches of this host are missing from this database for good: they were acknowledged by \
                          another aggregator, or by this one with another database"
                     );
                 }
@@ -131,7 +131,7 @@ impl IngestSession {
                     self.end_dropped_newcomer(gone);
                 }
                 if let Some(displaced) = displaced {
-                    tracing::warn!(host = %description.name, %displaced, "a host took back its name from another that used it");
+                    tracing::warn!(host = %description.name, %displaced, "a host that has been stored for longer took its name back from another host");
                     // The displaced host sends its hello again and is refused with the reason.
                     self.routes.remove(displaced);
                     self.forget_newcomer(displaced);
@@ -168,6 +168,6 @@ fn secret_refusal(host: HostId) -> String {
         "this agent does not have the secret that belongs to the host id {host}. If its state directory is a copy of another \
          host's, give it another [agent] state_dir. If this really is that host, and its file host-secret was lost or the \
          aggregator's database is an older copy, run `peernetd clear-host-secret --config CONFIG {host}` on the aggregator's \
-         machine. Nothing has to be deleted: until the host is let in again, its events wait in its spool"
+         machine. Nothing has to be deleted: until the host is admitted again, its events wait in its spool"
     )
 }

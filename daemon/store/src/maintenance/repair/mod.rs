@@ -49,7 +49,7 @@ pub enum RepairError {
     #[error(transparent)]
     ForeignLog(#[from] ForeignLog),
     /// The header or the list of tables cannot be read.
-    #[error("cannot repair {}: {what} cannot be read, and without it no row can be found; restore the newest backup: agents send again what they still have in their spools", path.display())]
+    #[error("cannot repair {}: {what} cannot be read, and without it no row can be found; restore the newest backup, and agents send the events in their spools again", path.display())]
     Unreadable {
         /// The database.
         path: PathBuf,
@@ -57,7 +57,7 @@ pub enum RepairError {
         what: &'static str,
     },
     /// The database was written by a newer version.
-    #[error("cannot repair {}: a newer version wrote it (its schema is {found}, known here is {known}); update this program", path.display())]
+    #[error("cannot repair {}: a newer version wrote it (its schema is {found}, this program supports {known}); update this program", path.display())]
     NewerSchema {
         /// The database.
         path: PathBuf,
@@ -67,7 +67,7 @@ pub enum RepairError {
         known: i64,
     },
     /// The disk has not enough room for the new file.
-    #[error("{} has {free} bytes of room and the new file needs up to {needed}; make room", folder.display())]
+    #[error("{} has {free} bytes free, but the new file needs up to {needed}; free some space", folder.display())]
     NoRoom {
         /// The folder of the new file.
         folder: PathBuf,
@@ -93,7 +93,7 @@ pub enum RepairError {
         source: DatabaseError,
     },
     /// The new file is damaged as well.
-    #[error("{} is damaged, too: {what}; the disk or the memory of this machine fails", path.display())]
+    #[error("the new file {} is damaged as well: {what}; the disk or the memory of this machine is probably failing", path.display())]
     Failing {
         /// The new file.
         path: PathBuf,
@@ -318,7 +318,7 @@ async fn fill(
     for (_, _, sql) in later.iter().filter(|(kind, ..)| kind == "index") {
         sqlx::query(AssertSqlSafe(sql.as_str())).execute(&mut *connection).await?;
     }
-    progress("what refers to each other");
+    progress("references between tables");
     let now_ns = now.unix_nanos();
     let lost = Reconciliation { connection: &mut *connection, tables: &tables, now_ns }.run().await?;
     for (_, _, sql) in later.iter().filter(|(kind, ..)| kind == "trigger") {
