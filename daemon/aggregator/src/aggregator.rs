@@ -21,7 +21,7 @@ use crate::readiness::Readiness;
 use peernet_store::writing::{Integrity, OpenDatabase, Readers, StoredState};
 use peernet_store::{OpenError, RetentionConfig, Store, StoreError};
 
-/// Capacity of the channel of events to the live picture's task. That task never waits, so a short channel is enough.
+/// Capacity of the channel of events to the live state's task. That task never waits, so a short channel is enough.
 const LIVE_EVENT_CAPACITY: usize = 1_024;
 /// Capacity of the channel of store events to the ingest task.
 const STORE_EVENT_CAPACITY: usize = 16;
@@ -87,7 +87,7 @@ impl Aggregator {
 
         let forget = Span::from_seconds(i64::try_from(config.forget_hosts_after_s).unwrap_or(i64::MAX));
         let mut tracker = LiveTracker::new(name.clone(), address.clone(), forget);
-        // The picture starts with what is stored, so that counts and run numbers are right from the first update on.
+        // The live state starts with what is stored, so that counts and run numbers are right from the first update on.
         for (host, run, number) in runs {
             tracker.apply(LiveEvent::Run(host, run, number), clock.stamp());
         }
@@ -104,8 +104,8 @@ impl Aggregator {
         let (snapshots, live) = watch::channel(tracker.shared_snapshot(clock.stamp()));
         let (written_in, closed_database) = oneshot::channel();
         let (ready_in, readiness) = watch::channel(Readiness::Ready);
-        // A batch without room in the queue has to be sent again, which costs more than waiting; so the window never
-        // exceeds the queue's room.
+        // A batch that does not fit into the queue has to be sent again, which costs more than waiting; so
+        // the window never exceeds the queue's capacity.
         let (budget_bytes, max_window) = (ingest::CAPACITY_BYTES as u64, ingest::MAX_WINDOW);
         let challenges = Challenges::new(name.clone());
         let hosts = Hosts::new(config.max_hosts, host_secrets);
@@ -171,7 +171,7 @@ impl Aggregator {
         Ok(running)
     }
 
-    /// Follows the snapshots of the live picture: a new one after each change, at most five per second.
+    /// Follows the snapshots of the live state: a new one after each change, at most five per second.
     pub fn live(&self) -> watch::Receiver<Arc<LiveState>> {
         self.live.clone()
     }

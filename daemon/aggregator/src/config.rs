@@ -36,7 +36,7 @@ pub struct AggregatorConfig {
     pub readers: u32,
     /// Longest time of a reader's SQL statement, 100 to 600,000 ms; a longer one is interrupted.
     pub question_limit_ms: u64,
-    /// Time after the last message of a host until the live picture drops the host, 1 to 2^32 - 1 s; its stored runs
+    /// Time after the last message of a host until the live state drops the host, 1 to 2^32 - 1 s; its stored runs
     /// remain.
     pub forget_hosts_after_s: u64,
     /// Largest number of stored hosts, 1 to 65,536. Beyond it, agents of new hosts are refused; known hosts are always

@@ -1,4 +1,4 @@
-//! The live picture: the current state of all agents for readers.
+//! The live state: the current state of all agents for readers.
 //!
 //! Plain data, made by the task that owns the live state (`live/`) and shared by reference count: hosts and pipelines
 //! that did not change since the previous snapshot are not copied.

@@ -16,11 +16,11 @@ use crate::error::OpenError;
 /// Page cache of the writing connection in negative KiB: 64 MiB, so that the growing ends of the tables stay in memory.
 const CACHE: &str = "-65536";
 
-/// Number of pages in the log (WAL) before they are carried over into the file: 64 MiB of them.
+/// Number of pages in the log (WAL) before they are checkpointed into the file: 64 MiB of them.
 ///
 /// A commit of 100,000 nodes from a thousand agents changes some thousand pages, most of them again in the next commit. With
-/// SQLite's default of 1,000 every commit would carry over, sync the file once more, and take a third to three quarters
-/// longer (1,000 interleaved runs, a busy machine).
+/// SQLite's default of 1,000 every commit would checkpoint, sync the file once more, and take a third to three quarters longer
+/// (1,000 interleaved runs, a busy machine).
 const CHECKPOINT_PAGES: &str = "16000";
 
 /// Size in bytes to which the log's file is cut when it is restarted after a reader kept it growing. It is the usual size:

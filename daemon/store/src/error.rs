@@ -10,7 +10,7 @@ use crate::foreign_log::ForeignLog;
 use crate::integrity::{has_table_list, remedy};
 use crate::lock::LockError;
 
-/// The reason why a database cannot be opened.
+/// Reason why a database cannot be opened.
 #[derive(Debug, thiserror::Error)]
 pub enum OpenError {
     /// The database cannot be opened.
@@ -100,7 +100,7 @@ impl OpenError {
     }
 }
 
-/// The reason why a query has no result, or a change was not made.
+/// Reason why a query has no result, or a change was not made.
 #[derive(Debug, thiserror::Error)]
 pub enum StoreError {
     /// SQLite reported an error.

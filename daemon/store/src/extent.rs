@@ -18,7 +18,7 @@ impl Extent {
         Self { first: self.first.min(other.first), last: self.last.max(other.last) }
     }
 
-    /// Returns the parts of this range that none of the others contains, in rising order.
+    /// Returns the parts of this range that none of the others contains, in ascending order.
     pub(crate) fn without(self, mut others: Vec<Self>) -> Vec<Self> {
         others.sort_unstable_by_key(|other| other.first);
         let mut left = Vec::new();

@@ -56,7 +56,7 @@ pub struct Bound {
     pub stage: Name,
     /// Half the width of the interval that contains the delay, seconds; `None` when no delay had one.
     pub half_width: Option<Figures>,
-    /// Number of delays per verdict, in the order of [`Verdict::ALL`]; verdicts without delays are left out.
+    /// Number of delays per verdict, in the order of [`Verdict::ALL`]; verdicts without delays are omitted.
     pub verdicts: Vec<(Verdict, u64)>,
 }
 

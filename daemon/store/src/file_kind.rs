@@ -24,7 +24,7 @@ impl FileKind {
     /// Recognises a file.
     ///
     /// # Errors
-    /// When it cannot be read.
+    /// If it cannot be read.
     pub(crate) async fn detect(connection: &mut SqliteConnection) -> Result<Self, sqlx::Error> {
         let (all, database, spool): (i64, i64, i64) = sqlx::query_as(TABLES).fetch_one(connection).await?;
         Ok(match (all, database, spool) {

@@ -1,7 +1,7 @@
 //! The store: the aggregator's SQLite database, and the only crate that contains SQL.
 //!
-//! [`Store`] answers the questions of people and programs over read-only connections. `write` stores batches, `retention`
-//! deletes old data between commits, and `maintenance` holds the commands that an operator applies to the file.
+//! [`Store`] serves queries over read-only connections. `write` stores batches, `retention` deletes
+//! old data between commits, and `maintenance` holds the commands that an operator applies to the file.
 
 mod column;
 pub(crate) mod database;
@@ -74,17 +74,17 @@ pub struct Store {
 }
 
 impl Store {
-    /// Makes a store that answers over these connections.
+    /// Creates a store that answers over these connections.
     pub fn new(readers: Readers) -> Self {
         Self { readers }
     }
 
-    /// Closes the connections after the questions that are under way are answered. Later questions are refused.
+    /// Closes the connections after the queries in progress are answered. Later queries are refused.
     pub async fn close(&self) {
         self.readers.close().await;
     }
 
-    /// Opens new connections in place of the closed ones, so that questions are answered again.
+    /// Opens new connections in place of the closed ones, so that queries work again.
     pub fn reopen(&self) {
         self.readers.reopen();
     }
@@ -92,12 +92,12 @@ impl Store {
     /// Returns runs, newest first.
     ///
     /// # Errors
-    /// When the database cannot be read. This holds for all questions here.
+    /// When the database cannot be read. This applies to all queries here.
     pub async fn runs(&self, filter: &RunFilter) -> Result<Vec<RunSummary>, StoreError> {
         read::runs::runs(&self.readers, filter).await
     }
 
-    /// Returns one run, or `None` when no run has this number. All questions about one run treat unknown numbers so.
+    /// Returns one run, or `None` when no run has this number. The other queries about one run also return `None` for an unknown number.
     pub async fn run(&self, number: i64) -> Result<Option<RunDetail>, StoreError> {
         read::runs::run(&self.readers, number).await
     }
@@ -113,7 +113,7 @@ impl Store {
     }
 
     /// Returns node names over the time of a run, each in at most `max_buckets` summaries, in the order of `stages`. Names
-    /// without samples are left out.
+    /// without samples are omitted.
     pub async fn course(
         &self,
         run: i64,
@@ -169,7 +169,7 @@ impl Store {
         read::iterations::slowest(&self.readers, run, n).await
     }
 
-    /// Returns iterations by rising number.
+    /// Returns iterations by ascending number.
     pub async fn iterations(
         &self,
         run: i64,
@@ -196,7 +196,7 @@ impl Store {
         read::iterations::iteration(&self.readers, run, number).await
     }
 
-    /// Returns the next iterations after a number, as the agent sent them, by rising number, together with the last number
+    /// Returns the next iterations after a number, as the agent sent them, by ascending number, together with the last number
     /// that was examined. `None` behind the last iteration.
     pub async fn whole(
         &self,

@@ -36,7 +36,7 @@ pub struct OpenDatabase {
     lock: DatabaseLock,
 }
 
-/// Contents of a database at its opening, from which ingest and the live picture start.
+/// Contents of a database at its opening, from which ingest and the live state start.
 #[derive(Debug)]
 pub struct StoredState {
     /// Position up to which each stream is stored.
@@ -51,7 +51,7 @@ pub struct StoredState {
     pub host_secrets: Vec<(HostId, Option<HostSecret>)>,
 }
 
-/// The reason why a database that was in use could not be opened again.
+/// Reason why a database that was in use could not be opened again.
 #[derive(Debug, thiserror::Error)]
 pub enum ReopenError {
     /// The path names no file.
@@ -147,8 +147,8 @@ impl OpenDatabase {
         Ok((Self { writer, check, lock }, state))
     }
 
-    /// Closes the connection and releases the lock. If it is the last connection to the file, SQLite carries its log over into
-    /// it and removes the log. Returns which files they were.
+    /// Closes the connection and releases the lock. If it is the last connection to the file, SQLite checkpoints its log into it
+    /// and removes the log. Returns which files they were.
     pub async fn close(self) -> (FormerFiles, Result<(), DatabaseError>) {
         let Self { writer, check, lock } = self;
         check.stop().await;

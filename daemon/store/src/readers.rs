@@ -1,4 +1,4 @@
-//! Read-only connections that answer questions, few in number and with a time limit for each statement.
+//! Read-only connections for queries, few in number and with a time limit for each statement.
 
 use std::path::Path;
 use std::sync::{Arc, PoisonError, RwLock};
@@ -14,7 +14,7 @@ use super::limits::BUSY_TIMEOUT;
 use crate::database_error::DatabaseError;
 use crate::error::StoreError;
 
-/// Longest wait of a question for a connection.
+/// Longest wait of a query for a connection.
 const ACQUIRE_TIMEOUT: Duration = Duration::from_secs(5);
 /// Instructions of SQLite's virtual machine between two checks of the deadline: some tens of microseconds.
 const INSTRUCTIONS_PER_CHECK: i32 = 2_000;
@@ -33,7 +33,7 @@ pub struct Readers {
 }
 
 impl Readers {
-    /// Makes at most `connections` connections to the file, which is opened at the first question.
+    /// Creates at most `connections` connections to the file, which is opened at the first query.
     ///
     /// `limit` bounds each statement, from the moment it gets the connection until its last row was read. Damage that a statement
     /// meets is noted in `integrity`.
@@ -70,12 +70,12 @@ impl Readers {
         self.pool.read().unwrap_or_else(PoisonError::into_inner).clone()
     }
 
-    /// Closes the connections after the questions that are under way are answered; later ones are refused.
+    /// Closes the connections after the queries in progress are answered; later ones are refused.
     pub(super) async fn close(&self) {
         self.pool().close().await;
     }
 
-    /// Makes new connections in place of the closed ones.
+    /// Creates new connections in place of the closed ones.
     pub(super) fn reopen(&self) {
         let mut pool = self.pool.write().unwrap_or_else(PoisonError::into_inner);
         let options = pool.connect_options().as_ref().clone();

@@ -15,7 +15,7 @@ const MIN_BYTES: u64 = 16 << 20;
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct RetentionConfig {
-    /// Iterations with their trees of nodes, days; 0 keeps them for ever, as for all of these.
+    /// Iterations with their trees of nodes, days; 0 keeps them without limit, as for all of these.
     pub nodes_days: u32,
     /// Statistics per second.
     pub seconds_days: u32,
@@ -23,7 +23,7 @@ pub struct RetentionConfig {
     pub ten_seconds_days: u32,
     /// Statistics per minute.
     pub minutes_days: u32,
-    /// Statistics per hour. Those of whole runs stay for ever.
+    /// Statistics per hour. Those of whole runs are never deleted.
     pub hours_days: u32,
     /// Samples of the relation between two hosts' clocks, one per second.
     pub clock_samples_days: u32,
@@ -85,7 +85,7 @@ impl RetentionConfig {
     }
 }
 
-/// Converts days to seconds; `None` for data that is kept for ever.
+/// Converts days to seconds; `None` for data that is kept without limit.
 pub(crate) fn period_s(days: u32) -> Option<i64> {
     (days > 0).then(|| i64::from(days) * DAY_S)
 }

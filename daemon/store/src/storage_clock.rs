@@ -49,7 +49,7 @@ impl StorageClock {
         Ok(Span::from_nanos(advanced))
     }
 
-    /// Notes that the transaction that advanced it was committed.
+    /// Records that the transaction that advanced it was committed.
     pub(crate) fn committed(&mut self, now: MonoTime) {
         self.advanced = self.advanced.max(Some(now));
     }

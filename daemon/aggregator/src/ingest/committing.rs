@@ -84,7 +84,7 @@ pub(crate) struct TaskContext {
     pub(crate) requests: mpsc::Receiver<WriterRequest>,
     pub(crate) stored: mpsc::Sender<StoreEvent>,
     pub(crate) readiness: watch::Sender<Readiness>,
-    /// Snapshots of the live picture, the source of the connections' statistics.
+    /// Snapshots of the live state, the source of the connections' statistics.
     pub(crate) snapshots: watch::Receiver<Arc<LiveState>>,
     pub(crate) clock: SharedClock,
     pub(crate) integrity: Integrity,

@@ -1,8 +1,8 @@
 //! Selects the statistics of connections that are stored: one sample per minute, and the last one of a connection that
 //! has ended.
 //!
-//! The samples come from the live picture: as an event of the stream they would need a newer aggregator. A missed
-//! sample loses no totals, because the totals are cumulative and the next sample contains them.
+//! The samples come from the live state: as an event of the stream they would need a newer aggregator. A missed sample
+//! loses no totals, because the totals are cumulative and the next sample contains them.
 
 use std::collections::HashMap;
 
@@ -94,7 +94,7 @@ mod tests {
         }
     }
 
-    /// Returns a picture with one link.
+    /// Returns a live state with one link.
     fn snapshot(connected: bool, connections: Vec<Connection>) -> LiveState {
         let (at, peer) = (WallTime::from_unix_nanos(9), HostId::from_bytes([9; 16]));
         let now = ClockSample {

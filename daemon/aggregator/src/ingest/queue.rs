@@ -1,7 +1,8 @@
 //! The bounded queue of work that waits to be stored, limited by number and bytes.
 //!
 //! The socket must not wait for the database, because live updates arrive on the same socket. So adding to the queue
-//! never waits: work without room is treated as if it had not arrived, and is requested again when there is room.
+//! never waits: work that does not fit into the queue is treated as if it had not arrived, and is requested again when
+//! the queue has capacity.
 
 use std::sync::Arc;
 
@@ -75,13 +76,13 @@ pub(crate) fn queue() -> (Queue, mpsc::Receiver<QueueItem>) {
 }
 
 impl Queue {
-    /// Reserves a slot with room for `bytes`, if there is room now.
+    /// Reserves a slot with room for `bytes`, if the queue has capacity now.
     pub(super) fn reserve(&self, bytes: usize) -> Option<QueueSlot<'_>> {
         let capacity = self.acquire(bytes / BYTES_PER_PERMIT + 1)?;
         Some(QueueSlot { queue: self, permit: self.sender.as_ref()?.try_reserve().ok()?, capacity, bytes })
     }
 
-    /// Returns how many pieces of work of `bytes` each there is room for.
+    /// Returns how many pieces of work of `bytes` each the queue has capacity for.
     pub(super) fn capacity_for(&self, bytes: usize) -> usize {
         let slots = self.sender.as_ref().map_or(0, mpsc::Sender::capacity);
         slots.min(self.capacity.available_permits() / (bytes / BYTES_PER_PERMIT + 1))
@@ -105,7 +106,7 @@ impl Queue {
 }
 
 impl QueueSlot<'_> {
-    /// Enlarges the reserved room to `bytes`, if there is room now.
+    /// Enlarges the reserved room to `bytes`, if the queue has capacity now.
     pub(super) fn grow_to(mut self, bytes: usize) -> Option<Self> {
         // A slot holds `bytes / BYTES_PER_PERMIT + 1` permits, so the difference of the quotients is sufficient.
         let more = (bytes / BYTES_PER_PERMIT).saturating_sub(self.bytes / BYTES_PER_PERMIT);

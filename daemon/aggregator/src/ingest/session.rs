@@ -99,7 +99,7 @@ impl IngestSession {
                 if self.has_session(from, host) && !self.forget_newcomer(host) {
                     self.receiving.handle_goodbye(host);
                     self.routes.remove(host);
-                    // Without room, the next hello of the host ends its runs.
+                    // If the queue is full, the next hello of the host ends its runs.
                     if let Some(slot) = self.queue.reserve(0) {
                         slot.fill(AdmittedWork::Work(Work::Goodbye(host)), now.mono);
                     }
@@ -122,7 +122,7 @@ impl IngestSession {
             let Some(run) = live.run.filter(|run| self.store.is_unnamed(update.host, *run)) else {
                 continue;
             };
-            // Without room, a later update is used.
+            // If the queue is full, a later update is used.
             let Some(slot) = self.queue.reserve(0) else { return };
             let (host, pipeline, placement) = (update.host, live.pipeline.clone(), live.placement.clone());
             let name = RunName { host, run, pipeline, placement };
@@ -150,7 +150,7 @@ impl IngestSession {
         }
     }
 
-    /// Admits a batch to the queue, or requests it again if there is no room.
+    /// Admits a batch to the queue, or requests it again if the queue is full.
     fn handle_batch(&mut self, from: &Peer, head: BatchHead, frame: &Bytes, now: Stamp) {
         if !self.has_session(from, head.host) {
             return;
@@ -233,13 +233,13 @@ impl IngestSession {
         }
     }
 
-    /// Treats a batch without room as if it had not arrived.
+    /// Treats a batch that did not fit into the queue as if it had not arrived.
     fn defer_batch(&mut self, head: BatchHead) {
         self.receiving.defer_batch(head.stream);
         self.output.defer_batch(head.host);
     }
 
-    /// Requests deferred batches as far as there is room now.
+    /// Requests deferred batches as far as the queue has capacity now.
     fn request_deferred(&mut self) {
         for (host, request) in self.receiving.request_deferred(self.queue.capacity_for(USUAL_BATCH_BYTES)) {
             if let Some(route) = self.routes.connection_of(host) {
@@ -331,7 +331,7 @@ impl IngestSession {
         self.routes.take_admissions()
     }
 
-    /// Returns and clears the events for the live picture.
+    /// Returns and clears the events for the live state.
     pub(super) fn take_live_events(&mut self) -> Vec<LiveEvent> {
         self.output.take_live_events()
     }

@@ -19,7 +19,8 @@ use crate::config::AggregatorConfig;
 use crate::error::{Failure, Problem, StartError};
 use crate::live::LiveEvent;
 
-/// Longest queue of replies to one agent. A reply without room is sent again when the agent asks again.
+/// Longest queue of replies to one agent. A reply that does not fit into the queue is sent again when the agent asks
+/// again.
 const MAX_QUEUED_REPLIES: usize = 16;
 /// Interval of dropping silent hosts and of reporting rejected messages.
 const EXPIRY_INTERVAL: Duration = Duration::from_secs(5);
@@ -117,8 +118,8 @@ pub(crate) async fn run(
     Ok(())
 }
 
-/// Sends the replies and passes on the live events without waiting for the other side: a reply without room is sent
-/// again when the agent asks again, and the live picture's task never waits.
+/// Sends the replies and passes on the live events without waiting for the other side: a reply that does not fit into
+/// the queue is sent again when the agent asks again, and the live state's task never waits.
 async fn deliver(sender: &ZmtpSender, session: &mut IngestSession, live_events: &mpsc::Sender<LiveEvent>) {
     // Admitted before the replies are sent, because a welcomed agent sends at once.
     for admission in session.take_admissions() {

@@ -1,5 +1,5 @@
-//! Limits for an agent's statements: they are cut to what the live picture keeps, so that its memory is bounded
-//! whatever is sent.
+//! Limits for an agent's statements: they are cut to what the live state keeps, so that its memory is bounded whatever
+//! is sent.
 
 use peernet_stream::{
     Accounting, Connection, HostClock, HostDescription, LinkLive, NetworkInterface, PipelineState, Placement,

@@ -193,7 +193,7 @@ impl Host {
         self.presence.seen().mono
     }
 
-    /// Returns the host's name, by which the picture is sorted.
+    /// Returns the host's name, by which the live state is sorted.
     pub(super) fn name(&self) -> &Slug {
         &self.description.name
     }

@@ -59,7 +59,7 @@ impl Link {
         self.seen.mono
     }
 
-    /// Returns the cloud's name, by which the picture is sorted.
+    /// Returns the cloud's name, by which the live state is sorted.
     pub(super) fn cloud(&self) -> &Slug {
         &self.live.peer_name
     }

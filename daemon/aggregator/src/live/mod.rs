@@ -1,4 +1,4 @@
-//! The live picture: the current state of all agents, from the live lane alone, so that it stays current however many
+//! The live state: the current state of all agents, from the live lane alone, so that it stays current however many
 //! batches wait to be stored. Free of I/O; [`task`] owns the [`LiveTracker`] and publishes its snapshots.
 //!
 //! Memory is bounded whatever agents send: the numbers of hosts, of pipelines and links per host, and of names per
@@ -29,9 +29,9 @@ use self::host::Host;
 use crate::live_state::{LiveState, RefusedHost, Totals};
 use peernet_store::Stored;
 
-/// Largest number of hosts in the picture. Beyond it, the host that was silent longest is removed.
+/// Largest number of hosts in the live state. Beyond it, the host that was silent longest is removed.
 const MAX_HOSTS: usize = 4_096;
-/// Silence after which a host without stored events is removed from the picture.
+/// Silence after which a host without stored events is removed from the live state.
 const UNSTORED_HOST_TIMEOUT: Span = Span::from_seconds(600);
 /// Largest number of pipelines per host.
 const MAX_HOST_PIPELINES: usize = peernet_stream::limits::MAX_PIPELINES;
@@ -39,16 +39,16 @@ const MAX_HOST_PIPELINES: usize = peernet_stream::limits::MAX_PIPELINES;
 const MAX_HOST_LINKS: usize = 64;
 /// Largest number of names per pipeline and window.
 const MAX_NAMES: usize = 128;
-/// Largest number of refused hosts in the picture.
+/// Largest number of refused hosts in the live state.
 const MAX_REFUSED: usize = 32;
 /// Time for which a refused host is shown.
 const REFUSAL_SHOWN_FOR: Span = Span::from_seconds(600);
-/// Largest number of hosts outside the picture whose stored counts are kept for the totals.
+/// Largest number of hosts outside the live state whose stored counts are kept for the totals.
 const MAX_REMEMBERED: usize = 65_536;
 /// Largest number of run numbers that are kept.
 const MAX_RUN_NUMBERS: usize = 10_000;
 
-/// An event that changes the picture.
+/// An event that changes the live state.
 #[derive(Debug)]
 pub(crate) enum LiveEvent {
     /// A host's hello was accepted, with the number that its process drew at its start.
@@ -89,19 +89,19 @@ pub(crate) enum LiveEvent {
 pub(crate) struct LiveTracker {
     aggregator: Slug,
     listening: String,
-    /// Silence after which a host is removed from the picture.
+    /// Silence after which a host is removed from the live state.
     forget: Span,
     hosts: HashMap<HostId, Host>,
     refused: VecDeque<(Stamp, RefusedHost)>,
     /// Keyed by the host and the id under which it reports the run.
     numbers: HashMap<(HostId, RunId), i64>,
-    /// Stored counts of hosts that are not in the picture.
+    /// Stored counts of hosts that are not in the live state.
     stored: HashMap<HostId, Stored>,
     totals: Totals,
 }
 
 impl LiveTracker {
-    /// Creates an empty picture. A host that is silent for `forget` is removed.
+    /// Creates an empty live state. A host that is silent for `forget` is removed.
     pub(crate) fn new(aggregator: Slug, listening: String, forget: Span) -> Self {
         Self {
             aggregator,
@@ -187,10 +187,10 @@ impl LiveTracker {
         }
     }
 
-    /// Applies the database's counts of a host. Returns whether the host is in the picture.
+    /// Applies the database's counts of a host. Returns whether the host is in the live state.
     fn store(&mut self, id: HostId, stored: Stored, newest: Option<WallTime>) -> bool {
         let before = self.hosts.get(&id).map(Host::stored).or_else(|| self.stored.get(&id).copied());
-        // The increase is added, so that totals stay when a host leaves the picture.
+        // The increase is added, so that totals stay when a host leaves the live state.
         add_increase(&mut self.totals.stored, before.unwrap_or_default(), stored);
         let known = self.update_host(id, |host| host.store(stored, newest));
         if !known {
@@ -199,14 +199,14 @@ impl LiveTracker {
         known
     }
 
-    /// Keeps the stored counts of a host that is not in the picture, for the totals.
+    /// Keeps the stored counts of a host that is not in the live state, for the totals.
     fn remember(&mut self, id: HostId, stored: Stored) {
         if self.stored.len() < MAX_REMEMBERED || self.stored.contains_key(&id) {
             self.stored.insert(id, stored);
         }
     }
 
-    /// Changes a host. Returns `false` if it is not in the picture.
+    /// Changes a host. Returns `false` if it is not in the live state.
     fn update_host(&mut self, host: HostId, change: impl FnOnce(&mut Host)) -> bool {
         self.hosts.get_mut(&host).map(change).is_some()
     }

@@ -13,7 +13,7 @@ use super::percentiles::Percentiles;
 use super::second_figures::SecondFigures;
 use crate::live_state::{LiveSecond, PipelineSnapshot, Window};
 
-/// Lengths of the picture's windows, in complete seconds.
+/// Lengths of the live state's windows, in complete seconds.
 const WINDOWS: [u32; 3] = [1, 10, 60];
 /// Seconds that are kept with their sketches: the longest window and the incomplete second.
 const SKETCHES_S: i64 = 61;

@@ -68,7 +68,7 @@ impl Presence {
     pub(super) fn introduce(&mut self, process: u64, now: Stamp) -> bool {
         self.seen = now;
         let same = std::mem::replace(&mut self.process, process) == process;
-        // A new process counts as connected from its first update on: until then the picture shows the previous one.
+        // A new process counts as connected from its first update on: until then the live state shows the previous one.
         if same {
             self.state = State::Connected;
         }

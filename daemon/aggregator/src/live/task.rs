@@ -1,4 +1,4 @@
-//! The task that owns the live picture's state and publishes its snapshots.
+//! The task that owns the live state and publishes its snapshots.
 
 use std::sync::Arc;
 use std::time::Duration;

@@ -2,10 +2,10 @@
 //!
 //! The check reads the main file with `pread`, through the descriptor that is locked, because closing another one would release
 //! what SQLite has locked in this process. It reads page by page at a bounded rate and parses the pages as SQLite's file format
-//! describes them. SQLite's own `quick_check` of a table is one read transaction, which for a large table would keep the log
-//! from being carried over; it also goes through a cache and costs several times as much. Page checksums would find a changed
-//! value, too, but SQLite's `cksumvfs` is not in the bundled library, and checksums beside the file would have to be written with
-//! every checkpoint, which needs a virtual file system of our own.
+//! describes them. SQLite's own `quick_check` of a table is one read transaction, which for a large table would keep the log from
+//! being checkpointed; it also goes through a cache and costs several times as much. Page checksums would find a changed value,
+//! too, but SQLite's `cksumvfs` is not in the bundled library, and checksums beside the file would have to be written with every
+//! checkpoint, which needs a virtual file system of our own.
 
 mod log_pages;
 mod page_check;

@@ -68,9 +68,9 @@ impl PageCheck {
 
     /// Returns the malformed pages that are in use.
     ///
-    /// While an aggregator stores, the main file is not the database of one moment: a checkpoint may be under way. So pages to which
-    /// the log refers are in use as well, and a page counts only if it is malformed when it is read again. Pages that were moved
-    /// during the pass may still be among the result; another pass does not find them.
+    /// While an aggregator stores, the main file is not the database of one moment: a checkpoint may be in progress. So pages to
+    /// which the log refers are in use as well, and a page counts only if it is malformed when it is read again. Pages that were
+    /// moved during the pass may still be among the result; another pass does not find them.
     pub(crate) fn finish(mut self) -> io::Result<Vec<u32>> {
         let missing = self.file.first_missing()?;
         self.follow_overflows(None)?;
@@ -124,8 +124,8 @@ impl PageCheck {
         Ok(())
     }
 
-    /// Returns whether the main file has all pages of the log, except for those that may be malformed. A log that was carried over
-    /// stays until the next commit, and readers no longer use it.
+    /// Returns whether the main file has all pages of the log, except for those that may be malformed. A log that was
+    /// checkpointed stays until the next commit, and readers no longer use it.
     fn is_checkpointed(&self, log: &LogPages) -> io::Result<bool> {
         // A file that was cut off lacks all pages from there on.
         let is_whole = |number: &u32| !self.others.contains_key(number) && self.file.contains(*number);

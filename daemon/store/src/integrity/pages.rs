@@ -9,7 +9,7 @@ use std::sync::Arc;
 
 /// The first bytes of every SQLite file.
 const MAGIC: &[u8; 16] = b"SQLite format 3\0";
-/// Size of the file's header, at the begin of page 1.
+/// Size of the file's header, at the start of page 1.
 const HEADER_BYTES: usize = 100;
 /// Offset of the bytes that SQLite locks. The page that holds them is never used.
 const LOCK_BYTE: u64 = 1 << 30;
@@ -68,7 +68,7 @@ impl PageFile {
     /// that SQLite holds on the file in this process.
     ///
     /// # Errors
-    /// When it cannot be read; the same for the other functions.
+    /// If it cannot be read; the same for the other functions.
     pub(crate) fn open(path: &Path) -> io::Result<Option<Self>> {
         Self::from_file(Arc::new(File::open(path)?))
     }

@@ -148,7 +148,7 @@ async fn damaged_page_is_found_while_log_holds_copy() {
     let folder = tempfile::tempdir().expect("a folder");
     let path = folder.path().join("idle.sqlite");
     let mut writer = growing_file(&path).await;
-    // Everything is carried over and nothing is written after that: SQLite reads the main file.
+    // Everything is checkpointed and nothing is written after that: SQLite reads the main file.
     run(&mut writer, "PRAGMA wal_checkpoint(PASSIVE)").await;
     overwrite(&path, 2 * PAGE, &noise(3, 4096));
     assert_eq!(malformed(&path, log_path(&path)), [3]);

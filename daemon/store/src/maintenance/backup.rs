@@ -17,7 +17,7 @@ use crate::foreign_log::{ForeignLog, assign_new_id, refuse_foreign_log_at};
 /// Instructions of SQLite's virtual machine between two checks whether to stop.
 const INSTRUCTIONS_PER_CHECK: i32 = 10_000;
 
-/// The reason why no copy was made.
+/// Reason why no copy was made.
 #[derive(Debug, thiserror::Error)]
 pub enum BackupError {
     /// The database does not exist.

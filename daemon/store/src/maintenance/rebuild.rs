@@ -12,7 +12,7 @@ use crate::lock::{DatabaseLock, LockError};
 pub use crate::rebuild::Rebuilt;
 use crate::rebuild::rebuild;
 
-/// The reason why roll-ups were not rebuilt.
+/// Reason why roll-ups were not rebuilt.
 #[derive(Debug, thiserror::Error)]
 pub enum RebuildError {
     /// The database does not exist.

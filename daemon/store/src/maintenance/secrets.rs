@@ -11,7 +11,7 @@ use crate::database_error::DatabaseError;
 use crate::file_kind::FileKind;
 use crate::foreign_log::{ForeignLog, refuse_foreign_log_at};
 
-/// The reason why a host's secret was not cleared.
+/// Reason why a host's secret was not cleared.
 #[derive(Debug, thiserror::Error)]
 pub enum ClearSecretError {
     /// The database does not exist.

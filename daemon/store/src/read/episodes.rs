@@ -61,7 +61,7 @@ fn steps(row: &Row) -> Option<i64> {
     (steps > step && steps * episode == before).then_some(steps)
 }
 
-/// Returns the first iteration after the warm-up at the begin of a run.
+/// Returns the first iteration after the warm-up at the start of a run.
 async fn warm_up(readers: &Readers, run: i64, first: &Row) -> Result<Option<Row>, StoreError> {
     if first.number != 1 || !first.warm_up {
         return Ok(None);

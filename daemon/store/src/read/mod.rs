@@ -1,5 +1,4 @@
-//! Answers to questions, one file per subject. The statements stand together in [`sql`], where a test looks at
-//! all of their plans.
+//! Queries, one file per subject. The statements are together in [`sql`], where a test looks at all of their plans.
 
 pub(super) mod clocks;
 pub(super) mod episodes;

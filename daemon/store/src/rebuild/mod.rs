@@ -107,7 +107,7 @@ async fn rebuild_run(
     record_rebuilt(connection, run, floor).await
 }
 
-/// Notes that the rebuilt buckets exist again and are due for deletion at their time.
+/// Records that the rebuilt buckets exist again and are due for deletion at their time.
 async fn record_rebuilt(
     connection: &mut SqliteConnection,
     run: i64,

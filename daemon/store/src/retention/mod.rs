@@ -33,7 +33,7 @@ const IDLE: Span = Span::from_seconds(1);
 /// Number of parts of a period. Data that arrives within one part is deleted together, so that a kind has few rows in the
 /// table `arrival`.
 const PARTS: i64 = 64;
-/// Length of a part for data that is kept for ever, seconds: the size limit, or a period that is configured later, needs it.
+/// Length of a part for data that is kept without limit, seconds: the size limit, or a period that is configured later, needs it.
 const UNLIMITED_RESOLUTION_S: i64 = 3_600;
 /// Maximum number of runs and of links whose arrivals one transaction converts.
 const ARRIVING: u32 = 64;
@@ -79,7 +79,7 @@ impl Kind {
         }
     }
 
-    /// Returns the number of days for which it is kept; 0 for ever.
+    /// Returns the number of days for which it is kept; 0 for no limit.
     const fn days(self, config: &RetentionConfig) -> u32 {
         match self {
             Self::Nodes => config.nodes_days,
@@ -126,7 +126,7 @@ impl Kind {
 struct Periods(RetentionConfig);
 
 impl Periods {
-    /// Returns the period of a kind; `None` for ever.
+    /// Returns the period of a kind; `None` for no limit.
     fn period_s(&self, kind: Kind) -> Option<i64> {
         period_s(kind.days(&self.0))
     }

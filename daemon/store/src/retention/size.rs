@@ -94,7 +94,7 @@ async fn used_bytes(connection: &mut SqliteConnection) -> Result<u64, sqlx::Erro
     Ok(count(bytes))
 }
 
-/// Notes the deletion for `peernetd doctor`.
+/// Records the deletion for `peernetd doctor`.
 async fn note(connection: &mut SqliteConnection, now: WallTime, rows: u64) -> Result<(), sqlx::Error> {
     sqlx::query(
         "INSERT INTO retention_note (what, first_ns, last_ns, count) VALUES ('size-limit', ?1, ?1, ?2) \

@@ -45,10 +45,10 @@ pub(crate) enum Quantity {
 /// A name's number with its quantity: what is summed up together within a bucket.
 type Series = (i64, Quantity);
 
-/// Addition to a bucket: series, the bucket's begin, numbers.
+/// Addition to a bucket: series, the bucket's start, numbers.
 type Added = (Series, i64, Arc<Summary>);
 
-/// Returns the begin of the bucket of a width that contains a second.
+/// Returns the start of the bucket of a width that contains a second.
 pub(crate) const fn bucket(second_s: i64, width_s: i64) -> i64 {
     if width_s == WHOLE_RUN { 0 } else { second_s - second_s.rem_euclid(width_s) }
 }
@@ -167,7 +167,7 @@ impl Rollups {
         Ok(())
     }
 
-    /// Forgets what is only in memory: the transaction did not end well.
+    /// Discards the state that is only in memory, because the transaction failed.
     pub(crate) fn forget(&mut self) {
         self.pending.clear();
         self.verdicts.clear();

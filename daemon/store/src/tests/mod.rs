@@ -161,7 +161,7 @@ fn hello(host: HostDescription, process: u64) -> Work {
     }))
 }
 
-/// Makes readers with a time limit that no question of a test reaches.
+/// Makes readers with a time limit that no query of a test reaches.
 fn readers(path: &std::path::Path) -> Readers {
     let identity = ClockIdentity::of_this_machine(ClockIdentity::SYSTEM).expect("linux has a boot id");
     Readers::open(

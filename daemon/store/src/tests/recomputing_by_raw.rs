@@ -66,7 +66,7 @@ async fn wall_clock_steps_leave_delays_by_raw_stamps_unchanged() {
     }
 }
 
-/// Makes a simulation in which both machines were restarted `after` the begin of the first one, with free-running clocks that
+/// Makes a simulation in which both machines were restarted `after` the start of the first one, with free-running clocks that
 /// show the same times.
 fn started_again(test_store: &TestStore, after: Span) -> Simulation {
     let mut again = Simulation::new(test_store.hosts(), RelatedClocks::Raw);

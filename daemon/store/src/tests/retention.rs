@@ -402,7 +402,7 @@ async fn clock_samples_are_deleted_except_for_pinned_runs() {
     .expect("stores");
     let config = RetentionConfig { clock_samples_days: 1, ..for_ever() };
     let mut retention = Retention::new(config);
-    // The pinned run may continue: all samples of its edge stay from its begin on.
+    // The pinned run may continue: all samples of its edge stay from its start on.
     work_off(&mut retention, &mut connection, day(12.0)).await;
     assert_eq!(test_store.count("SELECT count(*) FROM clock_sample").await, 4 * 50);
     let ended = RunEnded { run: pinned, ended: day(4.0), reason: EndReason::Stopped };

@@ -178,7 +178,7 @@ async fn commit_without_log_is_not_acknowledged() {
     store.close().await;
     writer.close().await.1.expect("closes");
     let mut writer = open(&path).await;
-    // SQLite has carried over the log that it had open; what was refused is not stored.
+    // SQLite has checkpointed the log that it had open; what was refused is not stored.
     assert_eq!(writer.streams().marks.get(&stream).map(|mark| mark.stored), Some(1));
     assert_eq!(writer.commit(&work, STAMP).await.expect("commits").marks[&stream].stored, 2);
 }

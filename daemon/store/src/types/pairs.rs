@@ -1,9 +1,9 @@
 //! Pairs of quantities of single iterations.
 
-/// Two quantities of some of a run's iterations. Successful ones only, warm-up left out.
+/// Two quantities of some of a run's iterations. Successful ones only, without the warm-up.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Pairs {
-    /// Both quantities of each iteration that has them, in SI units, by rising number.
+    /// Both quantities of each iteration that has them, in SI units, by ascending number.
     pub points: Vec<(f64, f64)>,
     /// Number of iterations of any kind that were read.
     pub asked: u64,

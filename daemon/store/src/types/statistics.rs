@@ -11,7 +11,7 @@ use serde::Serialize;
 
 use crate::figures::{Bound, Figures, rank};
 
-/// Statistics of one node name over whole runs; successful iterations only, warm-up left out.
+/// Statistics of one node name over whole runs; successful iterations only, without the warm-up.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct StageStatistics {
     /// The node's name.

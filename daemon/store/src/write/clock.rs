@@ -21,7 +21,7 @@ use crate::plausible;
 /// Maximum number of links in memory; beyond it, all are forgotten and read again when needed.
 const MAX_CACHED_LINKS: usize = 10_000;
 
-/// A second that arrives again replaces its row, as in the live picture: each report of a second is complete up to its time.
+/// A second that arrives again replaces its row, as in the live state: each report of a second is complete up to its time.
 const INSERT: &str = "INSERT OR REPLACE INTO clock_sample (link, at_ns, window, max_drift_ppm, \
      upper_sent_ns, upper_received_ns, upper_replied_ns, upper_returned_ns, upper_uncertainty_ns, \
      lower_sent_ns, lower_received_ns, lower_replied_ns, lower_returned_ns, lower_uncertainty_ns, \
@@ -96,7 +96,7 @@ impl Links {
         Ok(())
     }
 
-    /// Notes for retention which samples of each link arrived; `storage_s` is the storage clock.
+    /// Records for retention which samples of each link arrived; `storage_s` is the storage clock.
     pub(super) async fn write(
         &mut self,
         connection: &mut SqliteConnection,
@@ -114,7 +114,7 @@ impl Links {
         Ok(())
     }
 
-    /// Forgets what is only in memory: the transaction did not end well.
+    /// Discards the state that is only in memory, because the transaction failed.
     pub(super) fn forget(&mut self) {
         self.known.clear();
         self.arrived.clear();

@@ -156,7 +156,7 @@ impl Counters {
         Ok(hosts.into_iter().map(|(host, _, total, newest)| (host, (total, newest))).collect())
     }
 
-    /// Forgets what is only in memory: the transaction was rolled back.
+    /// Discards the state that is only in memory: the transaction was rolled back.
     pub(super) fn forget(&mut self) {
         self.hosts.clear();
         self.runs.clear();

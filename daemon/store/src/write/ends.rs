@@ -18,7 +18,8 @@ pub(super) struct RunEnds {
 }
 
 impl RunEnds {
-    /// Notes the process with which a host introduced itself. If it is another one than before, the runs of that one have ended.
+    /// Records the process with which a host introduced itself. If it is another one than before, the runs of that one have
+    /// ended.
     pub(super) async fn record_process(
         &mut self,
         connection: &mut SqliteConnection,
@@ -45,7 +46,7 @@ impl RunEnds {
         Ok(())
     }
 
-    /// Notes that the process of a host has ended, and with it the runs that are stored by now.
+    /// Records that the process of a host has ended, and with it the runs that are stored by now.
     pub(super) async fn end_process(
         &mut self,
         connection: &mut SqliteConnection,
@@ -57,7 +58,7 @@ impl RunEnds {
         Ok(())
     }
 
-    /// Notes that a run of a pipeline began: the runs before it have ended.
+    /// Records that a run of a pipeline began: the runs before it have ended.
     pub(super) fn record_next_run(&mut self, pipeline: i64, run: i64) {
         self.pipelines.push((pipeline, run));
     }
@@ -89,7 +90,7 @@ impl RunEnds {
         Ok(())
     }
 
-    /// Forgets what is only in memory: the transaction did not end well.
+    /// Discards the state that is only in memory, because the transaction failed.
     pub(super) fn forget(&mut self) {
         self.processes.clear();
         self.pipelines.clear();

@@ -277,7 +277,7 @@ impl Entities {
         Ok(())
     }
 
-    /// Forgets what is only in memory: the transaction did not end well.
+    /// Discards the state that is only in memory, because the transaction failed.
     pub(super) fn forget(&mut self) {
         self.hosts.clear();
         self.runs.clear();

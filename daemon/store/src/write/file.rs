@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 
 use crate::database_error::DatabaseError;
 
-/// The reason why a commit did not count.
+/// Reason why a commit did not count.
 #[derive(Debug, thiserror::Error)]
 pub enum CommitError {
     /// The path names another file or none: data that is written now is lost when this process ends.
@@ -50,7 +50,7 @@ pub(super) struct DatabaseFile {
     identity: Identity,
     log_path: PathBuf,
     /// Identity of the log. SQLite creates it with the first connection and removes it with the last: while the writer is
-    /// connected it stays the same, however often it is carried over and restarted.
+    /// connected it stays the same, however often it is checkpointed and restarted.
     log: Log,
 }
 

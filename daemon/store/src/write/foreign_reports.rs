@@ -70,7 +70,7 @@ impl ForeignReports {
         Ok(())
     }
 
-    /// Forgets what is only in memory: the transaction did not end well.
+    /// Discards the state that is only in memory, because the transaction failed.
     pub(super) fn forget(&mut self) {
         self.found.clear();
         self.reported.clear();

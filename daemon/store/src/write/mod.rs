@@ -96,7 +96,7 @@ pub struct Writer {
 }
 
 impl Writer {
-    /// Makes a writer over an open connection and reads the state of the streams.
+    /// Creates a writer over an open connection and reads the state of the streams.
     pub async fn new(
         path: PathBuf,
         mut connection: SqliteConnection,
@@ -215,7 +215,7 @@ impl Writer {
         raw_transaction::commit(connection).await
     }
 
-    /// Stores statistics of connections. Those of a link that is not stored are left out.
+    /// Stores statistics of connections. Those of a link that is not stored are omitted.
     ///
     /// # Errors
     /// When the database cannot store anything now.
@@ -231,7 +231,7 @@ impl Writer {
         Ok(())
     }
 
-    /// Carries the log over and empties it if its file has more bytes than `max_bytes`, unless a reader is active.
+    /// Checkpoints the log and truncates it if its file has more bytes than `max_bytes`, unless a reader is active.
     ///
     /// SQLite restarts the log only if no reader uses it at the moment of a commit: one long reader, or many short ones that
     /// overlap, let it grow, and without further commits it keeps its size.

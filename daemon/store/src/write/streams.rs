@@ -183,7 +183,7 @@ impl AdvancedStreams {
         Ok(self.marks.drain().map(|(stream, (_, head))| (stream, Mark::from(head))).collect())
     }
 
-    /// Forgets what is only in memory: the transaction did not end well.
+    /// Discards the state that is only in memory, because the transaction failed.
     pub(super) fn forget(&mut self) {
         self.marks.clear();
     }

@@ -216,7 +216,7 @@ impl Staging {
         }
     }
 
-    /// Forgets what is only in memory: the transaction did not end well. The names have to be read again.
+    /// Discards the state that is only in memory, because the transaction failed. The names have to be read again.
     pub(super) fn forget(&mut self) {
         self.entities.forget();
         self.rollups.forget();

@@ -58,7 +58,7 @@ pub struct UnstorableBatch {
     pub frame: Bytes,
     /// Its events in wire form, if they match their hash.
     pub body: Option<Bytes>,
-    /// The reason why it cannot be stored.
+    /// Reason why it cannot be stored.
     pub reason: String,
 }
 
@@ -98,7 +98,7 @@ impl Work {
     }
 }
 
-/// The reason why something was not stored.
+/// Reason why something was not stored.
 #[derive(Debug)]
 pub(crate) enum Refusal {
     /// The batch itself cannot be stored. It is quarantined, and the stream continues.

@@ -148,7 +148,7 @@ impl IngestSession {
         }
     }
 
-    /// Refuses a host, and shows the refusal in the log and in the live picture.
+    /// Refuses a host, and shows the refusal in the log and in the live state.
     fn refuse(&mut self, from: &Peer, hello: &Hello, reason: String, now: Stamp) {
         let ip = from.address.map(|address| address.ip());
         let address = from.address.map(|address| address.to_string());

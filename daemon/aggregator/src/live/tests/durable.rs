@@ -1,4 +1,4 @@
-//! Tests of the durable lane's effect on the picture: it changes counts only.
+//! Tests of the durable lane's effect on the live state: it changes counts only.
 
 use super::*;
 use crate::live_state::{Arrivals, Totals};

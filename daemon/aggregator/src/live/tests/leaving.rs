@@ -1,4 +1,4 @@
-//! Tests of a stopping host: the picture is the same in whatever order the last events arrive.
+//! Tests of a stopping host: the live state is the same in whatever order the last events arrive.
 
 use super::*;
 

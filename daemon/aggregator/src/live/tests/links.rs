@@ -1,4 +1,4 @@
-//! Tests of links in the picture: bounded, with the edge's clock, kept while the edge is disconnected.
+//! Tests of links in the live state: bounded, with the edge's clock, kept while the edge is disconnected.
 
 use peernet_clock::{ClockFaultStep, ClockFaults, DelaySource, ExchangeCounts, Interval, Offset, Verdict};
 use peernet_stream::{ClockSample, DelayPoint, DelaySecond, LinkLive, NetworkName, ProbeCounts, Probing};

@@ -1,4 +1,4 @@
-//! Tests of the picture: its figures compared with exact values, under clocks that jump and agents that send invalid
+//! Tests of the live state: its figures compared with exact values, under clocks that jump and agents that send invalid
 //! data.
 
 mod durable;

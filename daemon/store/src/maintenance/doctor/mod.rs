@@ -23,7 +23,7 @@ use crate::integrity::{PageCheck, has_table_list, log_path, recorded_damage};
 
 /// Free bytes of the disk below which the report names a problem.
 const MIN_FREE_BYTES: u64 = 512 << 20;
-/// Bytes of the write-ahead log above which SQLite is probably kept from carrying it over into the database.
+/// Bytes of the write-ahead log above which SQLite is probably kept from checkpointing it into the database.
 const LARGE_WAL_BYTES: u64 = 512 << 20;
 /// Advice for a damaged file.
 const REPAIR: &str = "stop the aggregator and run this again with --repair, which salvages all readable rows and keeps the \
@@ -32,7 +32,7 @@ const REPAIR: &str = "stop the aggregator and run this again with --repair, whic
 const RESTORE: &str = "stop the aggregator and replace the file by the newest backup: without the file's header and its list of tables \
                        no row can be found. Agents send the events in their spools again";
 
-/// The reason why a database cannot be examined at all.
+/// Reason why a database cannot be examined at all.
 #[derive(Debug, thiserror::Error)]
 pub enum DoctorError {
     /// The file does not exist.

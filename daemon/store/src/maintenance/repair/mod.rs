@@ -1,8 +1,8 @@
 //! Repair of a damaged database: everything that can be read is written to a new file, which takes its place.
 //!
-//! The trees are walked with the parser of the check, because SQLite's recovery extension is not in the bundled library. Rows
-//! are decoded and checked against the types of the columns; unreadable ones are left out. [`reconcile`] then makes the tables
-//! agree and records the gaps.
+//! The trees are walked with the parser of the check, because SQLite's recovery extension is not in the bundled library. Rows are
+//! decoded and checked against the types of the columns; unreadable ones are omitted. [`reconcile`] then makes the tables agree
+//! and records the gaps.
 
 mod reconcile;
 mod rows;
@@ -36,7 +36,7 @@ use crate::rebuild::rebuild;
 /// Table in which the migrations of a database are noted.
 const MIGRATIONS_TABLE: &str = "_sqlx_migrations";
 
-/// The reason why a database was not repaired. The database is unchanged.
+/// Reason why a database was not repaired. The database is unchanged.
 #[derive(Debug, thiserror::Error)]
 pub enum RepairError {
     /// The database does not exist.
@@ -225,7 +225,7 @@ impl OldFile {
     }
 }
 
-/// Carries the log over into the file, as the next start of the aggregator would. Returns whether nothing of it is left.
+/// Checkpoints the log into the file, as the next start of the aggregator would. Returns whether nothing of it is left.
 async fn checkpoint_log(path: &Path) -> Result<bool, RepairError> {
     let options =
         SqliteConnectOptions::new().filename(path).busy_timeout(BUSY_TIMEOUT).disable_statement_logging();
@@ -376,7 +376,7 @@ fn replace_database(path: &Path, new: &Path, stamp: &str) -> io::Result<PathBuf>
     File::open(new)?.sync_all()?;
     let damaged = sibling_path(path, &format!(".damaged-{stamp}"));
     fs::hard_link(path, &damaged)?;
-    // A log that stays beside the new file would be carried over into it.
+    // A log that stays beside the new file would be checkpointed into it.
     let log = sibling_path(path, "-wal");
     match fs::metadata(&log).map(|log| log.len()) {
         Ok(0) | Err(_) => remove_if_exists(&log)?,

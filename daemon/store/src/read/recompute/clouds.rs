@@ -110,7 +110,7 @@ impl Windows {
 }
 
 impl<'a> Clouds<'a> {
-    /// Makes it for a run of an edge over a network; `run` holds the begins of its first and last iterations.
+    /// Makes it for a run of an edge over a network; `run` holds the starts of its first and last iterations.
     pub(super) fn new(
         readers: &'a Readers,
         (edge, network): (i64, &'a str),

@@ -59,8 +59,8 @@ struct Extent {
 }
 
 impl Extent {
-    /// Returns the begins of the earliest and of the latest iteration on the edge's wall clock. They are exact to the minute if the
-    /// clock was set back in between.
+    /// Returns the starts of the earliest and of the latest iteration on the edge's wall clock. They are exact to the minute if
+    /// the clock was set back in between.
     fn times(&self) -> (WallTime, WallTime) {
         let nanos = |seconds: i64| seconds.saturating_mul(1_000_000_000);
         let (first, last) = (self.first_ns.unwrap_or(0), self.last_ns.unwrap_or(0));

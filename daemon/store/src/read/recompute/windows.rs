@@ -33,7 +33,7 @@ pub(super) struct Extent {
 /// of its samples, where no other window is certain.
 #[derive(Debug, Default)]
 pub(super) struct Timeline {
-    /// Begins of the pieces with the only possible window.
+    /// Starts of the pieces with the only possible window.
     pieces: Vec<(RawTime, Option<usize>)>,
     /// Range in which each window is certain.
     certain: Vec<(RawTime, RawTime)>,

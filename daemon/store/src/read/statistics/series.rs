@@ -199,7 +199,7 @@ fn point((begin, summary): &(i64, Summary)) -> Option<SeriesPoint> {
     })
 }
 
-/// Buckets of one name, made from rows by rising time.
+/// Buckets of one name, made from rows by ascending time.
 struct SeriesBuilder {
     stage: Name,
     unit: String,
@@ -226,7 +226,7 @@ mod tests {
 
     const WEEK_S: i64 = 7 * DAY_S;
 
-    /// Makes a run from the begin of an hour, of which only these widths were deleted.
+    /// Makes a run from the start of an hour, of which only these widths were deleted.
     fn stored(length_s: i64, deleted: &[i64]) -> Stored {
         Stored(WIDTHS_S.map(|width_s| Width {
             width_s,

@@ -80,7 +80,7 @@ pub(super) struct RunPart {
     pub(super) seconds: Extent,
 }
 
-/// The reason why a batch can never be stored, whatever the database holds.
+/// Reason why a batch can never be stored, whatever the database holds.
 #[derive(Debug, thiserror::Error)]
 pub(crate) enum BatchError {
     /// Its events cannot be decoded.

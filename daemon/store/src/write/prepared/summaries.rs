@@ -29,7 +29,7 @@ pub(super) struct Summaries {
 }
 
 impl Summaries {
-    /// Adds a number of an iteration that began in `second_s`. Numbers that a summary does not accept are left out.
+    /// Adds a number of an iteration that began in `second_s`. Numbers that a summary does not accept are omitted.
     pub(super) fn record(&mut self, run: u32, name: u32, quantity: Quantity, second_s: i64, value: f64) {
         if !Summary::accepts(value) {
             return;
