@@ -1,7 +1,7 @@
 //! The aggregator: receives the event streams of all agents, stores their durable lane in SQLite, and computes the live
 //! state from their live lane alone.
 //!
-//! Four tasks, each the only owner of its state, so that none waits for another one's lock:
+//! There are four tasks. Each is the only owner of its state, so that none waits for a lock of another:
 //!
 //! ```text
 //! agents ── ingest: socket and session, who may send ─── preparing: batches to rows ── writer: one transaction a group

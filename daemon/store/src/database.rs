@@ -1,4 +1,4 @@
-//! Opening the file for writing: settings and migrations.
+//! Opening of the file for writing: settings and migrations.
 
 use std::path::Path;
 
@@ -13,7 +13,8 @@ use super::rebuild::build_missing_rollups;
 use crate::database_error::{DatabaseError, is_damage};
 use crate::error::OpenError;
 
-/// Page cache of the writing connection in negative KiB: 64 MiB, so that the growing ends of the tables stay in memory.
+/// Page cache of the writing connection: 64 MiB, so that the growing ends of the tables stay in memory. A negative value means
+/// KiB.
 const CACHE: &str = "-65536";
 
 /// Number of pages in the log (WAL) before they are checkpointed into the file: 64 MiB of them.
@@ -23,7 +24,7 @@ const CACHE: &str = "-65536";
 /// (1,000 interleaved runs, a busy machine).
 const CHECKPOINT_PAGES: &str = "16000";
 
-/// Size in bytes to which the log's file is cut when it is restarted after a reader kept it growing. It is the usual size:
+/// Size in bytes to which the log's file is truncated when it is restarted after a reader kept it growing. It is the usual size:
 /// 16,000 pages with their frames' headers.
 const LOG_BYTES: &str = "65920032";
 

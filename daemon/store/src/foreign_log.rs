@@ -1,8 +1,8 @@
 //! Detection of a log (`-wal`) that belongs to another database file.
 //!
-//! SQLite applies any log that lies beside the file. If a backup takes the place of a database, the log of the old file would
-//! spoil the backup and be lost itself. Therefore each file has a random number in the header field that SQLite leaves to
-//! programs (`user_version`). <https://www.sqlite.org/fileformat2.html#the_write_ahead_log>
+//! SQLite applies any log that lies beside the file. If a backup replaces a database, SQLite would apply the old file's log to
+//! the backup: the backup would be damaged, and the log lost. Therefore each file has a random number in the header field that
+//! SQLite leaves to programs (`user_version`). <https://www.sqlite.org/fileformat2.html#the_write_ahead_log>
 
 use std::ffi::OsString;
 use std::fs::{self, File};
@@ -29,8 +29,8 @@ pub struct ForeignLog(pub(crate) PathBuf);
 
 /// Gives the file a number if it has none.
 ///
-/// Writes page 1 in any case, so that the log contains the number: commits that change other pages only, as those of an
-/// aggregator without agents, would leave page 1 out.
+/// Always writes page 1, so that the log contains the number: commits that change other pages only, such as those of an
+/// aggregator without agents, would not write page 1.
 pub(crate) async fn assign_id(connection: &mut SqliteConnection) -> Result<(), sqlx::Error> {
     let id: i32 = sqlx::query_scalar("PRAGMA user_version").fetch_one(&mut *connection).await?;
     let id = if id == 0 { random_id() } else { id };
@@ -67,7 +67,7 @@ pub(crate) fn refuse_foreign_log(database: &Path, file: &File) -> Result<(), For
     }
 }
 
-/// Does the same for a file that no connection of this process has open.
+/// Does the same as [`refuse_foreign_log`] for a file that no connection of this process has open.
 pub(crate) fn refuse_foreign_log_at(database: &Path) -> Result<(), ForeignLog> {
     File::open(database).map_or(Ok(()), |file| refuse_foreign_log(database, &file))
 }
@@ -101,7 +101,7 @@ fn is_foreign(log: &Path, database_id: u32) -> io::Result<bool> {
         let (head, page) = frame.split_at(FRAME_HEADER);
         sum.add(&head[..8]);
         sum.add(page);
-        // What follows is older than the log's begin, or was not written whole: SQLite stops here, too.
+        // The frames after this one are older than the start of the log, or were not written completely. SQLite stops here, too.
         if head[8..16] != header[16..24] || !sum.equals_stored(&head[16..]) {
             break;
         }

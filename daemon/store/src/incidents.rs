@@ -6,7 +6,7 @@ use sqlx::SqliteConnection;
 use super::wall_clock::WallClockWatch;
 use crate::types::AggregatorIncidentKind;
 
-/// Number of the aggregator's own incidents that are kept: more than a year of one an hour.
+/// Maximum number of stored incidents of the aggregator: at one per hour they cover more than a year.
 const MAX_STORED: i64 = 10_000;
 /// Number of incidents that may wait while the database cannot be written. Later ones are dropped: the first ones are the
 /// most useful.
@@ -30,8 +30,8 @@ pub(crate) async fn record(
     Ok(id)
 }
 
-/// Incidents of the aggregator that wait to be stored, within a second or as soon as the database can be written. They
-/// survive a reopening of the database.
+/// Incidents of the aggregator that wait to be stored. They are stored within a second, or as soon as the database can be
+/// written, and are kept while the database is reopened.
 #[derive(Debug)]
 pub struct PendingIncidents {
     wall_clock: WallClockWatch,

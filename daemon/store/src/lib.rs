@@ -1,4 +1,4 @@
-//! The store: the aggregator's SQLite database, and the only crate that contains SQL.
+//! The store: the aggregator's SQLite database. It is the only crate that contains SQL for this database.
 //!
 //! [`Store`] serves queries over read-only connections. `write` stores batches, `retention` deletes
 //! old data between commits, and `maintenance` holds the commands that an operator applies to the file.
@@ -112,8 +112,8 @@ impl Store {
         read::runs::experiments(&self.readers, limit).await
     }
 
-    /// Returns node names over the time of a run, each in at most `max_buckets` summaries, in the order of `stages`. Names
-    /// without samples are omitted.
+    /// Returns the values of node names over the time of a run, each as at most `max_buckets` summaries, in the order of
+    /// `stages`. Names without samples are omitted.
     pub async fn course(
         &self,
         run: i64,
@@ -123,7 +123,8 @@ impl Store {
         read::statistics::course(&self.readers, run, stages, max_buckets).await
     }
 
-    /// Returns counts and means over the time of a run, divided as in [`Store::course`]. It costs a tenth of the work.
+    /// Returns counts and means over the time of a run, in the buckets of [`Store::course`]. It takes a tenth of the time of
+    /// [`Store::course`].
     pub async fn means(
         &self,
         run: i64,
@@ -153,8 +154,8 @@ impl Store {
         read::statistics::histogram(&self.readers, run, stage, bins).await
     }
 
-    /// Returns node names over the time of a run, in at most `max_points` buckets of 1, 2, 5, 10, 20, 30, 60 … seconds. Where
-    /// retention deleted the fine buckets of a part of the run, all points are made of coarser ones.
+    /// Returns the values of node names over the time of a run, in at most `max_points` buckets of 1, 2, 5, 10, 20, 30, 60 …
+    /// seconds. If retention deleted the fine buckets of a part of the run, all points are made from coarser buckets.
     pub async fn series(&self, run: i64, stages: &[Name], max_points: usize) -> Result<Series, StoreError> {
         read::statistics::series(&self.readers, run, stages, max_points).await
     }
@@ -186,18 +187,18 @@ impl Store {
         read::pairs::pairs(&self.readers, run, names, most).await
     }
 
-    /// Everything by which a run is judged, its time series in at most 120 buckets.
+    /// Returns everything by which a run is judged, with its time series in at most 120 buckets.
     pub async fn trust_input(&self, run: &RunDetail) -> Result<TrustInput, StoreError> {
         read::trust::trust_input(&self.readers, run).await
     }
 
-    /// One iteration with its tree.
+    /// Returns one iteration with its tree.
     pub async fn iteration(&self, run: i64, number: u64) -> Result<Option<IterationDetail>, StoreError> {
         read::iterations::iteration(&self.readers, run, number).await
     }
 
     /// Returns the next iterations after a number, as the agent sent them, by ascending number, together with the last number
-    /// that was examined. `None` behind the last iteration.
+    /// that was examined. `None` after the last iteration.
     pub async fn whole(
         &self,
         run: &RunSummary,
@@ -206,8 +207,8 @@ impl Store {
         read::whole::whole(&self.readers, run, after).await
     }
 
-    /// Returns, of the next few thousand iterations, the first of each shape of tree; otherwise as [`Store::whole`]. Together
-    /// they have all columns that a table of the run needs.
+    /// Returns the first iteration of each shape of tree among the next few thousand iterations; otherwise as [`Store::whole`].
+    /// Together they have all columns that a table of the run needs.
     pub async fn shapes(
         &self,
         run: &RunSummary,
@@ -216,7 +217,7 @@ impl Store {
         read::whole::shapes(&self.readers, run, after).await
     }
 
-    /// Incidents, newest first.
+    /// Returns incidents, newest first.
     pub async fn incidents(&self, filter: &IncidentFilter) -> Result<Vec<IncidentRow>, StoreError> {
         read::incidents::incidents(&self.readers, filter).await
     }
@@ -248,7 +249,7 @@ impl Store {
         read::clocks::of_link(&self.readers, link).await
     }
 
-    /// Judges the one-way delays of a run again, including the exchanges after them. Writes nothing.
+    /// Judges the one-way delays of a run again, with the exchanges that were stored after them. Writes nothing.
     pub async fn recompute(&self, run: i64) -> Result<Option<Recomputed>, StoreError> {
         read::recompute::recompute(&self.readers, run).await
     }

@@ -1,4 +1,4 @@
-//! Opening of the database for writing, at the start and again after the file was moved, replaced or unmounted.
+//! Opening of the database for writing, at the start and after the file was moved, replaced or unmounted.
 //!
 //! Reopening is one mechanism for read-only descriptors and for moved, replaced and unmounted files, because it assumes
 //! nothing about the contents of the file. It takes the same steps as the start, but never accepts an empty or missing file.

@@ -1,10 +1,11 @@
 //! The writer's task, the only owner of the writing connection: it commits the batches of several agents together
 //! (group commit).
 //!
-//! A commit costs one sync of the disk whatever its size. A group is what arrived while the previous commit was
-//! syncing, so that groups grow with the load. A batch of few nodes waits up to `commit_interval_ms` for others, so
-//! that a quiet system does not sync at each batch. A group of `commit_nodes` makes the sync a small part of its cost;
-//! it does not wait longer, because its agents may have used up their windows and wait for this commit.
+//! A commit costs one sync of the disk whatever its size. A group consists of the batches that arrived while the
+//! previous commit was syncing, so that groups grow with the load. A batch of few nodes waits up to
+//! `commit_interval_ms` for others, so that a quiet system does not sync at each batch. A group of `commit_nodes` makes
+//! the sync a small part of its cost; it does not wait longer, because its agents may have used up their windows and
+//! wait for this commit.
 //!
 //! Agents get their acknowledgements only after the commit. Nothing in this task waits for an agent.
 
@@ -47,7 +48,7 @@ const COMMITS_PER_RETENTION: u64 = 8;
 pub(crate) struct Grouping {
     /// Longest time that the first batch of a group waits for others.
     pub(crate) interval: Duration,
-    /// Number of nodes at which a group waits for no more batches; those that are ready join it.
+    /// Number of nodes at which a group no longer waits for batches; batches that are ready still join it.
     pub(crate) min_nodes: usize,
     /// Number of nodes at which a group is full.
     pub(crate) max_nodes: usize,
@@ -280,7 +281,7 @@ async fn check_and_maintain(
     })
 }
 
-/// Deletes a small part of the expired data. A failed deletion is retried at the next occasion.
+/// Deletes a small part of the expired data. A failed deletion is retried in the next step.
 async fn retain(writer: &mut Writer, context: &TaskContext) -> Step {
     // Deletion writes to freed pages. In a damaged file they have to stay as they are for a salvage.
     if context.integrity.damage().is_some() {

@@ -1,9 +1,9 @@
 //! The known hosts: the stored ones with their secrets, and newcomers.
 //!
 //! A newcomer is a host whose hello was accepted and of which nothing is stored yet. It exists only in memory and only
-//! while it is connected; its first batch makes it a stored host. So invented hosts fill neither the database nor the
-//! pages: the number of newcomers is limited to `max_hosts`, and beyond that the oldest newcomer is dropped. A genuine
-//! agent stores its first event within a second.
+//! while it is connected; its first batch makes it a stored host. Invented hosts therefore fill neither the database
+//! nor the pages. The number of newcomers is limited to `max_hosts`; beyond that, the oldest newcomer is dropped. A
+//! genuine agent has its first event stored within a second.
 
 use std::collections::HashMap;
 

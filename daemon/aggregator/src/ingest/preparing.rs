@@ -13,7 +13,7 @@ use tokio::sync::{OwnedSemaphorePermit, Semaphore, mpsc};
 use super::queue::{AdmittedWork, QueueItem};
 use peernet_store::writing::Work;
 
-/// Largest number of prepared pieces of work. Their nodes are limited, too.
+/// Largest number of prepared items. Their nodes are limited, too.
 const MAX_PREPARED_ITEMS: usize = 4_096;
 
 /// Work that is ready for the writer. It occupies its room in the queue until it is dropped.
@@ -35,7 +35,7 @@ pub(crate) struct PreparedSender {
     max_nodes: u32,
 }
 
-/// Creates the channel of prepared work with room for `max_nodes` nodes. A single larger piece of work has room, too.
+/// Creates the channel of prepared work with capacity for `max_nodes` nodes. A single larger item is accepted as well.
 pub(crate) fn channel(max_nodes: usize) -> (PreparedSender, mpsc::Receiver<PreparedWork>) {
     let (sender, receiver) = mpsc::channel(MAX_PREPARED_ITEMS);
     let max_nodes = u32::try_from(max_nodes).unwrap_or(u32::MAX);
@@ -49,7 +49,7 @@ pub(crate) fn run(runtime: &Handle, mut waiting: mpsc::Receiver<QueueItem>, prep
             AdmittedWork::Work(work) => work,
             AdmittedWork::Batch(head, body) => Work::from_batch(head, body),
         };
-        // At most all permits, so that work larger than the whole room passes, too.
+        // At most all permits, so that an item larger than the whole capacity passes, too.
         let weight = u32::try_from(work.weight()).unwrap_or(u32::MAX).min(prepared.max_nodes);
         let nodes = runtime.block_on(Arc::clone(&prepared.nodes).acquire_many_owned(weight));
         // The semaphore is closed only after the writer ended.

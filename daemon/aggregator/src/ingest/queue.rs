@@ -15,11 +15,11 @@ use peernet_store::writing::Work;
 
 /// Memory for waiting batches, from their arrival until they are stored, bytes.
 pub(crate) const CAPACITY_BYTES: usize = 96 * 1024 * 1024;
-/// Largest window of one agent, in batches of the usual size. The window is the aggregator's room divided by the
-/// connected agents, at most this: 32 batches have about 160,000 nodes, several commits' worth, so that a single agent
-/// keeps the writer busy while a commit syncs.
+/// Largest window of one agent, in batches of the usual size. An agent's window is the queue's capacity divided by the
+/// number of connected agents, but at most this. 32 batches have about 160,000 nodes, enough for several commits, so
+/// that a single agent keeps the writer busy while a commit syncs.
 pub(crate) const MAX_WINDOW: u32 = 32;
-/// Largest number of waiting pieces of work: the room filled with the smallest batches.
+/// Largest number of waiting items: the capacity filled with the smallest batches.
 const CAPACITY_ITEMS: usize = CAPACITY_BYTES / BYTES_PER_PERMIT;
 /// Bytes per permit of the semaphore, which counts permits in 32 bits.
 const BYTES_PER_PERMIT: usize = 1_024;
@@ -33,7 +33,7 @@ pub(crate) enum AdmittedWork {
     Batch(BatchHead, Bytes),
 }
 
-/// Admitted work with its time of admission. It occupies its room until it is dropped.
+/// Admitted work with its time of admission. It occupies its part of the capacity until it is dropped.
 #[derive(Debug)]
 pub(crate) struct QueueItem {
     pub(crate) admitted: AdmittedWork,
@@ -53,7 +53,7 @@ pub(crate) struct Queue {
     generation: u64,
 }
 
-/// A reserved slot of the queue with room for a number of bytes.
+/// A reserved slot of the queue, with capacity for a number of bytes.
 #[derive(Debug)]
 pub(super) struct QueueSlot<'a> {
     queue: &'a Queue,
@@ -76,13 +76,13 @@ pub(crate) fn queue() -> (Queue, mpsc::Receiver<QueueItem>) {
 }
 
 impl Queue {
-    /// Reserves a slot with room for `bytes`, if the queue has capacity now.
+    /// Reserves a slot for `bytes`; `None` if the queue is full.
     pub(super) fn reserve(&self, bytes: usize) -> Option<QueueSlot<'_>> {
         let capacity = self.acquire(bytes / BYTES_PER_PERMIT + 1)?;
         Some(QueueSlot { queue: self, permit: self.sender.as_ref()?.try_reserve().ok()?, capacity, bytes })
     }
 
-    /// Returns how many pieces of work of `bytes` each the queue has capacity for.
+    /// Returns the number of items of `bytes` each that fit into the queue now.
     pub(super) fn capacity_for(&self, bytes: usize) -> usize {
         let slots = self.sender.as_ref().map_or(0, mpsc::Sender::capacity);
         slots.min(self.capacity.available_permits() / (bytes / BYTES_PER_PERMIT + 1))
@@ -99,14 +99,14 @@ impl Queue {
         self.sender = None;
     }
 
-    /// Reserves room, if there is enough.
+    /// Acquires permits; `None` if there are not enough.
     fn acquire(&self, permits: usize) -> Option<OwnedSemaphorePermit> {
         Arc::clone(&self.capacity).try_acquire_many_owned(u32::try_from(permits).ok()?).ok()
     }
 }
 
 impl QueueSlot<'_> {
-    /// Enlarges the reserved room to `bytes`, if the queue has capacity now.
+    /// Enlarges the slot to `bytes`; `None` if the queue is full.
     pub(super) fn grow_to(mut self, bytes: usize) -> Option<Self> {
         // A slot holds `bytes / BYTES_PER_PERMIT + 1` permits, so the difference of the quotients is sufficient.
         let more = (bytes / BYTES_PER_PERMIT).saturating_sub(self.bytes / BYTES_PER_PERMIT);

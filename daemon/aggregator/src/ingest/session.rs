@@ -170,7 +170,7 @@ impl IngestSession {
         };
         let body = codec::decode_batch_body(frame.clone());
         let size = body.as_ref().map_or(frame.len(), Bytes::len);
-        // Decompressed events need more room than their frame.
+        // Decompressed events take more bytes than their frame.
         let Some(slot) = slot.grow_to(size) else {
             drop(before);
             return self.defer_batch(head);
@@ -178,7 +178,7 @@ impl IngestSession {
         if body.is_err() {
             self.output.reject_damaged(head.host);
         }
-        // Room is reserved before: a batch that is accepted must not be lost afterwards.
+        // The slot is reserved first, because an accepted batch must not be lost afterwards.
         let arrival = self.receiving.handle_batch(&head, body.is_ok(), now.mono);
         if matches!(arrival, Arrival::Accept | Arrival::AcceptDamaged)
             && let (Some((introduction_slot, gap_slot)), Some(newcomer)) =
@@ -268,7 +268,7 @@ impl IngestSession {
                 self.output.reply(route, reply);
             }
         }
-        // The commit has freed room in the queue.
+        // The commit has freed capacity of the queue.
         self.request_deferred();
         for (host, (stored, newest)) in committed.hosts {
             self.output.announce(LiveEvent::Stored(host, stored, newest));
@@ -309,7 +309,7 @@ impl IngestSession {
         for host in silent {
             self.forget_newcomer(host);
         }
-        // Silent hosts count in the division of the windows, so they must not keep their share.
+        // Silent hosts count when the capacity is divided into windows, so they must not keep their share.
         self.receiving.forget_silent(SESSION_TIMEOUT, now.mono);
         let is_silent = |host: &HostId| !self.receiving.is_alive(*host, SESSION_TIMEOUT, now.mono);
         let silent: Vec<HostId> = self.routes.hosts().filter(is_silent).collect();

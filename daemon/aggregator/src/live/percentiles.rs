@@ -108,7 +108,7 @@ impl Percentiles {
         Some(PercentilePoint { at: from, count: figures.count, p95: figures.p95? })
     }
 
-    /// Returns the rate of successful iterations per second of running time; `None` in the first second.
+    /// Returns the number of successful iterations per second of running time; `None` in the first second.
     fn rate(&self) -> Option<f64> {
         // The newest second is incomplete.
         let newest = *self.seconds.last_key_value()?.0;

@@ -21,7 +21,7 @@ const SKETCHES_S: i64 = 61;
 const RING_S: usize = 64;
 /// Seconds that are kept as points of the live charts.
 const SERIES_S: i64 = 600;
-/// A larger decrease of the agent's clock means that the clock was set back.
+/// Largest decrease of the agent's clock that the ring absorbs. A larger decrease means that the clock was set back.
 const MAX_CLOCK_DECREASE: Span = Span::from_seconds(2);
 /// Silence after which the windows continue without the agent. Updates arrive four times a second.
 const MAX_UPDATE_AGE: Span = Span::from_seconds(1);

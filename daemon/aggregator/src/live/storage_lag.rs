@@ -8,10 +8,10 @@ use crate::live_state::CatchingUp;
 const TIME_CONSTANT_S: f64 = 10.0;
 /// Shortest observed time that supports a rate, seconds.
 const MIN_OBSERVED_S: f64 = 2.0;
-/// Gap between updates after which the estimate starts again. Updates arrive four times a second, so a longer gap says
-/// nothing about the present rate.
+/// Time between updates after which the estimate is restarted. Updates arrive four times a second, so the rate before a
+/// longer gap does not apply after it.
 const MAX_UPDATE_GAP: Span = Span::from_seconds(5);
-/// Smaller lags are not a backlog: that is the time that a batch needs.
+/// Smallest lag that counts as a backlog. A smaller lag is the time that a batch needs.
 const MIN_BACKLOG: Span = Span::from_seconds(5);
 /// Smallest rate at which the lag falls, in seconds per second, for an estimate.
 const MIN_RATE: f64 = 0.02;

@@ -93,7 +93,7 @@ pub struct FinishedCopy {
     pub bytes: u64,
 }
 
-/// A copy that can be made: everything that can be checked before was checked.
+/// A backup whose preconditions were checked.
 #[derive(Debug)]
 pub struct Backup {
     database: PathBuf,
@@ -151,7 +151,7 @@ impl Backup {
         self.expected
     }
 
-    /// Returns the path of the file that grows meanwhile.
+    /// Returns the path of the file that grows while the copy is made.
     pub fn partial(&self) -> &Path {
         &self.partial.path
     }

@@ -14,8 +14,8 @@ use crate::types::Pairs;
 const WHAT: &str = "pairs of values";
 /// Number of parts of the sample that are read concurrently.
 const CONCURRENT_READS: usize = 4;
-/// The golden ratio. The place within a stretch moves by this share of it from one stretch to the next, so that places never
-/// repeat.
+/// The golden ratio. The position within an interval moves by this share of the interval's length from one interval to the next,
+/// so that positions never repeat.
 const GOLDEN_RATIO: f64 = 0.618_033_988_749_895;
 
 /// A node of one of the two names.
@@ -29,7 +29,7 @@ struct Row {
     is_y: bool,
 }
 
-/// Values of a name in an iteration: one number, whatever the number of nodes.
+/// Values of a name in an iteration, reduced to one number whatever the number of nodes.
 #[derive(Default)]
 struct NameValues {
     /// The first node of the name with its value.
@@ -105,10 +105,11 @@ const fn length(first: i64, last: i64) -> u64 {
     last.abs_diff(first).saturating_add(1)
 }
 
-/// Returns at most `most` numbers from the first to the last, rising: all, or one from each of `most` stretches of equal length.
+/// Returns at most `most` numbers from the first to the last, in ascending order: all, or one from each of `most` intervals of
+/// equal length.
 ///
-/// The place within its stretch changes from one stretch to the next: evenly spaced iterations would always meet the same few
-/// samples of a data set that repeats.
+/// The position within the interval changes from one interval to the next: evenly spaced iterations would always select the same
+/// few samples of a data set that repeats.
 fn sample_numbers(first: i64, last: i64, most: u32) -> Vec<i64> {
     let all = length(first, last);
     if all <= u64::from(most) {

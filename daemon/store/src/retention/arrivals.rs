@@ -1,6 +1,7 @@
-//! The table `arrival`: which data is due next for deletion, and which part of it may be deleted.
+//! The table `arrival`: it tells which data has to be deleted next, and which part of it may be deleted.
 //!
-//! A row is deleted without what a later row of the run holds as well. So a robot's clock that jumps during a run does no harm.
+//! If a later row of the run covers a part of the same data, that part is kept until the later row is due. A jump of a robot's
+//! clock during a run therefore deletes no data early.
 
 use sqlx::SqliteConnection;
 
@@ -139,8 +140,8 @@ pub(super) async fn trim(
 }
 
 impl Arrival {
-    /// Deletes about `rows` rows of what it holds and no later arrival does. When that is complete, the row is removed, or
-    /// postponed for another period if pinned data remains.
+    /// Deletes about `rows` rows of the data that only this arrival covers. After the last of them the arrival is removed, or
+    /// postponed by another period if pinned data remains.
     async fn delete(
         self,
         connection: &mut SqliteConnection,

@@ -1,4 +1,4 @@
-//! Incidents and log lines about deleted data: at most one an hour, which grows.
+//! Incidents and log lines about deleted data: at most one incident per hour, whose text is updated.
 
 use std::collections::{BTreeMap, HashSet};
 use std::fmt::Write;
@@ -11,7 +11,7 @@ use crate::incidents;
 use crate::retention_config::RetentionConfig;
 use crate::types::AggregatorIncidentKind;
 
-/// Time on the storage clock for which an incident grows.
+/// Time on the storage clock for which an incident is updated.
 const GROUP_S: i64 = 3_600;
 
 /// ?1 incident, ?2 text.
@@ -37,7 +37,7 @@ pub(super) struct Deletion {
     pub(super) items: u64,
 }
 
-/// Owner of the incident that grows.
+/// The incident of the current hour, and the deletions in it.
 #[derive(Debug)]
 pub(super) struct Deletions {
     config: RetentionConfig,
@@ -101,7 +101,7 @@ impl Deletions {
         self.group = None;
     }
 
-    /// Handles a time without deletions: logs the first deletions of the hour, and all of them at its end.
+    /// Handles a time without deletions: logs the first deletions of an hour, and at its end all deletions of the hour.
     pub(super) fn log_at_rest(&mut self, now_s: i64) {
         if let Some(group) = &mut self.group
             && group.logged.is_none()

@@ -26,7 +26,7 @@ use crate::retention_config::{RetentionConfig, period_s};
 use crate::rollups::WIDTHS_S;
 use crate::storage_clock::StorageClock;
 
-/// Number of rows that a step deletes, as a hint for its caller: some tens of milliseconds.
+/// Approximate number of rows that a step deletes; it takes some tens of milliseconds.
 pub(crate) const ROWS: u32 = 20_000;
 /// Pause after a step with nothing to do.
 const IDLE: Span = Span::from_seconds(1);
@@ -41,9 +41,9 @@ const ARRIVING: u32 = 64;
 /// Result of a step.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Step {
-    /// There is nothing to do at present.
+    /// Nothing remains to be deleted now.
     Done,
-    /// Another step will find something to do.
+    /// More remains to be deleted.
     More,
 }
 
@@ -131,7 +131,7 @@ impl Periods {
         period_s(kind.days(&self.0))
     }
 
-    /// Returns the number of seconds within which arrivals are deleted together.
+    /// Returns the length of a part of the period: arrivals within one part are deleted together, seconds.
     fn resolution_s(&self, kind: Kind) -> i64 {
         self.period_s(kind).map_or(UNLIMITED_RESOLUTION_S, |period_s| (period_s / PARTS).max(1))
     }

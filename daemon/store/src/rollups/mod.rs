@@ -42,7 +42,7 @@ pub(crate) enum Quantity {
     HalfWidth = 1,
 }
 
-/// A name's number with its quantity: what is summed up together within a bucket.
+/// Name and quantity whose values are summed up together within a bucket.
 type Series = (i64, Quantity);
 
 /// Addition to a bucket: series, the bucket's start, numbers.
@@ -175,7 +175,7 @@ impl Rollups {
         self.bytes = 0;
     }
 
-    /// Forgets the runs that were written least recently, until memory is a tenth below the limit.
+    /// Removes the runs that were written least recently from memory, until memory is a tenth below the limit.
     fn evict(&mut self, most: usize) {
         if self.bytes <= most {
             return;
@@ -201,7 +201,7 @@ impl Rollups {
         self.bytes
     }
 
-    /// Forgets runs until at most `bytes` of them remain.
+    /// Removes runs from memory until at most `bytes` remain.
     #[cfg(test)]
     pub(crate) fn shrink_to(&mut self, bytes: usize) {
         self.evict(bytes);

@@ -8,7 +8,7 @@ use super::Refusal;
 /// later replaces it.
 pub(super) const UNREPORTED_END: &str = "the agent ended without saying so";
 
-/// Ends that follow from what a transaction stores. They are written at its end, when the last iterations are counted.
+/// Ends of runs that follow from the events of a transaction. They are written at its end, after the last iterations are counted.
 #[derive(Debug, Default)]
 pub(super) struct RunEnds {
     /// Hosts whose process ended, with the newest run that may belong to it.
@@ -18,8 +18,8 @@ pub(super) struct RunEnds {
 }
 
 impl RunEnds {
-    /// Records the process with which a host introduced itself. If it is another one than before, the runs of that one have
-    /// ended.
+    /// Records the process with which a host introduced itself. If it differs from the host's previous process, the runs of the
+    /// previous process have ended.
     pub(super) async fn record_process(
         &mut self,
         connection: &mut SqliteConnection,
@@ -46,7 +46,7 @@ impl RunEnds {
         Ok(())
     }
 
-    /// Records that the process of a host has ended, and with it the runs that are stored by now.
+    /// Records that the process of a host has ended, and with it the runs that are stored so far.
     pub(super) async fn end_process(
         &mut self,
         connection: &mut SqliteConnection,

@@ -14,7 +14,7 @@ use crate::stored::Stored;
 
 /// Maximum number of runs in memory; beyond it, all are forgotten and read again when needed.
 const MAX_CACHED_RUNS: usize = 10_000;
-/// Value for what is unknown about a run whose beginning never arrived.
+/// Pipeline and model of a run whose start never arrived.
 pub(crate) const UNKNOWN: &str = "unknown";
 
 /// The host whose batch or message is being stored.

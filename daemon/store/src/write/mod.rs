@@ -91,7 +91,7 @@ pub struct Writer {
     /// State of the streams as committed.
     streams: Streams,
     /// Results of the parts of a group that were committed before another part failed. They are returned when the group is
-    /// handed in again.
+    /// committed again.
     unreported: Committed,
 }
 
@@ -145,7 +145,7 @@ impl Writer {
     /// or its log is no longer at its path: then nothing of the work counts as stored.
     pub async fn commit(&mut self, work: &[Work], now: Stamp) -> Result<Committed, CommitError> {
         self.check_file()?;
-        // The group, or the rest of it: it is halved around an invalid batch until that one is alone.
+        // The remaining parts of the group. A part with an invalid batch is halved until the batch is alone in its part.
         let mut parts = vec![work];
         while let Some(part) = parts.pop() {
             let committed = match self.attempt(part, now, None).await {
@@ -252,7 +252,7 @@ impl Writer {
         carried_over.map(drop)
     }
 
-    /// Writes something that changes nothing, to check that writing works.
+    /// Writes without a change, to check that the database can be written.
     pub async fn write_nothing(&mut self) -> Result<(), DatabaseError> {
         mark(&mut self.connection).await.map_err(DatabaseError::new)?;
         self.file.record_log();

@@ -1,5 +1,5 @@
-//! Detection of iterations that arrived earlier under another batch number: two copies of one spool that take turns send the
-//! same iterations in two streams.
+//! Detection of iterations that arrived before under another batch number. Two copies of one spool that are used alternately send
+//! the same iterations in two streams.
 //!
 //! The rest of such a batch is stored unchanged: runs and clock samples replace the same rows; incidents and gaps have
 //! nothing to identify them, and appear twice.

@@ -217,8 +217,8 @@ impl OldFile {
         Ok(Self { file, roots, version })
     }
 
-    /// Returns the root page of a table. An unknown one is taken from the new file if all known ones agree with it: the same
-    /// migrations made both files.
+    /// Returns the root page of a table. If it is unknown, the root page in the new file is used, provided that all known root
+    /// pages are the same in both files: the same migrations created both.
     fn root(&self, table: &str, new: &BTreeMap<String, u32>) -> Option<u32> {
         let alike = || self.roots.iter().all(|(table, root)| new.get(table).is_none_or(|new| new == root));
         self.roots.get(table).copied().or_else(|| new.get(table).copied().filter(|_| alike()))
@@ -341,7 +341,7 @@ async fn fill(
     Ok((salvaged, lost))
 }
 
-/// Prevents that numbers of lost rows are given to new ones.
+/// Ensures that the numbers of lost rows are not used again for new rows.
 async fn continue_numbering(connection: &mut SqliteConnection, old: &OldFile) -> Result<(), sqlx::Error> {
     let Some(root) = old.roots.get("sqlite_sequence") else { return Ok(()) };
     for item in Walk::from(&old.file, *root, true) {
@@ -365,7 +365,8 @@ async fn continue_numbering(connection: &mut SqliteConnection, old: &OldFile) ->
     Ok(())
 }
 
-/// Renames the damaged file and gives the new file its name, which exists at any time. Returns the path of the damaged file.
+/// Renames the damaged file and gives the new file its name. A file of this name exists at all times. Returns the path of the
+/// damaged file.
 fn replace_database(path: &Path, new: &Path, stamp: &str) -> io::Result<PathBuf> {
     let of = fs::metadata(path)?;
     fs::set_permissions(new, of.permissions())?;

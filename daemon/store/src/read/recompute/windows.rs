@@ -7,7 +7,8 @@ use peernet_clock::{RawTime, Span};
 const REACH: Span = Span::from_seconds(10);
 /// A sample is for the second that ends with it.
 const SECOND: Span = Span::from_seconds(1);
-/// The second of a step has a sample of the later window only, which may come late.
+/// Time after a window's last sample for which the window is still possible. The second of a step has a sample of the later
+/// window only, and that sample may arrive late.
 const MAX_UNSAMPLED: Span = Span::from_seconds(2);
 /// Upper limit of an exchange's duration; earlier stamps are invalid.
 const MAX_EXCHANGE: Span = Span::from_seconds(60);
@@ -25,12 +26,13 @@ pub(super) struct Extent {
     pub(super) returned: RawTime,
 }
 
-/// The time of a clock of the edge, cut into pieces with the only window that is possible in each, if there is just one.
+/// The time of a clock of the edge, divided into intervals. Each interval has the window that is possible in it, if there is
+/// exactly one.
 ///
-/// Free-running clocks count from the start of their machine: a time that occurs in two starts belongs to neither.
-/// Near a step two windows may overlap, if the edge's clock was set back, or leave a hole in which the step happened: a time
-/// there belongs to neither. A window is certain from its first exchange to its last one. It is possible for the whole seconds
-/// of its samples, where no other window is certain.
+/// Free-running clocks count from the start of their machine: a time that occurs after two starts of the machine belongs to
+/// neither window. Near a step two windows may overlap, if the edge's clock was set back, or leave a gap in which the step
+/// happened: a time there belongs to neither window. A window is certain from its first exchange to its last one. It is possible
+/// for the whole seconds of its samples, where no other window is certain.
 #[derive(Debug, Default)]
 pub(super) struct Timeline {
     /// Starts of the pieces with the only possible window.

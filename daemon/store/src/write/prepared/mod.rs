@@ -1,4 +1,4 @@
-//! Preparation of batches: all work that needs no database is done beside SQLite's thread instead of by the writer.
+//! Preparation of batches: all work that needs no database is done in parallel with SQLite's thread and not by the writer.
 //!
 //! Runs, names and hosts are positions in lists of the batch; the writer looks up their numbers. A batch that can never be
 //! stored is found here.
@@ -106,7 +106,7 @@ impl PreparedBatch {
         Self::without(head, body, &HashSet::new())
     }
 
-    /// Does the same without some iterations, which are already stored.
+    /// Does the same as [`Self::new`] without some iterations, which are already stored.
     pub(super) fn without(
         head: BatchHead,
         body: Bytes,
