@@ -51,7 +51,7 @@ pub use types::{
     AggregatorIncidentKind, ClockSeries, DelayAssumptions, DelayRow, Episodes, ExperimentSummary, GapRow,
     Histogram, HostRow, IncidentFilter, IncidentRow, IterationDetail, IterationFilter, IterationRow,
     Judgement, LinkKey, LinkRow, MeanBucket, MergeableStatistics, Pairs, Recomputed, RecomputedStage,
-    RunDetail, RunFilter, RunStatistics, RunSummary, Series, SeriesPoint, StageCourse, StageMeans,
+    RunDetail, RunFilter, RunStatistics, RunSummary, Series, SeriesPoint, StageBuckets, StageMeans,
     StageSeries, StageStatistics,
 };
 
@@ -114,24 +114,23 @@ impl Store {
 
     /// Returns the values of node names over the time of a run, each as at most `max_buckets` summaries, in the order of
     /// `stages`. Names without samples are omitted.
-    pub async fn course(
+    pub async fn stage_buckets(
         &self,
         run: i64,
         stages: &[Name],
         max_buckets: usize,
-    ) -> Result<Vec<StageCourse>, StoreError> {
-        read::statistics::course(&self.readers, run, stages, max_buckets).await
+    ) -> Result<Vec<StageBuckets>, StoreError> {
+        read::statistics::stage_buckets(&self.readers, run, stages, max_buckets).await
     }
 
-    /// Returns counts and means over the time of a run, in the buckets of [`Store::course`]. It takes a tenth of the time of
-    /// [`Store::course`].
-    pub async fn means(
+    /// Returns counts and means over the time of a run, in the buckets of [`Store::stage_buckets`], in a tenth of its time.
+    pub async fn stage_means(
         &self,
         run: i64,
         stages: &[Name],
         max_buckets: usize,
     ) -> Result<Vec<StageMeans>, StoreError> {
-        read::statistics::means(&self.readers, run, stages, max_buckets).await
+        read::statistics::stage_means(&self.readers, run, stages, max_buckets).await
     }
 
     /// Returns the statistics of whole runs, in the order of `runs`; they are empty for a run that is not stored.
@@ -166,8 +165,8 @@ impl Store {
     }
 
     /// Returns the `n` slowest successful iterations (at most 1,000), slowest first.
-    pub async fn slowest(&self, run: i64, n: u32) -> Result<Vec<IterationRow>, StoreError> {
-        read::iterations::slowest(&self.readers, run, n).await
+    pub async fn slowest_iterations(&self, run: i64, n: u32) -> Result<Vec<IterationRow>, StoreError> {
+        read::iterations::slowest_iterations(&self.readers, run, n).await
     }
 
     /// Returns iterations by ascending number.
@@ -183,11 +182,11 @@ impl Store {
     ///
     /// The value of a standard name is the sum of its nodes below the root; that of a user's name is its first node, as in
     /// `data.csv`. Only a few iterations of a long run are read.
-    pub async fn pairs(&self, run: i64, names: [&str; 2], most: u32) -> Result<Pairs, StoreError> {
-        read::pairs::pairs(&self.readers, run, names, most).await
+    pub async fn value_pairs(&self, run: i64, names: [&str; 2], most: u32) -> Result<Pairs, StoreError> {
+        read::pairs::value_pairs(&self.readers, run, names, most).await
     }
 
-    /// Returns everything by which a run is judged, with its time series in at most 120 buckets.
+    /// Returns the values that the trust findings of a run are computed from, with its time series in at most 120 buckets.
     pub async fn trust_input(&self, run: &RunDetail) -> Result<TrustInput, StoreError> {
         read::trust::trust_input(&self.readers, run).await
     }
@@ -199,22 +198,22 @@ impl Store {
 
     /// Returns the next iterations after a number, as the agent sent them, by ascending number, together with the last number
     /// that was examined. `None` after the last iteration.
-    pub async fn whole(
+    pub async fn full_iterations(
         &self,
         run: &RunSummary,
         after: u64,
     ) -> Result<Option<(u64, Vec<Iteration>)>, StoreError> {
-        read::whole::whole(&self.readers, run, after).await
+        read::whole::full_iterations(&self.readers, run, after).await
     }
 
-    /// Returns the first iteration of each shape of tree among the next few thousand iterations; otherwise as [`Store::whole`].
-    /// Together they have all columns that a table of the run needs.
-    pub async fn shapes(
+    /// Returns the first iteration of each shape of tree among the next few thousand iterations. Argument and result are
+    /// otherwise those of [`Store::full_iterations`]. These iterations have all columns that a table of the run needs.
+    pub async fn iterations_by_shape(
         &self,
         run: &RunSummary,
         after: u64,
     ) -> Result<Option<(u64, Vec<Iteration>)>, StoreError> {
-        read::whole::shapes(&self.readers, run, after).await
+        read::whole::iterations_by_shape(&self.readers, run, after).await
     }
 
     /// Returns incidents, newest first.

@@ -6,7 +6,7 @@ mod pairs;
 mod statistics;
 
 pub use episodes::Episodes;
-pub use experiment::{ExperimentSummary, MeanBucket, StageCourse, StageMeans};
+pub use experiment::{ExperimentSummary, MeanBucket, StageBuckets, StageMeans};
 pub use pairs::Pairs;
 pub(crate) use statistics::NameSummary;
 pub use statistics::{MergeableStatistics, RunStatistics, StageStatistics};

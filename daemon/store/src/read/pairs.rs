@@ -55,7 +55,7 @@ impl NameValues {
     }
 }
 
-pub(crate) async fn pairs(
+pub(crate) async fn value_pairs(
     readers: &Readers,
     run: i64,
     [x, y]: [&str; 2],

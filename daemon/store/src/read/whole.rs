@@ -15,7 +15,7 @@ const MAX_ITERATIONS: u32 = 200;
 /// Number of iterations whose shapes are compared together.
 const ITERATIONS_PER_COMPARISON: u32 = 5_000;
 
-pub(crate) async fn whole(
+pub(crate) async fn full_iterations(
     readers: &Readers,
     run: &RunSummary,
     after: u64,
@@ -31,7 +31,7 @@ pub(crate) async fn whole(
     Ok(Some((last, with_trees(readers, run, rows).await?)))
 }
 
-pub(crate) async fn shapes(
+pub(crate) async fn iterations_by_shape(
     readers: &Readers,
     run: &RunSummary,
     after: u64,

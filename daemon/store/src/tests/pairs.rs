@@ -48,7 +48,7 @@ impl TestStore {
     }
 
     async fn pairs(&self, x: &str, most: u32) -> Pairs {
-        self.store.pairs(1, [x, "inference"], most).await.expect("answers")
+        self.store.value_pairs(1, [x, "inference"], most).await.expect("answers")
     }
 }
 

@@ -12,7 +12,7 @@ use crate::types::{MeanBucket, StageMeans};
 /// Row of the statement: name, point, number of samples and their sum.
 type Row = (i64, i64, i64, f64);
 
-pub(crate) async fn means(
+pub(crate) async fn stage_means(
     readers: &Readers,
     run: i64,
     stages: &[Name],

@@ -13,7 +13,7 @@ use crate::error::StoreError;
 use crate::figures::Figures;
 use crate::readers::Readers;
 use crate::rollups::{RollupRow, WIDTHS_S, bucket};
-use crate::types::{Series, SeriesPoint, StageCourse, StageSeries};
+use crate::types::{Series, SeriesPoint, StageBuckets, StageSeries};
 
 /// Possible widths of a point: multiples of a stored width, with at most fifteen buckets per point.
 const POINTS_S: [i64; 15] = [1, 2, 5, 10, 20, 30, 60, 120, 300, 600, 900, 3_600, 7_200, 21_600, 86_400];
@@ -109,15 +109,15 @@ async fn points(
 }
 
 /// Returns the summaries of all buckets; otherwise as [`series`].
-pub(crate) async fn course(
+pub(crate) async fn stage_buckets(
     readers: &Readers,
     run: i64,
     stages: &[Name],
     max_buckets: usize,
-) -> Result<Vec<StageCourse>, StoreError> {
+) -> Result<Vec<StageBuckets>, StoreError> {
     let widths = Stored::read(readers, run).await?.choose(max_buckets);
     let lines = lines(readers, run, stages, widths).await?;
-    let courses = lines.into_iter().map(|line| StageCourse {
+    let courses = lines.into_iter().map(|line| StageBuckets {
         buckets: line.points.into_iter().map(|(_, summary)| summary).collect(),
         stage: line.stage,
         unit: line.unit,
