@@ -69,8 +69,8 @@ async fn prepare(path: &Path, options: SqliteConnectOptions) -> Result<SqliteCon
     }
     MIGRATIONS.run_direct(None, &mut connection, false).await.map_err(|source| match source {
         MigrateError::VersionMissing(found) => {
-            let known = MIGRATIONS.iter().map(|migration| migration.version).max().unwrap_or(0);
-            OpenError::NewerSchema { path: path.to_owned(), found, known }
+            let supported = MIGRATIONS.iter().map(|migration| migration.version).max().unwrap_or(0);
+            OpenError::NewerSchema { path: path.to_owned(), found, supported }
         }
         MigrateError::Execute(source) if is_damage(&source) => OpenError::cannot_open(path, source),
         source => OpenError::Migrate { path: path.to_owned(), source: DatabaseError::new(source) },

@@ -54,14 +54,14 @@ pub enum OpenError {
     #[error(transparent)]
     ForeignLog(#[from] ForeignLog),
     /// The database was written by a newer version.
-    #[error("the database {} was written by a newer version (its schema {found}, this program supports {known}); update this program or choose another file with `database`", path.display())]
+    #[error("the database {} was written by a newer version (its schema {found}, this program supports {supported}); update this program or choose another file with `database`", path.display())]
     NewerSchema {
         /// The configured file.
         path: PathBuf,
         /// Schema in the file.
         found: i64,
-        /// Newest schema that this version knows.
-        known: i64,
+        /// Newest schema that this program supports.
+        supported: i64,
     },
     /// The schema cannot be brought up to date.
     #[error("cannot bring the schema of the database {} up to date: {source}; keep the file, and restore a backup or choose another file with `database`", path.display())]

@@ -29,14 +29,14 @@ pub(super) async fn find(
     }
     let mut stored = HashSet::new();
     for (run, numbers) in batch.runs.iter().zip(numbers) {
-        let asked = serde_json::to_string(&numbers).map_err(|error| sqlx::Error::Encode(error.into()))?;
-        let known: Vec<i64> = sqlx::query_scalar(STORED)
+        let searched = serde_json::to_string(&numbers).map_err(|error| sqlx::Error::Encode(error.into()))?;
+        let found: Vec<i64> = sqlx::query_scalar(STORED)
             .bind(run.id.to_string())
             .bind(batch.head.host.to_string())
-            .bind(asked)
+            .bind(searched)
             .fetch_all(&mut *connection)
             .await?;
-        stored.extend(known.into_iter().map(|number| (run.id, number)));
+        stored.extend(found.into_iter().map(|number| (run.id, number)));
     }
     Ok(stored)
 }

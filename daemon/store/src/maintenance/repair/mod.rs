@@ -57,14 +57,14 @@ pub enum RepairError {
         what: &'static str,
     },
     /// The database was written by a newer version.
-    #[error("cannot repair {}: a newer version wrote it (its schema is {found}, this program supports {known}); update this program", path.display())]
+    #[error("cannot repair {}: a newer version wrote it (its schema is {found}, this program supports {supported}); update this program", path.display())]
     NewerSchema {
         /// The database.
         path: PathBuf,
         /// Schema in the file.
         found: i64,
-        /// Newest schema that this version knows.
-        known: i64,
+        /// Newest schema that this program supports.
+        supported: i64,
     },
     /// The disk has not enough room for the new file.
     #[error("{} has {free} bytes free, but the new file needs up to {needed}; free some space", folder.display())]
@@ -210,9 +210,9 @@ impl OldFile {
             Item::Unreadable => None,
         });
         let version = versions.max();
-        let known = MIGRATIONS.iter().map(|migration| migration.version).max().unwrap_or(0);
-        if let Some(found) = version.filter(|found| *found > known) {
-            return Err(RepairError::NewerSchema { path: path.to_owned(), found, known });
+        let supported = MIGRATIONS.iter().map(|migration| migration.version).max().unwrap_or(0);
+        if let Some(found) = version.filter(|found| *found > supported) {
+            return Err(RepairError::NewerSchema { path: path.to_owned(), found, supported });
         }
         Ok(Self { file, roots, version })
     }

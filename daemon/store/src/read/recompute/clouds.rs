@@ -69,7 +69,8 @@ pub(super) struct Clouds<'a> {
     edge: i64,
     network: &'a str,
     run: (WallTime, WallTime),
-    known: HashMap<i64, Option<Cloud>>,
+    /// Clouds that were read, by row; `None` for a host without a link to the edge.
+    cache: HashMap<i64, Option<Cloud>>,
     /// Link, window and number of samples of the windows that were used.
     used: BTreeSet<(i64, i64, i64)>,
 }
@@ -116,7 +117,7 @@ impl<'a> Clouds<'a> {
         (edge, network): (i64, &'a str),
         run: (WallTime, WallTime),
     ) -> Self {
-        Self { readers, edge, network, run, known: HashMap::new(), used: BTreeSet::new() }
+        Self { readers, edge, network, run, cache: HashMap::new(), used: BTreeSet::new() }
     }
 
     /// Returns the relation of the edge's and a cloud's clocks at a time of the edge's, or `None` if no sample covers it.
@@ -125,14 +126,14 @@ impl<'a> Clouds<'a> {
         cloud: i64,
         time: EdgeTime,
     ) -> Result<Option<&Relation>, StoreError> {
-        if !self.known.contains_key(&cloud) {
-            if self.known.len() >= MAX_CACHED {
-                self.known.clear();
+        if !self.cache.contains_key(&cloud) {
+            if self.cache.len() >= MAX_CACHED {
+                self.cache.clear();
             }
             let found = self.find(cloud).await?;
-            self.known.insert(cloud, found);
+            self.cache.insert(cloud, found);
         }
-        let Some(Some(cloud)) = self.known.get_mut(&cloud) else { return Ok(None) };
+        let Some(Some(cloud)) = self.cache.get_mut(&cloud) else { return Ok(None) };
         let window = cloud.windows.get(&time.clocks).and_then(|windows| windows.at(time));
         let Some(Window { window, samples, .. }) = window else { return Ok(None) };
         self.used.insert((cloud.link, *window, *samples));

@@ -23,7 +23,8 @@ pub(in crate::write) struct SummaryPart {
 #[derive(Debug, Default)]
 pub(super) struct Summaries {
     pub(super) list: Vec<SummaryPart>,
-    known: HashMap<(u32, u32, Quantity, i64), usize>,
+    /// Position in `list`, by run, name, quantity and second.
+    positions: HashMap<(u32, u32, Quantity, i64), usize>,
     /// Position in `list` of each name's last number, by quantity: iterations mostly arrive in the order of run and second.
     last: Vec<[usize; 2]>,
 }
@@ -44,7 +45,7 @@ impl Summaries {
             part.summary.record(value);
             return;
         }
-        *last = *self.known.entry((run, name, quantity, second_s)).or_insert_with(|| {
+        *last = *self.positions.entry((run, name, quantity, second_s)).or_insert_with(|| {
             self.list.push(SummaryPart { run, name, quantity, second_s, summary: Summary::default() });
             self.list.len() - 1
         });
