@@ -50,9 +50,9 @@ pub use stored::{ClockPoint, Stored};
 pub use types::{
     AggregatorIncidentKind, ClockSeries, DelayAssumptions, DelayRow, Episodes, ExperimentSummary, GapRow,
     Histogram, HostRow, IncidentFilter, IncidentRow, IterationDetail, IterationFilter, IterationRow,
-    Judgement, LinkKey, LinkRow, MeanBucket, MergeableStatistics, Pairs, Recomputed, RecomputedStage,
-    RunDetail, RunFilter, RunStatistics, RunSummary, Series, SeriesPoint, StageBuckets, StageMeans,
-    StageSeries, StageStatistics,
+    Judgement, LinkKey, LinkRow, MeanBucket, MergeableStatistics, Recomputed, RecomputedStage, RunDetail,
+    RunFilter, RunStatistics, RunSummary, Series, SeriesPoint, StageBuckets, StageMeans, StageSeries,
+    StageStatistics, ValuePairs,
 };
 
 /// Types for the one process that writes to the database.
@@ -178,12 +178,17 @@ impl Store {
         read::iterations::iterations(&self.readers, run, filter).await
     }
 
-    /// Returns the values of two node names in at most `most` iterations, evenly spread over the stored ones.
+    /// Returns the values of two node names in at most `max_pairs` iterations, evenly spread over the stored ones.
     ///
     /// The value of a standard name is the sum of its nodes below the root; that of a user's name is its first node, as in
     /// `data.csv`. Only a few iterations of a long run are read.
-    pub async fn value_pairs(&self, run: i64, names: [&str; 2], most: u32) -> Result<Pairs, StoreError> {
-        read::pairs::value_pairs(&self.readers, run, names, most).await
+    pub async fn value_pairs(
+        &self,
+        run: i64,
+        names: [&str; 2],
+        max_pairs: u32,
+    ) -> Result<ValuePairs, StoreError> {
+        read::pairs::value_pairs(&self.readers, run, names, max_pairs).await
     }
 
     /// Returns the values that the trust findings of a run are computed from, with its time series in at most 120 buckets.

@@ -7,7 +7,7 @@ mod statistics;
 
 pub use episodes::Episodes;
 pub use experiment::{ExperimentSummary, MeanBucket, StageBuckets, StageMeans};
-pub use pairs::Pairs;
+pub use pairs::ValuePairs;
 pub(crate) use statistics::NameSummary;
 pub use statistics::{MergeableStatistics, RunStatistics, StageStatistics};
 
