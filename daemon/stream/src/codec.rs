@@ -197,7 +197,7 @@ pub fn decode_batch_body(mut frame: Bytes) -> Result<Bytes, CodecError> {
         other => return Err(CodecError::Malformed(format!("unknown form of a body: {other}"))),
     };
     // The chain covers the body and all batches before it, so it also detects a batch of another history.
-    if body.len() != length || batch.before.then(batch.events, &body) != batch.chain {
+    if body.len() != length || batch.before.next(batch.events, &body) != batch.chain {
         return Err(CodecError::Damaged(batch.number));
     }
     Ok(body)

@@ -17,7 +17,7 @@ pub const KILLED_REASON: &str = "the agent was killed before these events reache
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct RunCounts {
     /// Number of all events, including those without a run.
-    pub all: u64,
+    pub total: u64,
     /// Number of events of each run, for at most [`MAX_COUNTED_RUNS`] runs.
     pub runs: BTreeMap<RunId, u64>,
 }
@@ -38,7 +38,7 @@ pub struct SubmittedEvents {
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct CountedEvents {
     /// Number of all events.
-    pub all: u64,
+    pub total: u64,
     /// Time of the last event.
     pub last: WallTime,
     /// Last batches that were sent without being in the spool.
@@ -89,7 +89,7 @@ pub struct CountedRun {
 impl RunCounts {
     /// Adds events. If a run has no separate count because there are too many runs, its events count among all.
     pub fn add(&mut self, run: Option<RunId>, events: u64) {
-        self.all += events;
+        self.total += events;
         let Some(run) = run else { return };
         if self.runs.len() < MAX_COUNTED_RUNS || self.runs.contains_key(&run) {
             *self.runs.entry(run).or_default() += events;
@@ -106,17 +106,17 @@ impl SubmittedEvents {
     /// Returns the counts that the spool records.
     pub fn settled(&self) -> SettledEvents {
         let mut events = self.batched.clone();
-        events.all += self.dropped.all;
+        events.total += self.dropped.total;
         for (run, count) in &self.dropped.runs {
             *events.runs.entry(*run).or_default() += count;
         }
-        SettledEvents { events, batched: self.batched.all, last: self.last }
+        SettledEvents { events, batched: self.batched.total, last: self.last }
     }
 
     /// Moves the events in batches that are not in `kept` to the dropped ones.
     pub(super) fn give_up(&mut self, kept: &RunCounts) {
         let batched = std::mem::replace(&mut self.batched, kept.clone());
-        self.dropped.all += batched.all.saturating_sub(kept.all);
+        self.dropped.total += batched.total.saturating_sub(kept.total);
         for (run, events) in batched.runs {
             *self.dropped.runs.entry(run).or_default() += events.saturating_sub(kept.events_of(run));
         }

@@ -133,7 +133,7 @@ impl SpoolState {
             self.unresolved = Some(UnresolvedBatches::new(counted, settled, &self.totals));
             return None;
         }
-        let lost = counted.all.saturating_sub(settled.events.all);
+        let lost = counted.total.saturating_sub(settled.events.total);
         for gap in counted.gaps(&settled, 0, lost) {
             self.lose(gap);
         }
@@ -176,13 +176,17 @@ mod tests {
         WallTime::from_unix_nanos(seconds * 1_000_000_000)
     }
 
-    fn counted(all: u64, runs: &[(RunId, u64)]) -> CountedEvents {
+    fn counted(total: u64, runs: &[(RunId, u64)]) -> CountedEvents {
         let run = |&(run, events)| CountedRun { run, pipeline: "line".parse().ok(), events, last: at(9) };
-        CountedEvents { all, last: at(10), sent: Vec::new(), runs: runs.iter().map(run).collect() }
+        CountedEvents { total, last: at(10), sent: Vec::new(), runs: runs.iter().map(run).collect() }
     }
 
-    fn settled(all: u64, runs: &[(RunId, u64)], last: Option<WallTime>) -> SettledEvents {
-        SettledEvents { events: RunCounts { all, runs: runs.iter().copied().collect() }, batched: all, last }
+    fn settled(total: u64, runs: &[(RunId, u64)], last: Option<WallTime>) -> SettledEvents {
+        SettledEvents {
+            events: RunCounts { total, runs: runs.iter().copied().collect() },
+            batched: total,
+            last,
+        }
     }
 
     #[test]
@@ -200,7 +204,7 @@ mod tests {
             [(Some(first), 10, at(8), at(9)), (Some(second), 4, at(8), at(9)), (None, 1, at(8), at(10))];
         assert_eq!(gaps, expected);
         // Another process that is killed at once adds only its events.
-        let next = CountedEvents { all: 2, ..counted };
+        let next = CountedEvents { total: 2, ..counted };
         assert_eq!(state.lose_tail(next, SettledEvents::default()), Some(2));
         assert_eq!((state.unreported.len(), state.unreported[0].count), (3, 12));
     }

@@ -61,7 +61,7 @@ impl UnresolvedBatches {
         let batched = sent.batched.saturating_sub(self.settled.batched);
         ResolvedBatches {
             stored: sent.events.saturating_sub(self.events),
-            lost: self.counted.all.saturating_sub(self.settled.events.all + batched),
+            lost: self.counted.total.saturating_sub(self.settled.events.total + batched),
             reported_drops: sent.reported_drops.saturating_sub(self.reported_drops),
             batched,
         }
@@ -139,8 +139,8 @@ mod tests {
         let last = WallTime::from_unix_nanos(9);
         let runs = vec![CountedRun { run, pipeline: None, events: 26, last }];
         let sent = vec![sent(4, 14, 1, 18), sent(5, 17, 3, 22)];
-        let counted = CountedEvents { all: 30, last, sent, runs };
-        let events = RunCounts { all: 10, runs: [(run, 9)].into() };
+        let counted = CountedEvents { total: 30, last, sent, runs };
+        let events = RunCounts { total: 10, runs: [(run, 9)].into() };
         assert_eq!(state.lose_tail(counted, SettledEvents { events, batched: 8, last: None }), None);
         let unresolved = state.unresolved.clone().expect("what was sent may be stored");
         (state, unresolved)
@@ -219,7 +219,7 @@ mod tests {
     fn another_process_that_is_killed_before_the_answer_leaves_it_open() {
         let run = RunId::random();
         let (mut state, first) = unresolved(run);
-        let counted = CountedEvents { all: 2, ..first.counted.clone() };
+        let counted = CountedEvents { total: 2, ..first.counted.clone() };
         let nothing_sent = CountedEvents { sent: Vec::new(), runs: Vec::new(), ..counted };
         assert_eq!(state.lose_tail(nothing_sent, SettledEvents::default()), Some(2));
         assert_eq!(state.unresolved, Some(first));

@@ -69,7 +69,7 @@ pub(crate) struct EventCounter(Option<Arc<Mutex<CountFile>>>);
 struct CountFile {
     file: File,
     name: String,
-    all: u64,
+    total: u64,
     /// Index of the record and number of events of each run in progress.
     runs: BTreeMap<RunId, (usize, u64)>,
     free: Vec<usize>,
@@ -97,7 +97,7 @@ impl EventCounter {
         file.write_all_at(&bytes, 0)?;
         let free = (1..=MAX_COUNTED_RUNS).rev().collect();
         let counting =
-            CountFile { file, name, all: 0, runs: BTreeMap::new(), free, sent: None, failed: false };
+            CountFile { file, name, total: 0, runs: BTreeMap::new(), free, sent: None, failed: false };
         Ok(Self(Some(Arc::new(Mutex::new(counting)))))
     }
 
@@ -149,7 +149,7 @@ impl EventCounter {
 
     /// Returns the number of all events; `None` if they are not counted.
     pub(crate) fn total(&self) -> Option<u64> {
-        self.counting().map(|counting| counting.all)
+        self.counting().map(|counting| counting.total)
     }
 
     /// Removes the file, once no counted event can be lost any more.
@@ -166,8 +166,8 @@ impl EventCounter {
 
 impl CountFile {
     fn count(&mut self, pipeline: Option<&Slug>, run: Option<RunId>, now: WallTime) -> io::Result<()> {
-        self.all += 1;
-        let numbers = [self.all.to_be_bytes(), now.unix_nanos().to_be_bytes()].concat();
+        self.total += 1;
+        let numbers = [self.total.to_be_bytes(), now.unix_nanos().to_be_bytes()].concat();
         // Each event is a single write, so the total is in the record of its run. The largest total of all records is
         // the current one.
         let Some(run) = run else { return self.file.write_all_at(&numbers, HEAD_ALL) };
@@ -186,7 +186,7 @@ impl CountFile {
 
     fn release(&mut self, run: RunId, place: usize) -> io::Result<()> {
         // The total first, because the record may hold the newest one.
-        self.file.write_all_at(&self.all.to_be_bytes(), HEAD_ALL)?;
+        self.file.write_all_at(&self.total.to_be_bytes(), HEAD_ALL)?;
         self.file.write_all_at(&[0; RECORD], (place * RECORD) as u64)?;
         self.runs.remove(&run);
         self.free.push(place);
@@ -288,7 +288,7 @@ pub(crate) fn read(name: &str, own: &CountOwner) -> Option<CountedEvents> {
         events: number(sent, 32),
     });
     let sent = sent.filter(|sent| sent.number > 0).collect();
-    let mut counted = CountedEvents { all: number(head, 8), last: time(head, 16), sent, runs: Vec::new() };
+    let mut counted = CountedEvents { total: number(head, 8), last: time(head, 16), sent, runs: Vec::new() };
     for record in records.chunks_exact(RECORD) {
         let (all, last, events) = (number(record, 0), time(record, 8), number(record, 16));
         // A record without events is free.
@@ -296,8 +296,8 @@ pub(crate) fn read(name: &str, own: &CountOwner) -> Option<CountedEvents> {
             continue;
         }
         // The largest total is the newest one, see `count`.
-        if all >= counted.all {
-            (counted.all, counted.last) = (all, last);
+        if all >= counted.total {
+            (counted.total, counted.last) = (all, last);
         }
         let run = record[NUMBERS..].first_chunk().map(|id| RunId::from_bytes(*id))?;
         let name = record[NAME + 1..].get(..record[NAME].into());

@@ -95,7 +95,7 @@ impl LoadPlan {
             let events: Vec<Event> = first.into_iter().chain(iterations).collect();
             let body = generate::body(&events);
             let count = events.len() as u32;
-            let chain = before.then(count, &body);
+            let chain = before.next(count, &body);
             let head =
                 BatchHead { host, stream, process: 1, number, before, chain, events: count, events_before };
             events_before = head.events_through();

@@ -165,7 +165,7 @@ impl Agent {
         let body = generate::body(events);
         let count = u32::try_from(events.len()).expect("a batch");
         let before = self.chain;
-        self.chain = before.then(count, &body);
+        self.chain = before.next(count, &body);
         let (host, stream, number, chain) = (self.hosts.0, self.stream, self.number, self.chain);
         let events_before = self.events;
         let head =

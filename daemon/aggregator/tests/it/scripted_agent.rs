@@ -82,7 +82,7 @@ impl ScriptedAgent {
     pub(crate) fn next_with(&mut self, events: u32, body: &[u8]) -> Vec<u8> {
         self.number += 1;
         let (host, stream, number, before) = (self.host, self.stream, self.number, self.before);
-        self.before = before.then(events, body);
+        self.before = before.next(events, body);
         let (process, chain) = (self.process, self.before);
         let events_before = self.events;
         let head = BatchHead { host, stream, process, number, before, chain, events, events_before };

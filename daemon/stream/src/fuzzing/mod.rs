@@ -35,7 +35,7 @@ pub fn any_batch(data: &[u8]) {
         process: 3,
         number: u64::MAX,
         before,
-        chain: before.then(events, bytes),
+        chain: before.next(events, bytes),
         events,
         events_before: u64::MAX,
     };
@@ -49,7 +49,7 @@ fn take(frame: &[u8]) -> Option<BatchHead> {
     assert!(codec::decode::<ToAggregator>(frame).is_err(), "a batch's frame is no message");
     let body = codec::decode_batch_body(Bytes::copy_from_slice(frame)).ok()?;
     assert!(body.len() <= MAX_MESSAGE_BYTES);
-    assert_eq!(head.before.then(head.events, &body), head.chain, "an intact body is the one of the chain");
+    assert_eq!(head.before.next(head.events, &body), head.chain, "an intact body is the one of the chain");
     if let Ok(events) = codec::decode_events(&body, head.events) {
         assert_eq!(events.len(), head.events as usize);
     }

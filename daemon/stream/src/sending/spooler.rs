@@ -169,7 +169,7 @@ impl EventSpooler {
 
     pub(super) const fn settled_events(&self) -> u64 {
         let submitted = &self.appends.written().submitted;
-        submitted.batched.all + submitted.dropped.all
+        submitted.batched.total + submitted.dropped.total
     }
 
     pub(super) fn sent_unspooled(&self) -> Option<SentUnspooled> {

@@ -21,7 +21,7 @@ pub(crate) fn hello(id: HostId, name: &str, process: u64, stream: StreamId, olde
 
 /// Returns the chain of a batch in the stream that all of these tests use.
 pub(super) fn chain(number: u64) -> Chain {
-    (0..number).fold(Chain::START, |chain, _| chain.then(1, b"event"))
+    (0..number).fold(Chain::START, |chain, _| chain.next(1, b"event"))
 }
 
 pub(super) fn mark(host: HostId, stored: u64) -> Mark {

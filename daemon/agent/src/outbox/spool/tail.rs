@@ -39,7 +39,7 @@ struct Unreported {
 
 /// Encodes counts for a column.
 pub(super) fn encoded(counts: &RunCounts) -> Vec<u8> {
-    let mut bytes = counts.all.to_be_bytes().to_vec();
+    let mut bytes = counts.total.to_be_bytes().to_vec();
     for (run, events) in &counts.runs {
         bytes.extend(run.as_bytes());
         bytes.extend(events.to_be_bytes());
@@ -49,7 +49,7 @@ pub(super) fn encoded(counts: &RunCounts) -> Vec<u8> {
 
 fn decoded(bytes: &[u8]) -> Option<RunCounts> {
     let (all, runs) = bytes.split_first_chunk()?;
-    let mut counts = RunCounts { all: u64::from_be_bytes(*all), ..RunCounts::default() };
+    let mut counts = RunCounts { total: u64::from_be_bytes(*all), ..RunCounts::default() };
     for entry in runs.chunks_exact(24) {
         let (run, events) = entry.split_first_chunk::<16>()?;
         counts.runs.insert(RunId::from_bytes(*run), u64::from_be_bytes(*events.first_chunk()?));

@@ -89,7 +89,7 @@ impl Backlog {
     /// Adds a batch with the next number.
     pub(super) fn push(&mut self, batch: UnnumberedBatch) {
         let UnnumberedBatch { since, events, body, totals } = batch;
-        let chain = self.newest.1.then(events, &body);
+        let chain = self.newest.1.next(events, &body);
         self.newest = (self.newest.0 + 1, chain);
         let batch = SpooledBatch { number: self.newest.0, since, events, chain, body };
         self.waiting_usage = self.waiting_usage + batch.usage();
@@ -263,7 +263,7 @@ impl Backlog {
         let (chain, events, body) = (batch.chain, batch.events, batch.body.clone());
         let unspooled = self.pending.get(number).filter(|_| number > self.spooled.0).map(|pending| {
             let Totals { produced, dropped, reported_drops, submitted, .. } = &pending.totals;
-            let (batched, events) = (submitted.batched.all, produced - dropped);
+            let (batched, events) = (submitted.batched.total, produced - dropped);
             SentUnspooled { process, number, batched, reported_drops: *reported_drops, events }
         });
         self.sent.record(number, events, unspooled);

@@ -54,7 +54,7 @@ fn batches_follow_one_another_and_are_in_the_file_when_they_are_sent() {
             unreported: None,
         }
     );
-    assert_eq!(totals.submitted.settled().events.all, 4);
+    assert_eq!(totals.submitted.settled().events.total, 4);
     agent.ack(3);
     assert_eq!(agent.numbers(), [0; 0], "it is not known to be written");
     agent.perform(Action::Append { batches, totals });

@@ -108,7 +108,7 @@ impl File {
     fn append(&mut self, batches: Vec<SpooledBatch>, totals: Totals) {
         for batch in batches {
             assert_eq!(batch.number, self.newest.0 + 1, "contiguous");
-            assert_eq!(batch.chain, self.newest.1.then(batch.events, &batch.body));
+            assert_eq!(batch.chain, self.newest.1.next(batch.events, &batch.body));
             self.newest = (batch.number, batch.chain);
             self.batches.insert(batch.number, batch);
         }

@@ -244,7 +244,7 @@ impl Database {
                     assert_eq!(head.number, before.stored + 1, "stored out of order");
                     assert_eq!(head.before, before.chain, "stored behind another batch than its own");
                 }
-                assert_eq!(head.chain, head.before.then(head.events, &body));
+                assert_eq!(head.chain, head.before.next(head.events, &body));
                 let (names, told) = (names(head.events, &body), told(head.events, &body));
                 let entry = Entry::Batch { number: head.number, names, told };
                 (head.stream, Mark::from(head), entry)

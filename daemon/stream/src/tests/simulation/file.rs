@@ -92,7 +92,7 @@ impl SpoolFile {
         for batch in batches {
             let (newest, chain) = self.newest;
             assert_eq!(batch.number, newest + 1, "numbers in the spool are contiguous");
-            assert_eq!(batch.chain, chain.then(batch.events, &batch.body), "and so are chains");
+            assert_eq!(batch.chain, chain.next(batch.events, &batch.body), "and so are chains");
             self.newest = (batch.number, batch.chain);
             self.batches.insert(batch.number, batch.clone());
         }

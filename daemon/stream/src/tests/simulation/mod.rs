@@ -95,7 +95,7 @@ impl Simulation {
     pub(super) fn offer(&mut self) {
         self.offered += 1;
         let event = incident(&self.offered.to_string());
-        self.sites[self.site].counted.all += 1;
+        self.sites[self.site].counted.total += 1;
         self.agent(|sending, now| sending.offer(&event, now));
     }
 

@@ -66,7 +66,7 @@ fn clock() -> SharedClock {
 fn batches(mut before: Chain, numbers: impl IntoIterator<Item = u64>, bytes: usize) -> Vec<SpooledBatch> {
     let batch = |number: u64| {
         let body = Bytes::from(vec![number as u8; bytes]);
-        before = before.then(3, &body);
+        before = before.next(3, &body);
         SpooledBatch {
             number,
             since: WallTime::from_unix_nanos(number as i64),

@@ -80,7 +80,7 @@ async fn unspooled_sends_stay_open_until_resolved() {
 
     let OpenSpool { file, state, counter, .. } = place.open().await.expect("opens");
     let unresolved = state.unresolved.expect("batch 3 may be stored");
-    assert_eq!((unresolved.counted.all, unresolved.settled.events.events_of(run)), (10, 6));
+    assert_eq!((unresolved.counted.total, unresolved.settled.events.events_of(run)), (10, 6));
     assert_eq!((unresolved.settled.batched, unresolved.events), (6, 6));
     assert_eq!((state.totals.dropped, state.unreported.len()), (0, 0));
     // Killed before the aggregator answered.
