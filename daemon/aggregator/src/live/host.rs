@@ -207,7 +207,7 @@ impl Host {
             id: self.description.id,
             description: self.description.clone(),
             connected: self.is_connected(),
-            left: self.presence.has_left() && self.events.accounting().waiting == 0,
+            has_left: self.presence.has_left() && self.events.accounting().waiting == 0,
             last_seen: self.presence.seen().wall,
             clock_ahead: self.presence.clock_ahead(),
             behind: self.events.behind(self.presence.sent()),

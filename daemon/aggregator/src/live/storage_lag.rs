@@ -61,7 +61,7 @@ impl StorageLag {
         (rate >= MIN_RATE).then(|| CatchingUp {
             rate,
             events_per_second: self.stored / self.observed_s,
-            left: Span::from_seconds_f64(behind.seconds() / rate),
+            remaining: Span::from_seconds_f64(behind.seconds() / rate),
         })
     }
 }
@@ -93,7 +93,7 @@ mod tests {
         assert!((found.rate - 48.0).abs() < 1e-6, "{found:?}");
         assert!((found.events_per_second - 20_000.0).abs() < 1.0, "{found:?}");
         let left = (11_520.0 - 48.0 * 29.75) / 48.0;
-        assert!((found.left.seconds() - left).abs() < 1e-3, "{found:?}");
+        assert!((found.remaining.seconds() - left).abs() < 1e-3, "{found:?}");
     }
 
     #[test]

@@ -12,7 +12,7 @@ fn update_in_state(testbed: &Testbed, at: f64, state: PipelineState, waiting: u6
 /// Returns whether the host is connected, whether it left in order, and the state of its only pipeline.
 fn standing(testbed: &mut Testbed, at: f64) -> (bool, bool, PipelineState) {
     let snapshot = testbed.snapshot(at);
-    (snapshot.hosts[0].connected, snapshot.hosts[0].left, snapshot.pipelines[0].state.clone())
+    (snapshot.hosts[0].connected, snapshot.hosts[0].has_left, snapshot.pipelines[0].state.clone())
 }
 
 /// [`standing`] of a host that stopped in order.
